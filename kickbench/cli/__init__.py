@@ -1,0 +1,154 @@
+"""The command line: parse, call, print. Verbs are imported when they are called, so `--help` is instant."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+from pathlib import Path
+
+from kickbench import __version__
+from kickbench.errors import KickbenchError
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Runs the command line.
+
+    Args:
+        argv: Arguments without the program's name; default: the process's.
+
+    Returns:
+        Exit code: 0 fine, 1 a check failed, 2 a wrong specification or usage, 130 interrupted.
+    """
+    arguments = _parser().parse_args(argv)
+    module, _, name = arguments.verb.partition(":")
+    try:
+        return getattr(import_module(module), name)(arguments)
+    except KickbenchError as error:
+        print(error, file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        # The reader of our output has gone (`kickbench show ... | head`); there is nobody left to tell.
+        sys.stderr.close()
+        return 1
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="kickbench", description="A declarative benchmark suite for symmetry-aware humanoid RL."
+    )
+    parser.add_argument("--version", action="version", version=f"kickbench {__version__}")
+    verbs = parser.add_subparsers(required=True, metavar="VERB")
+    _add_run(verbs)
+    _add_eval(verbs)
+    _add_inspection(verbs)
+    _add_bench(verbs)
+    return parser
+
+
+def _add_verb(
+    verbs: argparse._SubParsersAction, name: str, target: str, text: str
+) -> argparse.ArgumentParser:
+    verb = verbs.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
+    verb.set_defaults(verb=target)
+    return verb
+
+
+def _add_run(verbs: argparse._SubParsersAction) -> None:
+    verb = _add_verb(verbs, "run", "kickbench.cli.run:run", "train a method on a task and evaluate it")
+    verb.add_argument("task", type=Path, metavar="TASK", help="task YAML")
+    verb.add_argument("method", type=Path, metavar="METHOD", help="method YAML")
+    verb.add_argument("--seed", type=_natural, default=0, help="seed (default: 0)")
+    verb.add_argument("--iterations", type=_positive, help="iterations (default: the method's)")
+    verb.add_argument("--num-envs", type=_positive, help="parallel environments (default: the method's)")
+    verb.add_argument(
+        "--out", type=Path, metavar="DIR", help="run directory (default: runs/<task>/<method>/seed<k>)"
+    )
+    _add_set(verb)
+    verb.add_argument(
+        "--device", choices=("cpu", "cuda"), default="cpu", help="where to train (default: cpu)"
+    )
+    _add_threads(verb)
+    verb.add_argument("--force", action="store_true", help="overwrite a finished run")
+
+
+def _add_eval(verbs: argparse._SubParsersAction) -> None:
+    verb = _add_verb(
+        verbs, "eval", "kickbench.cli.run:evaluate", "evaluate the policy of a finished run again"
+    )
+    verb.add_argument("run", type=Path, metavar="RUN", help="run directory")
+    verb.add_argument("--episodes", type=_positive, help="episodes a side (default: the task's)")
+    verb.add_argument("--seed", type=_natural, help="seed of the starts (default: the task's)")
+    verb.add_argument("--json", action="store_true", help="print the metrics as JSON")
+    _add_threads(verb)
+
+
+def _add_inspection(verbs: argparse._SubParsersAction) -> None:
+    module = "kickbench.cli.inspect"
+    verb = _add_verb(verbs, "validate", f"{module}:validate", "check YAML files and report all errors")
+    verb.add_argument(
+        "files", type=Path, nargs="+", metavar="FILE", help="task, method, robot or representations"
+    )
+    _add_set(verb)
+    verb = _add_verb(verbs, "show", f"{module}:show", "print a resolved spec and where each value came from")
+    verb.add_argument("file", type=Path, metavar="FILE", help="task, method, robot or representations")
+    _add_set(verb)
+    verb = _add_verb(verbs, "schema", f"{module}:schema", "print the JSON Schema of a kind of file")
+    verb.add_argument("kind", choices=("task", "method", "robot", "representations"))
+    _add_verb(verbs, "terms", f"{module}:terms", "list all terms with parameters, units and source")
+    verb = _add_verb(
+        verbs, "list", f"{module}:list_files", "list tasks, methods, robots and runs below a folder"
+    )
+    verb.add_argument("root", type=Path, nargs="?", default=Path(), help="folder (default: here)")
+    verb = _add_verb(verbs, "table", f"{module}:table", "print the table of finished runs")
+    verb.add_argument(
+        "roots", type=Path, nargs="+", metavar="DIR", help="run directories, or folders of them"
+    )
+
+
+def _add_bench(verbs: argparse._SubParsersAction) -> None:
+    verb = _add_verb(verbs, "bench", "kickbench.cli.bench:bench", "measure speed, as ratios within one run")
+    verb.add_argument("--task", type=Path, default=Path("tasks/mini_general.yaml"), help="task YAML")
+    verb.add_argument(
+        "--methods", type=Path, default=Path("methods/mini"), help="folder of the methods compared"
+    )
+    verb.add_argument(
+        "--num-envs", type=_positive, default=512, help="worlds of the environment step (default: 512)"
+    )
+    verb.add_argument("--rounds", type=_positive, default=15, help="interleaved repetitions (default: 15)")
+    verb.add_argument("--json", action="store_true", help="print the figures as JSON")
+    _add_threads(verb)
+
+
+def _add_set(verb: argparse.ArgumentParser) -> None:
+    verb.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="K=V",
+        dest="overrides",
+        help="override a value: key.path=value",
+    )
+
+
+def _add_threads(verb: argparse.ArgumentParser) -> None:
+    verb.add_argument("--threads", type=_positive, help="threads (default: the cores this process may use)")
+
+
+def _positive(text: str) -> int:
+    return _whole_number(text, 1)
+
+
+def _natural(text: str) -> int:
+    return _whole_number(text, 0)
+
+
+def _whole_number(text: str, least: int) -> int:
+    # argparse would name the function that raised a ValueError.
+    if not text.isdecimal() or int(text) < least:
+        raise argparse.ArgumentTypeError(f"expected a whole number of at least {least}, found {text!r}")
+    return int(text)

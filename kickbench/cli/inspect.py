@@ -1,0 +1,103 @@
+"""Verbs that look at files: `validate`, `show`, `schema`, `terms`, `list` and `table`."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+from kickbench.errors import KickbenchError, Problem, SpecError
+from kickbench.results.metrics import load_metrics
+from kickbench.results.store import find_runs
+from kickbench.results.table import render_table
+from kickbench.speccheck import KINDS, check_files, kind_of, model_of
+
+
+def validate(arguments: argparse.Namespace) -> int:
+    """`kickbench validate FILE...`: every file, every task with every method, every error."""
+    problems: list[Problem] = []
+    for report in check_files(arguments.files, arguments.overrides):
+        problems += report.problems
+        if not report.problems:
+            print(f"{report.name}: fine ({report.kind})")
+    if problems:
+        raise SpecError(problems)
+    return 0
+
+
+def show(arguments: argparse.Namespace) -> int:
+    """`kickbench show FILE`: the resolved spec and where each value came from."""
+    from kickbench.spec.explain import explain
+    from kickbench.spec.load import load
+    from kickbench.yamlio import load_document
+
+    kind = kind_of(load_document(arguments.file, arguments.overrides))
+    loaded = load(model_of(kind), arguments.file, arguments.overrides)
+    print(explain(loaded.spec, loaded.document))
+    return 0
+
+
+def schema(arguments: argparse.Namespace) -> int:
+    """`kickbench schema KIND`: JSON Schema for editors."""
+    from kickbench.spec.json_schema import json_schema
+
+    print(json.dumps(json_schema(model_of(arguments.kind)), indent=2))
+    return 0
+
+
+def terms(arguments: argparse.Namespace) -> int:
+    """`kickbench terms`: every observation, reward, termination and randomisation."""
+    from kickbench.mdp.catalog import catalog
+    from kickbench.mdp.describe import describe, describe_common
+
+    kind = None
+    for term in catalog().all():
+        if term.kind != kind:
+            kind = term.kind
+            print(f"{kind}s\n{'-' * (len(kind) + 1)}")
+            if common := describe_common(kind):
+                print(f"every {kind} accepts\n{common}\n")
+        print(describe(term))
+    return 0
+
+
+def list_files(arguments: argparse.Namespace) -> int:
+    """`kickbench list`: tasks, methods, robots and finished runs below a folder."""
+    root = arguments.root
+    if not root.is_dir():
+        raise KickbenchError(f"{root}: no such folder")
+    found = sorted(_specs(root))
+    for kind in KINDS:
+        entries = [(path, text) for found_kind, path, text in found if found_kind == kind]
+        if entries:
+            width = max(len(str(path)) for path, _ in entries)
+            print(f"{kind}:")
+            print("\n".join(f"  {path!s:<{width}}  {text}".rstrip() for path, text in entries))
+    runs = find_runs(root)
+    if runs:
+        print("finished runs:\n" + "\n".join(f"  {run.path}" for run in runs))
+    return 0
+
+
+def _specs(root: Path) -> Iterator[tuple[str, Path, str]]:
+    from kickbench.yamlio import load_document
+
+    for pattern in ("tasks/**/*.yaml", "methods/**/*.yaml", "assets/*/*.yaml"):
+        for path in root.glob(pattern):
+            try:
+                document = load_document(path)
+                kind = kind_of(document)
+            except SpecError as error:
+                yield KINDS[0], path, f"does not load: {error.problems[0]}"
+                continue
+            yield kind, path, str(document.data.get("description", ""))
+
+
+def table(arguments: argparse.Namespace) -> int:
+    """`kickbench table DIR...`: the table of finished runs."""
+    runs = [run for root in arguments.roots for run in find_runs(root)]
+    if not runs:
+        raise KickbenchError(f"no finished run in {', '.join(str(root) for root in arguments.roots)}")
+    print(render_table([load_metrics(run.metrics) for run in runs]))
+    return 0

@@ -1,0 +1,45 @@
+"""Verbs that run policies: `run` and `eval`."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+
+from kickbench.results.table import render_table
+from kickbench.runner import RunRequest, reevaluate
+from kickbench.runner import run as run_experiment
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """`kickbench run TASK METHOD`."""
+    outcome = run_experiment(
+        RunRequest(
+            task=arguments.task,
+            method=arguments.method,
+            seed=arguments.seed,
+            overrides=tuple(arguments.overrides),
+            iterations=arguments.iterations,
+            num_envs=arguments.num_envs,
+            out=arguments.out,
+            device=arguments.device,
+            threads=arguments.threads,
+            force=arguments.force,
+            command=tuple(sys.argv),
+        )
+    )
+    where, training = outcome.directory.path, outcome.training
+    if outcome.metrics is None:
+        print(
+            f"interrupted after {training.iterations} iterations; the checkpoint is in {where}",
+            file=sys.stderr,
+        )
+        return 130
+    print(f"\n{render_table([outcome.metrics])}\n\ntrained {training.seconds:.0f} s; results: {where}")
+    return 0
+
+
+def evaluate(arguments: argparse.Namespace) -> int:
+    """`kickbench eval RUN`."""
+    metrics, _ = reevaluate(arguments.run, arguments.episodes, arguments.seed, arguments.threads)
+    print(metrics.model_dump_json(indent=2) if arguments.json else render_table([metrics]))
+    return 0

@@ -1,0 +1,200 @@
+"""The environment: the order of things in one control step, and nothing else."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import torch
+from rsl_rl.env import VecEnv
+from tensordict import TensorDict
+from torch import Tensor
+
+from kickbench.mdp.compile import CompiledTask, Field
+from kickbench.mdp.episode import EpisodeRecord, Outcome, Totals
+from kickbench.mdp.starts import Starts, StartSampler
+from kickbench.mdp.state import EpisodeState, State, StateIndex
+from kickbench.physics.engine import Engine
+
+StartSource = Callable[[Tensor], Starts]
+"""Given the worlds that reset [B] bool, returns a start for every world; other rows are not read."""
+
+
+class KickEnv(VecEnv):
+    """B worlds of one task, as rsl_rl sees them.
+
+    One step: apply the action, advance the physics, look at the state, count, reward, terminate, record,
+    reset the worlds that are done, observe. Observations and rewards are float32 on the engine's device.
+    """
+
+    def __init__(
+        self,
+        task: CompiledTask,
+        engine: Engine,
+        seed: int,
+        *,
+        noise: bool = True,
+        starts: StartSource | None = None,
+    ) -> None:
+        """Resets every world.
+
+        Args:
+            task: Compiled task.
+            engine: Physics of `task.scene`; its number of worlds is the number of environments.
+            seed: Seed of starts, randomisation and observation noise.
+            noise: Whether observation noise applies.
+            starts: Where starts come from; default: sampled from the task's regions.
+        """
+        self.task, self.engine = task, engine
+        self.num_envs, self.num_actions = engine.num_worlds, len(task.scene.layout.actuator_names)
+        self.max_episode_length = task.spec.episode.max_steps
+        self.device: torch.device = engine.device
+        self.cfg = task.spec
+        self.generator = torch.Generator(self.device).manual_seed(seed)
+        self.sampler = StartSampler(
+            task.scene.layout,
+            task.spec.sampling,
+            task.spec.ball,
+            task.randomizers,
+            task.scene.model.nv,
+            self.generator,
+        )
+        self._starts = starts or (lambda mask: self.sampler.sample(self.num_envs))
+        self._noise = noise
+        self._prepare_constants()
+        self.episode = EpisodeState.zeros(self.num_envs, self.num_actions, self.device)
+        self.record = EpisodeRecord.empty(self.num_envs, len(task.rewards), self.device)
+        self.totals = Totals.zeros(len(task.terminations), len(task.rewards), self.device)
+        self.outcome: Outcome | None = None
+        self.reset()
+
+    def _prepare_constants(self) -> None:
+        task, layout = self.task, self.task.scene.layout
+        self._index = StateIndex(layout, self.device)
+        self._default_target = torch.as_tensor(layout.default_target, dtype=torch.float32, device=self.device)
+        self._action_scale = torch.as_tensor(layout.action_scale, dtype=torch.float32, device=self.device)
+        scale = task.spec.simulation.control_interval if task.spec.rewards.scale_by_dt else 1.0
+        weights = [weight * scale for _, weight in task.rewards]
+        self._weights = torch.tensor(weights, device=self.device)
+        self._truncates = torch.tensor(
+            [bound.term.truncates for bound in task.terminations], device=self.device
+        )
+        self._foot_geoms = tuple(tuple(int(g) for g in geoms) for geoms in layout.foot_geoms)
+
+    @property
+    def episode_length_buf(self) -> Tensor:  # type: ignore[override]
+        """Control steps since the start [B], under rsl_rl's name."""
+        return self.episode.step
+
+    def state(self) -> State:
+        """A view of the present state."""
+        return State(self.engine, self._index, self.episode, self.task.spec.episode)
+
+    def reset(self) -> TensorDict:
+        """Starts a new episode in every world and returns the observations."""
+        self._reset(torch.ones(self.num_envs, dtype=torch.bool, device=self.device))
+        return self.get_observations()
+
+    def get_observations(self) -> TensorDict:
+        """Observations of the present state by group, {group: [B, width]}."""
+        return self._observations
+
+    def step(self, actions: Tensor) -> tuple[TensorDict, Tensor, Tensor, dict[str, Tensor]]:
+        """Advances every world by one control step; see the class."""
+        self._apply(actions)
+        state = self.state()
+        self._count(state)
+        rewards = self._reward(state)
+        terminated = torch.stack([bound(state) for bound in self.task.terminations], dim=1)
+        failed = self.engine.failed.clone()
+        done = terminated.any(dim=1) | failed
+        timed_out = done & ~failed & ~(terminated & ~self._truncates).any(dim=1)
+        self._conclude(state, terminated, failed, done)
+        self._reset(done)
+        return self._observations, rewards, done, {"time_outs": timed_out}
+
+    def _apply(self, actions: Tensor) -> None:
+        self.episode.previous_action = self.episode.action
+        self.episode.action = actions
+        self.engine.step(self.targets(actions))
+
+    def targets(self, actions: Tensor) -> Tensor:
+        """Control targets of actions: default + scale * action [B, nu]."""
+        return self._default_target + self._action_scale * actions
+
+    def _count(self, state: State) -> None:
+        episode = self.episode
+        episode.step = episode.step + 1
+        episode.contact_count = episode.contact_count + ((episode.contact_count > 0) | state.ball_contact)
+        self.record.note_touch(state, bool(self._foot_geoms))
+
+    def _reward(self, state: State) -> Tensor:
+        raw = torch.stack([bound(state) for bound, _ in self.task.rewards], dim=1)
+        # The numbers of a failed world mean nothing: it earns nothing in its last step.
+        raw = torch.where(self.engine.failed.unsqueeze(1), 0.0, raw)
+        weighted = raw * self._weights
+        rewards = weighted.sum(dim=1)
+        self.record.by_reward_raw += raw
+        self.record.by_reward += weighted
+        self.record.returned += rewards
+        return rewards
+
+    def _conclude(self, state: State, terminated: Tensor, failed: Tensor, done: Tensor) -> None:
+        radius = self.task.spec.evaluation.success_radius
+        success = done & ~failed & (state.target_distance < radius) & state.ball_stopped & state.ball_touched
+        record = replace(
+            self.record, **{name: getattr(self.record, name).clone() for name in vars(self.record)}
+        )
+        ball, steps = state.ball_pos[:, :2], self.episode.step
+        self.outcome = Outcome(done, failed, terminated, success, ball, state.target_distance, steps, record)
+        totals, finished = self.totals, done.float()
+        totals.episodes += finished.sum()
+        totals.steps += (steps * finished).sum()
+        totals.returned += (record.returned * finished).sum()
+        totals.successes += success.sum()
+        totals.failures += failed.sum()
+        totals.by_termination += (terminated & (done & ~failed).unsqueeze(1)).sum(dim=0)
+        totals.by_reward += finished @ record.by_reward
+        totals.by_reward_raw += finished @ record.by_reward_raw
+
+    def _reset(self, mask: Tensor) -> None:
+        starts = self._starts(mask)
+        self.engine.reset(mask, starts.qpos, starts.qvel)
+        if starts.foot_friction is not None:
+            self.engine.set_friction(mask, self._foot_geoms, starts.foot_friction)
+        episode, column = self.episode, mask.unsqueeze(1)
+        episode.target = torch.where(column, starts.target.float(), episode.target)
+        episode.step = torch.where(mask, 0, episode.step)
+        episode.contact_count = torch.where(mask, 0, episode.contact_count)
+        episode.action = torch.where(column, 0.0, episode.action)
+        episode.previous_action = torch.where(column, 0.0, episode.previous_action)
+        self.record.clear(mask)
+        self._observations = self._observe()
+
+    def _observe(self) -> TensorDict:
+        state = self.state()
+        groups = {name: self._group(state, fields) for name, fields in self.task.groups.items()}
+        return TensorDict(groups, batch_size=[self.num_envs], device=self.device)
+
+    def _group(self, state: State, fields: tuple[Field, ...]) -> Tensor:
+        return torch.cat([self._field(state, field) for field in fields], dim=1)
+
+    def _field(self, state: State, field: Field) -> Tensor:
+        value = field.bound(state)
+        if self._noise and field.params.noise > 0.0:
+            unit = torch.rand(value.shape, generator=self.generator, device=self.device)
+            value = value + field.params.noise * (2.0 * unit - 1.0)
+        return value if field.params.clip is None else value.clamp(*field.params.clip)
+
+
+def make_engine(
+    task: CompiledTask, num_envs: int, device: str = "cpu", num_threads: int | None = None
+) -> Engine:
+    """Makes the physics engine of a task on a device."""
+    from kickbench.physics.cpu import CpuEngine
+
+    layout = task.scene.layout
+    counts = [int(place) for places in layout.contacts.values() for place in places]
+    forces = [int(place) for places in layout.forces.values() for place in places.flatten()]
+    decimation = task.spec.simulation.decimation
+    return CpuEngine(task.scene.model, num_envs, decimation, counts, forces, num_threads)

@@ -1,0 +1,153 @@
+"""Errors that people read: where it is, what was found, what was expected, and the nearest valid name."""
+
+from __future__ import annotations
+
+import difflib
+import os
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+KeyPath = tuple[str | int, ...]
+"""Keys and list indices that lead from the top of a file to a value."""
+
+
+@dataclass(frozen=True)
+class Mark:
+    """A place in a file, or an override on the command line.
+
+    Attributes:
+        file: Path of the file, or the override as typed: `--set rewards.x.weight=3`.
+        line: Line, from 1; 0 if the mark means the file as a whole.
+        column: Column, from 1; 0 if the mark means the file as a whole.
+    """
+
+    file: str
+    line: int
+    column: int
+
+    def __str__(self) -> str:
+        return f"{self.place}:{self.column}" if self._has_position else self.place
+
+    @property
+    def place(self) -> str:
+        """The mark without its column: `file:line`."""
+        return f"{shown(self.file)}:{self.line}" if self._has_position else shown(self.file)
+
+    @property
+    def is_override(self) -> bool:
+        """Whether the mark is an override on the command line."""
+        return self.file.startswith("--set ")
+
+    @property
+    def _has_position(self) -> bool:
+        return self.line > 0 and not self.is_override
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One thing that is wrong with a specification.
+
+    Attributes:
+        mark: Where it is; None if it is nowhere in a file.
+        path: Keys that lead to it.
+        message: What was found and what was expected.
+        hint: What may help: the nearest valid name.
+    """
+
+    mark: Mark | None
+    path: KeyPath
+    message: str
+    hint: str | None = None
+
+    def __str__(self) -> str:
+        where = [str(self.mark)] if self.mark else []
+        keys = [dotted(self.path)] if self.path else []
+        hint = f" ({self.hint})" if self.hint else ""
+        return ": ".join([*where, *keys, self.message]) + hint
+
+
+class KickbenchError(Exception):
+    """An error of the user's making: the command line prints its message without a traceback, exit code 2."""
+
+
+class SpecError(KickbenchError):
+    """A specification that cannot be used, with all its problems.
+
+    Attributes:
+        problems: Every problem, in the order in which the message lists them.
+    """
+
+    problems: tuple[Problem, ...]
+
+    def __init__(self, problems: Iterable[Problem]) -> None:
+        self.problems = tuple(problems)
+        super().__init__("\n".join(str(problem) for problem in self.problems))
+
+    @classmethod
+    def of(cls, where: str, message: str, hint: str | None = None) -> SpecError:
+        """Makes an error of one problem that concerns a whole file or an override.
+
+        Args:
+            where: Path of the file, or the override as `--set key=value`.
+            message: What was found and what was expected.
+            hint: What may help.
+        """
+        return cls([Problem(Mark(where, 0, 0), (), message, hint)])
+
+    def __reduce__(self) -> tuple[type[SpecError], tuple[tuple[Problem, ...]]]:
+        # An exception is pickled by its message otherwise, and worker processes pickle exceptions.
+        return type(self), (self.problems,)
+
+
+def dotted(path: KeyPath) -> str:
+    """Writes a path as `--set` takes it: `rewards.target_distance.weight`."""
+    return ".".join(str(key) for key in path)
+
+
+def shown(file: str | Path) -> str:
+    """Writes a path for people: relative to the working directory if it lies below it."""
+    text, here = str(file), os.getcwd()
+    if not os.path.isabs(text):
+        return text
+    return os.path.relpath(text, here) if os.path.commonpath([text, here]) == here else text
+
+
+def nearest(name: str, choices: Iterable[str]) -> str | None:
+    """Finds the choice that the writer of `name` most likely meant.
+
+    Other case, other separators and other word order count as the same name; beyond that, similarity decides.
+
+    Args:
+        name: The name that is not known.
+        choices: The names that are.
+
+    Returns:
+        One of the choices, or None if none is near.
+    """
+    choices = list(choices)
+    for same in (str, _squeezed, _sorted_words):
+        for choice in choices:
+            if same(choice) == same(name):
+                return choice
+    by_key = {_squeezed(choice): choice for choice in reversed(choices)}
+    close = difflib.get_close_matches(_squeezed(name), by_key, n=1, cutoff=0.6)
+    return by_key[close[0]] if close else None
+
+
+def did_you_mean(name: str, choices: Iterable[str]) -> str | None:
+    """Words `nearest` as a hint."""
+    guess = nearest(name, choices)
+    return f"did you mean '{guess}'?" if guess else None
+
+
+def _squeezed(name: str) -> str:
+    return "".join(_words(name))
+
+
+def _sorted_words(name: str) -> str:
+    return " ".join(sorted(_words(name)))
+
+
+def _words(name: str) -> list[str]:
+    return name.lower().replace("-", " ").replace("_", " ").replace(".", " ").split()

@@ -1,0 +1,112 @@
+"""A task and a method, compiled and checked against each other."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from kickbench.errors import SpecError
+from kickbench.mdp.catalog import task_model
+from kickbench.mdp.compile import CompiledTask, compile_task
+from kickbench.spec.load import LoadedMethod, LoadedTask, load_method, load_task, split_overrides
+from kickbench.spec.task import TaskSpec
+from kickbench.symmetry.field_table import FieldTable
+from kickbench.symmetry.mirror import mirror_actions, mirror_joints, mirror_qpos, mirror_qvel
+from kickbench.symmetry.representation import Representation
+from kickbench.symmetry.tables import field_table, resolve_expression
+
+
+@dataclass(frozen=True)
+class Symmetry:
+    """The reflection, as a representation on everything it acts on.
+
+    Attributes:
+        qpos: On generalised positions [nq].
+        qvel: On generalised velocities [nv].
+        groups: Field table of every observation group.
+        actions: On the action vector.
+    """
+
+    qpos: Representation
+    qvel: Representation
+    groups: Mapping[str, FieldTable]
+    actions: Representation
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """What a run needs to know.
+
+    Attributes:
+        loaded_task: The task as loaded, with its documents.
+        method: The method as loaded.
+        task: The compiled task.
+        symmetry: The reflection, from robot and representation table.
+    """
+
+    loaded_task: LoadedTask[TaskSpec]
+    method: LoadedMethod
+    task: CompiledTask
+    symmetry: Symmetry
+
+
+def load_experiment(task: str | Path, method: str | Path, overrides: Sequence[str] = ()) -> Experiment:
+    """Loads, checks and compiles a task and a method.
+
+    Args:
+        task: Path of the task's YAML file.
+        method: Path of the method's YAML file.
+        overrides: `key.path=value` texts; the first key tells whether task or method is meant.
+
+    Raises:
+        SpecError: With every problem found.
+    """
+    of_task, of_method = split_overrides(overrides)
+    problems, loaded_task, loaded_method = [], None, None
+    try:
+        loaded_task = load_task(task_model(), task, of_task)
+    except SpecError as error:
+        problems += error.problems
+    try:
+        loaded_method = load_method(method, of_method)
+    except SpecError as error:
+        problems += error.problems
+    if loaded_task is None or loaded_method is None:
+        raise SpecError(tuple(problems))
+    compiled = compile_task(loaded_task)
+    return Experiment(loaded_task, loaded_method, compiled, read_symmetry(compiled, loaded_method))
+
+
+def read_symmetry(task: CompiledTask, method: LoadedMethod) -> Symmetry:
+    """Builds the reflection of a task from the robot's joint table and the method's representation table.
+
+    Raises:
+        SpecError: A field lacks a representation, or has one of another dimension.
+    """
+    layout, robot = task.scene.layout, task.robot.spec
+    image = robot.symmetry.image()
+    table, document = method.representations.spec, method.representations.document
+    own = {
+        "joints": mirror_joints(layout.joint_names, image),
+        "actions": mirror_actions(robot.actuators, image),
+    }
+    fields = {name: [(f.name, f.size) for f in group] for name, group in task.groups.items()}
+    groups, problems = {}, []
+    for name, sizes in fields.items():
+        try:
+            groups[name] = field_table(table, document, sizes, own)
+        except SpecError as error:
+            problems += [problem for problem in error.problems if problem not in problems]
+    actions = resolve_expression(table.actions, own)
+    if actions.dim != len(robot.actuators):
+        what = f"the representation has dimension {actions.dim}, the robot {len(robot.actuators)} actions"
+        problems.append(document.problem(("actions",), what))
+    if problems:
+        raise SpecError(tuple(problems))
+    return Symmetry(
+        qpos=mirror_qpos(layout.coordinates, image | {"ball": ("ball", 1)}),
+        qvel=mirror_qvel(layout.coordinates, image | {"ball": ("ball", 1)}),
+        groups=groups,
+        actions=actions,
+    )

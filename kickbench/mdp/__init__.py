@@ -1,0 +1,1 @@
+"""Observation, reward, termination and randomisation terms: pure batched torch functions, named by YAML."""

@@ -1,0 +1,79 @@
+"""The catalogue of all terms, and the task model that follows from it.
+
+The catalogue is read off the four modules of terms: a new term is one function in one of them, nothing else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from types import ModuleType
+from typing import Any
+
+from pydantic import create_model
+
+from kickbench.mdp import observations, randomizations, rewards, terminations
+from kickbench.mdp.term import Kind, Term
+from kickbench.spec.task import ObservationSpec, TaskSpec
+from kickbench.spec.terms import RewardTable, TermTable
+
+
+@dataclass(frozen=True)
+class Catalog:
+    """All terms by kind and name."""
+
+    observations: Mapping[str, Term[Any]]
+    rewards: Mapping[str, Term[Any]]
+    terminations: Mapping[str, Term[Any]]
+    randomizations: Mapping[str, Term[Any]]
+
+    def all(self) -> tuple[Term[Any], ...]:
+        """Every term, kind by kind in the order of definition."""
+        tables = (self.observations, self.rewards, self.terminations, self.randomizations)
+        return tuple(term for table in tables for term in table.values())
+
+
+@cache
+def catalog() -> Catalog:
+    """Reads the catalogue off the modules of terms."""
+    return Catalog(
+        _terms(observations, "observation"),
+        _terms(rewards, "reward"),
+        _terms(terminations, "termination"),
+        _terms(randomizations, "randomization"),
+    )
+
+
+def _terms(module: ModuleType, kind: Kind) -> dict[str, Term[Any]]:
+    found = (value for value in vars(module).values() if isinstance(value, Term))
+    return {term.name: term for term in found if term.kind == kind}
+
+
+@cache
+def task_model() -> type[TaskSpec]:
+    """The task model whose tables of terms accept exactly the terms that exist, with their parameters."""
+    terms = catalog()
+    randomization = _table("Randomization", TermTable, terms.randomizations)
+    group = _table("ObservationTable", TermTable, terms.observations)
+    observation = create_model(
+        "Observations",
+        __base__=ObservationSpec,
+        __doc__=ObservationSpec.__doc__,
+        actor=(group, ...),
+        critic=(group, ...),
+    )
+    return create_model(
+        "Task",
+        __base__=TaskSpec,
+        __doc__=TaskSpec.__doc__,
+        observations=(observation, ...),
+        rewards=(_table("Rewards", RewardTable, terms.rewards), ...),
+        terminations=(_table("Terminations", TermTable, terms.terminations), ...),
+        randomization=(randomization, randomization()),
+    )
+
+
+def _table(name: str, base: type[TermTable], terms: Mapping[str, Term[Any]]) -> type[TermTable]:
+    fields: dict[str, Any] = {key: (term.params | None, None) for key, term in terms.items()}
+    return create_model(name, __base__=base, __doc__=base.__doc__, **fields)

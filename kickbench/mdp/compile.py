@@ -1,0 +1,179 @@
+"""A validated task, compiled: scene, terms with their parameters bound, and field layouts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from torch import Tensor
+
+from kickbench.errors import Problem, SpecError
+from kickbench.mdp.catalog import catalog
+from kickbench.mdp.starts import Draw, Starts
+from kickbench.mdp.state import State
+from kickbench.mdp.term import Term
+from kickbench.scene.build import Scene, build_scene
+from kickbench.scene.sensors import SensorGroup, available_groups
+from kickbench.spec.load import Loaded, LoadedTask
+from kickbench.spec.robot import RobotSpec
+from kickbench.spec.task import TaskSpec
+from kickbench.spec.terms import (
+    ObservationParams,
+    RandomizationParams,
+    RewardParams,
+    TerminationParams,
+    TermParams,
+    TermTable,
+)
+
+
+@dataclass(frozen=True)
+class Bound:
+    """A term with its parameters."""
+
+    term: Term[Any]
+    params: TermParams
+
+    @property
+    def name(self) -> str:
+        """The term's name."""
+        return self.term.name
+
+    def __call__(self, state: State) -> Tensor:
+        """Evaluates the term on a state view."""
+        return self.term.function(state, self.params)
+
+
+@dataclass(frozen=True)
+class Field:
+    """An observation field and its place in the group's vector."""
+
+    bound: Bound
+    params: ObservationParams
+    first: int
+    size: int
+
+    @property
+    def name(self) -> str:
+        """The field's name."""
+        return self.bound.name
+
+
+@dataclass(frozen=True)
+class CompiledTask:
+    """A task ready to run.
+
+    Attributes:
+        name: The task's name.
+        spec: Its specification.
+        robot: The robot.
+        scene: Compiled scene with index maps.
+        groups: Observation group -> fields in the order of the vector.
+        rewards: Reward terms with weights, time step not applied.
+        terminations: Termination terms.
+        randomizers: Randomisation terms with parameters bound.
+    """
+
+    name: str
+    spec: TaskSpec
+    robot: Loaded[RobotSpec]
+    scene: Scene
+    groups: Mapping[str, tuple[Field, ...]]
+    rewards: tuple[tuple[Bound, float], ...]
+    terminations: tuple[Bound, ...]
+    randomizers: tuple[Callable[[Starts, Draw], Starts], ...]
+
+    def width(self, group: str) -> int:
+        """Length of an observation group's vector."""
+        return sum(field.size for field in self.groups[group])
+
+
+def compile_task(task: LoadedTask[Any]) -> CompiledTask:
+    """Checks cross-references and compiles a task.
+
+    Raises:
+        SpecError: A term needs a sensor that the robot's scene lacks, the robot's MJCF lacks a name, ...
+    """
+    spec: TaskSpec = task.spec
+    terms = catalog()
+    check_task(task)
+    rewards = _bind(terms.rewards, spec.rewards, RewardParams)
+    terminations = _bind(terms.terminations, spec.terminations, TerminationParams)
+    randomizations = _bind(terms.randomizations, spec.randomization, RandomizationParams)
+    actor = _bind(terms.observations, spec.observations.actor, ObservationParams)
+    critic = _bind(terms.observations, spec.observations.critic, ObservationParams)
+    used = (*rewards, *terminations, *randomizations, *actor, *critic)
+    needs: frozenset[SensorGroup] = frozenset(group for bound in used for group in bound.term.needs)
+    # Which foot kicks is a result of every task, so robots with feet always sense it.
+    needs |= available_groups(task.robot.spec) & {"foot_ball"}
+    scene = build_scene(spec, task.robot, needs)
+    joints, actions = len(scene.layout.joint_names), len(scene.layout.actuator_names)
+    return CompiledTask(
+        name=task.name,
+        spec=spec,
+        robot=task.robot,
+        scene=scene,
+        groups={"actor": _fields(actor, joints, actions), "critic": _fields(critic, joints, actions)},
+        rewards=tuple((bound, _weight(bound)) for bound in rewards),
+        terminations=terminations,
+        randomizers=tuple(_randomizer(bound) for bound in randomizations),
+    )
+
+
+def check_task(task: LoadedTask[Any]) -> None:
+    """Checks that the task's scene can serve every term.
+
+    Raises:
+        SpecError: With a problem for every term it cannot serve, and for empty tables.
+    """
+    spec, document = task.spec, task.document
+    terms, problems = catalog(), list[Problem]()
+    have = available_groups(task.robot.spec)
+    tables: dict[tuple[str, ...], tuple[Mapping[str, Term[Any]], TermTable]] = {
+        ("observations", "actor"): (terms.observations, spec.observations.actor),
+        ("observations", "critic"): (terms.observations, spec.observations.critic),
+        ("rewards",): (terms.rewards, spec.rewards),
+        ("terminations",): (terms.terminations, spec.terminations),
+        ("randomization",): (terms.randomizations, spec.randomization),
+    }
+    for path, (known, table) in tables.items():
+        active = table.active(TermParams)
+        if not active and path != ("randomization",):
+            problems.append(document.problem(path, "no term is on", f"one of: {', '.join(known)}"))
+        for name in active:
+            lacking = sorted(known[name].needs - have)
+            if lacking:
+                what = f"'{name}' needs the sensors {', '.join(lacking)}, which the scene lacks"
+                why = f"the robot {task.robot.document.file.name} names no `feet`"
+                problems.append(document.problem((*path, name), what, why))
+    if problems:
+        raise SpecError(problems)
+
+
+def _bind(known: Mapping[str, Term[Any]], table: TermTable, kind: type[TermParams]) -> tuple[Bound, ...]:
+    return tuple(Bound(known[name], params) for name, params in table.active(kind).items())
+
+
+def _weight(bound: Bound) -> float:
+    assert isinstance(bound.params, RewardParams)
+    return bound.params.weight
+
+
+def _fields(bounds: tuple[Bound, ...], joints: int, actions: int) -> tuple[Field, ...]:
+    fields, first = [], 0
+    for bound in bounds:
+        assert isinstance(bound.params, ObservationParams)
+        size = field_size(bound.term, joints, actions)
+        fields.append(Field(bound, bound.params, first, size))
+        first += size
+    return tuple(fields)
+
+
+def field_size(term: Term[Any], joints: int, actions: int) -> int:
+    """Length of an observation field for a robot with that many observed joints and actions."""
+    return {"joints": joints, "actions": actions}.get(str(term.size), 0) or int(term.size)
+
+
+def _randomizer(bound: Bound) -> Callable[[Starts, Draw], Starts]:
+    return lambda starts, draw: bound.term.function(starts, bound.params, draw)

@@ -1,0 +1,83 @@
+"""Observation fields (thesis Table 3.2). Each is a function `(state, params) -> Tensor[B, size]`, float32."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from kickbench.mdp.state import State
+from kickbench.mdp.term import observation
+from kickbench.spec.terms import ObservationParams
+
+
+@observation(3, "m/s", "Table 3.2")
+def base_lin_vel(state: State, params: ObservationParams) -> Tensor:
+    """Linear velocity of the base in its own frame: forward, lateral, vertical."""
+    return state.base_lin_vel
+
+
+@observation(3, "rad/s", "Table 3.2, appendix C")
+def base_ang_vel(state: State, params: ObservationParams) -> Tensor:
+    """Angular velocity of the base in its own frame: roll, pitch, yaw."""
+    return state.base_ang_vel
+
+
+@observation(3, "1", "Table 3.2")
+def projected_gravity(state: State, params: ObservationParams) -> Tensor:
+    """Unit vector of gravity in the base frame; (0, 0, -1) upright."""
+    return state.projected_gravity
+
+
+@observation(3, "m", "Table 3.2")
+def ball_position(state: State, params: ObservationParams) -> Tensor:
+    """Ball relative to the base, in the base frame."""
+    return state.in_base_frame(state.ball_pos - state.base_pos)
+
+
+@observation(3, "m", "Table 3.2; frame: digest")
+def target_position(state: State, params: ObservationParams) -> Tensor:
+    """Target relative to the base, in the base frame, like the ball's."""
+    return state.in_base_frame(state.target_pos - state.base_pos)
+
+
+@observation("joints", "rad", "Table 3.2")
+def joint_pos(state: State, params: ObservationParams) -> Tensor:
+    """Observed joints, offsets from the default pose."""
+    return state.joint_pos
+
+
+@observation("joints", "rad/s", "Table 3.2")
+def joint_vel(state: State, params: ObservationParams) -> Tensor:
+    """Velocities of the observed joints."""
+    return state.joint_vel
+
+
+@observation("actions", "1", "Table 3.2")
+def previous_action(state: State, params: ObservationParams) -> Tensor:
+    """The action of the last control step; 0 after a reset."""
+    return state.episode.action
+
+
+@observation(3, "m/s", "Table 3.2, critic only")
+def ball_velocity(state: State, params: ObservationParams) -> Tensor:
+    """Velocity of the ball in the base frame."""
+    return state.in_base_frame(state.ball_lin_vel)
+
+
+@observation(1, "true/false", "not in the thesis: whether c_t > 0")
+def ball_touched(state: State, params: ObservationParams) -> Tensor:
+    """1 once the ball has been touched in this episode, else 0."""
+    return state.ball_touched.float().unsqueeze(1)
+
+
+@observation(2, "true/false", "Table 3.2, critic only", needs=("foot_ball",))
+def foot_ball_contact(state: State, params: ObservationParams) -> Tensor:
+    """Left, right foot touched the ball during the last control step."""
+    return state.foot_ball_contact.float()
+
+
+@observation(6, "m", "not in the thesis: kinematics of the feet", needs=("foot_frame",))
+def foot_position(state: State, params: ObservationParams) -> Tensor:
+    """Centres of the left and the right sole relative to the base, in the base frame: left xyz, right xyz."""
+    feet = (state.foot_pos - state.base_pos.unsqueeze(1)).unbind(dim=1)
+    return torch.cat([state.in_base_frame(foot) for foot in feet], dim=1)

@@ -1,0 +1,105 @@
+"""Starts of episodes: sampling from the task's regions, and their exact mirror images."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from kickbench.scene.layout import SceneLayout
+from kickbench.spec.task import BallSpec, SamplingSpec
+from kickbench.symmetry.torch_ops import Mirror
+
+Draw = Callable[..., Tensor]
+"""`draw(low, high, *shape)`: uniform numbers, float64, from the sampler's generator."""
+
+
+@dataclass(frozen=True)
+class Starts:
+    """Everything that differs between the starts of two episodes; one row an episode.
+
+    Attributes:
+        qpos: Generalised positions [N, nq], float64.
+        qvel: Generalised velocities [N, nv], float64.
+        target: Target position on the floor [N, 2], m, float64.
+        foot_friction: Sliding friction of the left and right foot [N, 2], or None: as compiled.
+    """
+
+    qpos: Tensor
+    qvel: Tensor
+    target: Tensor
+    foot_friction: Tensor | None = None
+
+    def __len__(self) -> int:
+        """Number of starts."""
+        return len(self.qpos)
+
+    def take(self, rows: Tensor) -> Starts:
+        """The starts of the given row numbers."""
+        friction = None if self.foot_friction is None else self.foot_friction[rows]
+        return Starts(self.qpos[rows], self.qvel[rows], self.target[rows], friction)
+
+    def mirrored(self, qpos: Mirror, qvel: Mirror) -> Starts:
+        """Reflects every start in the xz plane; `qpos` and `qvel` are the model's mirror maps."""
+        target = self.target * self.target.new_tensor([1.0, -1.0])
+        friction = None if self.foot_friction is None else self.foot_friction.flip(1)
+        return Starts(qpos(self.qpos), qvel(self.qvel), target, friction)
+
+
+Randomizer = Callable[[Starts, Draw], Starts]
+"""A randomisation term with its parameters bound."""
+
+
+class StartSampler:
+    """Draws starts: the robot in its default pose at the origin, ball and target from their regions."""
+
+    def __init__(
+        self,
+        layout: SceneLayout,
+        sampling: SamplingSpec,
+        ball: BallSpec,
+        randomizers: tuple[Randomizer, ...],
+        nv: int,
+        generator: torch.Generator,
+    ) -> None:
+        """Prepares sampling on the generator's device.
+
+        Args:
+            layout: Index maps of the scene.
+            sampling: Regions of ball and target.
+            ball: The ball, for its radius.
+            randomizers: Applied in order to every batch of starts.
+            nv: Size of qvel.
+            generator: Source of all randomness.
+        """
+        self._sampling, self._ball = sampling, ball
+        self._place, self._nv = layout.ball_qpos, nv
+        self._default = torch.as_tensor(layout.default_qpos, device=generator.device)
+        self._randomizers = randomizers
+        self.generator = generator
+
+    def draw(self, low: float, high: float, *shape: int) -> Tensor:
+        """Uniform numbers in [low, high), float64."""
+        unit = torch.rand(shape, generator=self.generator, dtype=torch.float64, device=self.generator.device)
+        return low + (high - low) * unit
+
+    def sample(self, count: int) -> Starts:
+        """Draws `count` independent starts."""
+        ball, target = self._sampling.ball, self._sampling.target
+        qpos = self._default.repeat(count, 1)
+        position = [self.draw(*ball.x, count), self.draw(*ball.y, count)]
+        position.append(torch.full_like(position[0], self._ball.radius))
+        qpos[:, self._place : self._place + 3] = torch.stack(position, dim=1)
+        distance, angle = self.draw(*target.distance, count), self.draw(*target.angle, count)
+        goal = torch.stack([distance * angle.cos(), distance * angle.sin()], dim=1)
+        starts = Starts(qpos, qpos.new_zeros(count, self._nv), goal)
+        for randomize in self._randomizers:
+            starts = randomize(starts, self.draw)
+        return starts
+
+
+def with_foot_friction(starts: Starts, values: Tensor) -> Starts:
+    """The same starts with the given foot friction [N, 2]."""
+    return replace(starts, foot_friction=values)

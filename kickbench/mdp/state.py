@@ -1,0 +1,188 @@
+"""The state view: everything a term may read, as named tensors, computed when first read."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import torch
+from torch import Tensor
+
+from kickbench.mdp.rotation import rotate_inverse
+from kickbench.physics.engine import Engine
+from kickbench.scene.layout import SceneLayout
+from kickbench.scene.sensors import SIDES
+from kickbench.spec.task import EpisodeSpec
+
+
+@dataclass
+class EpisodeState:
+    """What an episode remembers beyond the physical state; one row a world.
+
+    Attributes:
+        step: Control steps since the start [B] int64.
+        contact_count: c_t, control steps since the first touch, the touching step counted; 0 before [B]
+            int64.
+        target: Target position in the world [B, 2], m.
+        action: Action of the last control step [B, nu].
+        previous_action: Action of the step before [B, nu].
+    """
+
+    step: Tensor
+    contact_count: Tensor
+    target: Tensor
+    action: Tensor
+    previous_action: Tensor
+
+    @staticmethod
+    def zeros(num_worlds: int, num_actions: int, device: torch.device) -> EpisodeState:
+        """All counters and actions at zero."""
+        count = torch.zeros(num_worlds, dtype=torch.int64, device=device)
+        action = torch.zeros(num_worlds, num_actions, device=device)
+        target = torch.zeros(num_worlds, 2, device=device)
+        return EpisodeState(count, count.clone(), target, action, action.clone())
+
+
+class StateIndex:
+    """The scene's index maps as tensors on the engine's device."""
+
+    def __init__(self, layout: SceneLayout, device: torch.device) -> None:
+        """Copies the maps once."""
+        self.joint_qpos = torch.as_tensor(layout.joint_qpos, device=device)
+        self.joint_qvel = torch.as_tensor(layout.joint_qvel, device=device)
+        default = torch.as_tensor(layout.default_qpos, dtype=torch.float32, device=device)
+        self.default_joint_pos = default[self.joint_qpos]
+        self.ball_qpos, self.ball_qvel = layout.ball_qpos, layout.ball_qvel
+        self.frames = {name: slice(int(c[0]), int(c[-1]) + 1) for name, c in layout.frames.items()}
+        self.contacts = {name: torch.as_tensor(c, device=device) for name, c in layout.contacts.items()}
+        self.gravity = torch.tensor([[0.0, 0.0, -1.0]], device=device)
+
+
+class State:
+    """All worlds at one instant.
+
+    Vectors are world-frame unless a name or docstring says otherwise; float32, SI.
+    """
+
+    def __init__(self, engine: Engine, index: StateIndex, episode: EpisodeState, limits: EpisodeSpec) -> None:
+        """Takes a view; make a new one whenever the engine or the episode state has changed."""
+        self._index = index
+        self._qpos, self._qvel = engine.qpos.float(), engine.qvel.float()
+        self._sensors = engine.sensors.float()
+        self.episode = episode
+        self.limits = limits
+
+    def _frame(self, channel: str) -> Tensor:
+        return self._sensors[:, self._index.frames[channel]]
+
+    def _touches(self, channel: str) -> Tensor:
+        return self._sensors[:, self._index.contacts[channel]].amax(dim=1) > 0.0
+
+    @cached_property
+    def base_pos(self) -> Tensor:
+        """Base position [B, 3], m."""
+        return self._frame("base_pos")
+
+    @cached_property
+    def base_quat(self) -> Tensor:
+        """Base orientation, w first [B, 4]."""
+        return self._frame("base_quat")
+
+    @cached_property
+    def base_lin_vel_world(self) -> Tensor:
+        """Base linear velocity in the world frame [B, 3], m/s."""
+        return self._frame("base_linvel")
+
+    @cached_property
+    def base_lin_vel(self) -> Tensor:
+        """Base linear velocity in the base frame [B, 3], m/s."""
+        return self.in_base_frame(self.base_lin_vel_world)
+
+    @cached_property
+    def base_ang_vel(self) -> Tensor:
+        """Base angular velocity in the base frame [B, 3], rad/s."""
+        return self.in_base_frame(self._frame("base_angvel"))
+
+    def in_base_frame(self, vector: Tensor) -> Tensor:
+        """Rotates world vectors [B, 3] into the base frame."""
+        return rotate_inverse(self.base_quat, vector)
+
+    @cached_property
+    def projected_gravity(self) -> Tensor:
+        """Direction of gravity in the base frame [B, 3], unit length."""
+        return self.in_base_frame(self._index.gravity.expand_as(self.base_pos))
+
+    @cached_property
+    def joint_pos(self) -> Tensor:
+        """Observed joints, offsets from the default pose [B, joints], rad."""
+        return self._qpos[:, self._index.joint_qpos] - self._index.default_joint_pos
+
+    @cached_property
+    def joint_vel(self) -> Tensor:
+        """Observed joints' velocities [B, joints], rad/s."""
+        return self._qvel[:, self._index.joint_qvel]
+
+    @cached_property
+    def ball_pos(self) -> Tensor:
+        """Ball position [B, 3], m."""
+        return self._qpos[:, self._index.ball_qpos : self._index.ball_qpos + 3]
+
+    @cached_property
+    def ball_lin_vel(self) -> Tensor:
+        """Ball velocity [B, 3], m/s."""
+        return self._qvel[:, self._index.ball_qvel : self._index.ball_qvel + 3]
+
+    @cached_property
+    def ball_speed(self) -> Tensor:
+        """Norm of the ball's velocity [B], m/s."""
+        return self.ball_lin_vel.norm(dim=1)
+
+    @cached_property
+    def ball_stopped(self) -> Tensor:
+        """Ball slower than `episode.stop_speed` [B] bool."""
+        return self.ball_speed < self.limits.stop_speed
+
+    @cached_property
+    def target_pos(self) -> Tensor:
+        """Target on the floor [B, 3], m."""
+        return torch.nn.functional.pad(self.episode.target, (0, 1))
+
+    @cached_property
+    def ball_to_target(self) -> Tensor:
+        """Horizontal vector from the ball to the target [B, 2], m."""
+        return self.episode.target - self.ball_pos[:, :2]
+
+    @cached_property
+    def target_distance(self) -> Tensor:
+        """Horizontal distance of ball and target [B], m."""
+        return self.ball_to_target.norm(dim=1)
+
+    @cached_property
+    def foot_pos(self) -> Tensor:
+        """Centres of the left and the right sole [B, 2, 3], m."""
+        return torch.stack([self._frame(f"{side}_foot_pos") for side in SIDES], dim=1)
+
+    @cached_property
+    def foot_ball_contact(self) -> Tensor:
+        """Left, right foot touched the ball during the control step [B, 2] bool."""
+        return torch.stack([self._touches(f"{side}_foot_ball") for side in SIDES], dim=1)
+
+    @cached_property
+    def ball_contact(self) -> Tensor:
+        """Any part of the robot touched the ball during the control step [B] bool."""
+        return self._touches("robot_ball")
+
+    @cached_property
+    def ball_touched(self) -> Tensor:
+        """The ball has been touched in this episode [B] bool."""
+        return self.episode.contact_count > 0
+
+    @cached_property
+    def contact_window_passed(self) -> Tensor:
+        """c_t > T_window [B] bool."""
+        return self.episode.contact_count > self.limits.contact_window
+
+    @cached_property
+    def timed_out(self) -> Tensor:
+        """The episode has reached its maximum length [B] bool."""
+        return self.episode.step >= self.limits.max_steps

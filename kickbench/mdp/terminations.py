@@ -1,0 +1,41 @@
+"""Termination terms (thesis Table 3.3). Each is `(state, params) -> BoolTensor[B]`."""
+
+from __future__ import annotations
+
+from torch import Tensor
+
+from kickbench.mdp.state import State
+from kickbench.mdp.term import termination
+from kickbench.spec.base import PositiveFloat
+from kickbench.spec.terms import TerminationParams
+
+
+class TargetRadius(TerminationParams):
+    """Parameters of `target_hit` and `target_missed`."""
+
+    radius: PositiveFloat
+    """Target radius r, m."""
+
+
+@termination("Table 3.3", truncates=True)
+def time_out(state: State, params: TerminationParams) -> Tensor:
+    """The episode has lasted `episode.max_steps` control steps."""
+    return state.timed_out
+
+
+@termination("Table 3.3; contact window: digest", params=TargetRadius)
+def target_hit(state: State, params: TargetRadius) -> Tensor:
+    """The ball has stopped within `radius` of the target, and c_t > T_window."""
+    return (state.target_distance < params.radius) & state.ball_stopped & state.contact_window_passed
+
+
+@termination("Table 3.3", params=TargetRadius)
+def target_missed(state: State, params: TargetRadius) -> Tensor:
+    """The ball has stopped at least `radius` away from the target, and c_t > T_window."""
+    return (state.target_distance >= params.radius) & state.ball_stopped & state.contact_window_passed
+
+
+@termination("Table 3.3")
+def double_touch(state: State, params: TerminationParams) -> Tensor:
+    """The robot touches the ball after the contact window: c_t > T_window."""
+    return state.ball_contact & state.contact_window_passed

@@ -1,0 +1,63 @@
+"""Writing a file so that it is, at every moment, either the old one or the whole new one."""
+
+from __future__ import annotations
+
+import os
+import secrets
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import IO
+
+TEMPORARY_PREFIX = ".partial-"
+
+
+@contextmanager
+def atomic_file(path: Path) -> Iterator[IO[bytes]]:
+    """A binary file that takes the place of `path` when the block ends, and leaves no trace when it fails.
+
+    The bytes go to a temporary file in the same folder (`os.replace` is atomic only within a file system) and
+    reach the disk (fsync of the file); only then do they get the name, and the folder is synced too. Missing
+    parents are made.
+
+    Args:
+        path: the file to write.
+
+    Yields:
+        An open file, for instance for `torch.save`.
+    """
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f"{TEMPORARY_PREFIX}{path.name}-{secrets.token_hex(6)}")
+    try:
+        # "x" and the default mode: the user's umask decides who may read it, as for any file they write.
+        with open(temporary, "xb") as file:
+            yield file
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+    except BaseException:
+        with suppress(FileNotFoundError):
+            temporary.unlink()
+        raise
+    _sync_folder(path.parent)
+
+
+def atomic_write_bytes(path: Path, data: bytes) -> None:
+    """Replace the content of `path` with `data`, all or nothing; missing parents are made."""
+    with atomic_file(path) as file:
+        file.write(data)
+
+
+def atomic_write_text(path: Path, text: str) -> None:
+    """Replace the content of `path` with `text` in UTF-8, all or nothing; missing parents are made."""
+    atomic_write_bytes(path, text.encode("utf-8"))
+
+
+def _sync_folder(folder: Path) -> None:
+    """Make the new name survive a power cut too."""
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,197 @@
+"""The per-episode table of an evaluation, and the one CSV file that holds its two sides."""
+
+from __future__ import annotations
+
+import csv
+import io
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kickbench.errors import KickbenchError
+from kickbench.results.atomic import atomic_write_text
+
+KICK_FEET = ("left", "right", "other", "none")
+_SIDES = ("in_distribution", "mirrored")
+_DECIMALS = 6
+
+
+@dataclass(frozen=True, eq=False)
+class EpisodeTable:
+    """One row an episode; every column is an array [episodes].
+
+    Positions are horizontal, in metres, in the robot's frame at the start of the episode: x forward, y left.
+    Floats must be finite: an episode whose state diverged is given its last finite ball position.
+
+    Attributes:
+        world: index of the world that ran the episode.
+        episode: how many episodes that world had finished before, 0, 1, ...
+        start_ball_x: ball at the start [m].
+        start_ball_y: ball at the start [m]; >= 0 is the robot's left side.
+        target_x: target [m].
+        target_y: target [m].
+        final_ball_x: ball at the end [m].
+        final_ball_y: ball at the end [m].
+        distance: from the ball to the target at the end, horizontal [m].
+        success: whether the task was solved; never with a distance beyond the task's success radius.
+        termination: name of the termination that ended the episode.
+        steps: control steps that the episode lasted.
+        episode_return: undiscounted sum of rewards.
+        kick_foot: what touched the ball first: left, right, other (not a foot) or none.
+        kick_step: control step of that first touch, -1 if none.
+        peak_ball_speed: highest horizontal speed of the ball [m/s].
+    """
+
+    world: NDArray[np.int64]
+    episode: NDArray[np.int64]
+    start_ball_x: NDArray[np.float64]
+    start_ball_y: NDArray[np.float64]
+    target_x: NDArray[np.float64]
+    target_y: NDArray[np.float64]
+    final_ball_x: NDArray[np.float64]
+    final_ball_y: NDArray[np.float64]
+    distance: NDArray[np.float64]
+    success: NDArray[np.bool_]
+    termination: NDArray[np.str_]
+    steps: NDArray[np.int64]
+    episode_return: NDArray[np.float64]
+    kick_foot: NDArray[np.str_]
+    kick_step: NDArray[np.int64]
+    peak_ball_speed: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        for name, kind in _KINDS.items():
+            object.__setattr__(self, name, _checked_column(name, getattr(self, name), kind, len(self.world)))
+        strangers = set(self.kick_foot.tolist()) - set(KICK_FEET)
+        if strangers:
+            raise ValueError(f"kick_foot: expected one of {', '.join(KICK_FEET)}, found {sorted(strangers)}")
+
+    def __len__(self) -> int:
+        """Number of episodes."""
+        return len(self.world)
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """The columns by name, in the order of the file."""
+        return {name: getattr(self, name) for name in _KINDS}
+
+
+class EpisodeSides(NamedTuple):
+    """The episodes of one evaluation: as the task samples them, and from the mirrored starts (or None)."""
+
+    in_distribution: EpisodeTable
+    mirrored: EpisodeTable | None = None
+
+
+# Kind of each column, from its annotation: say it once.
+_BY_ANNOTATION = {"np.int64": np.int64, "np.float64": np.float64, "np.bool_": np.bool_, "np.str_": np.str_}
+_KINDS: dict[str, type[np.generic]] = {
+    field.name: _BY_ANNOTATION[str(field.type).removeprefix("NDArray[").removesuffix("]")]
+    for field in fields(EpisodeTable)
+}
+
+
+def write_episodes(path: Path, sides: EpisodeSides) -> None:
+    """Write both sides to one CSV file, atomically.
+
+    The first column, `side`, is `in_distribution` or `mirrored`; the others are those of `EpisodeTable`.
+    Floats have six decimals (a micrometre), truth values are 0 or 1: equal tables give equal bytes.
+
+    Args:
+        path: the file, `episodes.csv` in a run directory.
+        sides: the episodes.
+    """
+    buffer = io.StringIO()
+    writer = csv.writer(buffer, lineterminator="\n")
+    writer.writerow(["side", *_KINDS])
+    for side, table in zip(_SIDES, sides, strict=True):
+        if table is not None:
+            texts = [_format_column(column) for column in table.columns().values()]
+            writer.writerows([side, *row] for row in zip(*texts, strict=True))
+    atomic_write_text(path, buffer.getvalue())
+
+
+def read_episodes(path: Path) -> EpisodeSides:
+    """Read what `write_episodes` wrote.
+
+    Args:
+        path: the file.
+
+    Returns:
+        Both sides; `mirrored` is None if the file has no mirrored episode.
+
+    Raises:
+        KickbenchError: the file is missing or is no episode table; the message names the file and the line.
+    """
+    try:
+        with open(path, encoding="utf-8", newline="") as file:
+            rows = list(csv.reader(file))
+    except OSError as error:
+        raise KickbenchError(f"{path}: cannot read the episode table: {error.strerror}") from error
+    _check_rows(path, rows)
+    try:
+        home, mirrored = (_parse_side(rows[1:], side) for side in _SIDES)
+    except ValueError as error:
+        raise KickbenchError(f"{path}: {error}") from error
+    return EpisodeSides(home, mirrored if len(mirrored) else None)
+
+
+def _check_rows(path: Path, rows: list[list[str]]) -> None:
+    header = ["side", *_KINDS]
+    if not rows or rows[0] != header:
+        raise KickbenchError(f"{path}:1: expected the columns {', '.join(header)}")
+    for line, row in enumerate(rows[1:], start=2):
+        if len(row) != len(header):
+            raise KickbenchError(f"{path}:{line}: expected {len(header)} values, found {len(row)}")
+        if row[0] not in _SIDES:
+            raise KickbenchError(f"{path}:{line}: side: expected {' or '.join(_SIDES)}, found {row[0]!r}")
+
+
+def _parse_side(rows: list[list[str]], side: str) -> EpisodeTable:
+    cells = [row[1:] for row in rows if row[0] == side]
+    texts = list(zip(*cells, strict=True)) if cells else [()] * len(_KINDS)
+    return EpisodeTable(
+        **{
+            name: _parse_column(name, column, kind)
+            for (name, kind), column in zip(_KINDS.items(), texts, strict=True)
+        }
+    )
+
+
+def _parse_column(name: str, texts: tuple[str, ...], kind: type[np.generic]) -> NDArray[Any]:
+    """Texts [n] -> array [n]; a wrong one is an error that names the column."""
+    if kind is np.bool_:
+        strangers = set(texts) - {"0", "1"}
+        if strangers:
+            raise ValueError(f"{name}: expected 0 or 1, found {sorted(strangers)[0]!r}")
+        return np.array([text == "1" for text in texts], dtype=np.bool_)
+    try:
+        return np.array(texts, dtype=kind)
+    except ValueError as error:
+        raise ValueError(f"{name}: {error}") from error
+
+
+def _format_column(column: NDArray[Any]) -> list[str]:
+    if column.dtype.kind == "f":
+        # Adding zero turns the -0.0 that rounding leaves into 0.0.
+        return [f"{value:.{_DECIMALS}f}" for value in (np.round(column, _DECIMALS) + 0.0).tolist()]
+    if column.dtype.kind == "b":
+        return ["1" if value else "0" for value in column.tolist()]
+    return [str(value) for value in column.tolist()]
+
+
+def _checked_column(name: str, column: Any, kind: type[np.generic], episodes: int) -> NDArray[Any]:
+    """A read-only copy of `column` [episodes] as `kind`, or a `ValueError` that names the column."""
+    source = np.asarray(column)
+    if kind in (np.int64, np.bool_) and source.size and source.dtype.kind not in "iub":
+        raise ValueError(f"{name}: expected whole numbers or truth values, found {source.dtype}")
+    checked = source.astype(kind)
+    if checked.shape != (episodes,):
+        raise ValueError(f"{name}: expected shape ({episodes},), found {checked.shape}")
+    if kind is np.float64 and not np.isfinite(checked).all():
+        row = int(np.flatnonzero(~np.isfinite(checked))[0])
+        raise ValueError(f"{name}: expected finite values, found {checked[row]} in row {row}")
+    checked.flags.writeable = False
+    return checked

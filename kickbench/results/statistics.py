@@ -1,0 +1,146 @@
+"""Estimates with their uncertainty: Wilson and bootstrap intervals, mean and spread over seeds.
+
+Everything here is numpy in, plain floats out. Samples must be finite and not empty: an estimate of nothing is
+an error (`ValueError`), never a NaN that travels on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from math import sqrt
+from statistics import NormalDist
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+# Resampled values held in memory at once (32 MiB of doubles), whatever the sample's size.
+_CHUNK_VALUES = 1 << 22
+
+_Reduce = Callable[[NDArray[np.float64]], NDArray[np.float64]]
+
+
+class Interval(NamedTuple):
+    """A two-sided confidence interval in the unit of what it bounds; `[low, high]` in JSON."""
+
+    low: float
+    high: float
+
+
+class SeedSummary(NamedTuple):
+    """A figure over training seeds: mean, sample standard deviation (None for one seed), number of seeds."""
+
+    mean: float
+    std: float | None
+    seeds: int
+
+
+def wilson(successes: int, n: int, level: float = 0.95) -> Interval:
+    """Wilson score interval of a proportion.
+
+    With p = successes/n and z the normal quantile of (1 + level)/2:
+    (p + z^2/2n ± z sqrt(p(1-p)/n + z^2/4n^2)) / (1 + z^2/n).
+
+    Args:
+        successes: number of successes, 0 <= successes <= n.
+        n: number of independent trials, at least 1.
+        level: confidence level in (0, 1).
+
+    Returns:
+        The interval as fractions within [0, 1].
+
+    Source: E. B. Wilson, "Probable Inference, the Law of Succession, and Statistical Inference", 1927.
+    """
+    _check_level(level)
+    if n < 1 or not 0 <= successes <= n:
+        raise ValueError(f"expected 0 <= successes <= n and n >= 1, found successes={successes}, n={n}")
+    z = NormalDist().inv_cdf(0.5 + level / 2)
+    p = successes / n
+    centre = p + z * z / (2 * n)
+    half = z * sqrt(p * (1 - p) / n + z * z / (4 * n * n))
+    scale = 1 + z * z / n
+    # The ends are exactly 0 and 1 at none and all; rounding must not leave them a bit inside or outside.
+    low = 0.0 if successes == 0 else max(0.0, (centre - half) / scale)
+    high = 1.0 if successes == n else min(1.0, (centre + half) / scale)
+    return Interval(low, high)
+
+
+def bootstrap_mean(
+    values: ArrayLike, rng: np.random.Generator, *, level: float = 0.95, resamples: int = 2000
+) -> Interval:
+    """Percentile bootstrap interval of the mean.
+
+    Args:
+        values: sample [n] of finite numbers, n >= 1.
+        rng: source of the resamples; the same generator state gives the same interval.
+        level: confidence level in (0, 1).
+        resamples: number of resamples of size n, drawn with replacement.
+
+    Returns:
+        The (1-level)/2 and (1+level)/2 quantiles of the resampled means, in the unit of `values`.
+    """
+    return _bootstrap(values, rng, _row_means, level, resamples)
+
+
+def bootstrap_median(
+    values: ArrayLike, rng: np.random.Generator, *, level: float = 0.95, resamples: int = 2000
+) -> Interval:
+    """Percentile bootstrap interval of the median; arguments and result as for `bootstrap_mean`."""
+    return _bootstrap(values, rng, _row_medians, level, resamples)
+
+
+def mean_std_over_seeds(values: Sequence[float]) -> SeedSummary:
+    """Mean and sample standard deviation (divisor: seeds - 1) of one figure a seed.
+
+    Args:
+        values: one finite figure for each training seed, at least one.
+
+    Returns:
+        mean, std and number of seeds; std is None for a single seed, which says nothing of the spread.
+    """
+    sample = _checked_sample(values)
+    std = float(sample.std(ddof=1)) if sample.size > 1 else None
+    return SeedSummary(float(sample.mean()), std, int(sample.size))
+
+
+def _bootstrap(
+    values: ArrayLike, rng: np.random.Generator, reduce: _Reduce, level: float, resamples: int
+) -> Interval:
+    """Percentile bootstrap of `reduce`, which maps resamples [r, n] to estimates [r]."""
+    _check_level(level)
+    if resamples < 1:
+        raise ValueError(f"expected at least one resample, found resamples={resamples}")
+    sample = _checked_sample(values)
+    rows = max(1, _CHUNK_VALUES // sample.size)
+    estimates = np.concatenate(
+        [
+            reduce(sample[rng.integers(sample.size, size=(min(rows, resamples - done), sample.size))])
+            for done in range(0, resamples, rows)
+        ]
+    )
+    low, high = np.quantile(estimates, [(1 - level) / 2, (1 + level) / 2])
+    return Interval(float(low), float(high))
+
+
+def _row_means(resampled: NDArray[np.float64]) -> NDArray[np.float64]:
+    return resampled.mean(axis=1)
+
+
+def _row_medians(resampled: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.median(resampled, axis=1)
+
+
+def _checked_sample(values: ArrayLike) -> NDArray[np.float64]:
+    """`values` as doubles [n], or a `ValueError` that says what is wrong with them."""
+    sample = np.asarray(values, dtype=np.float64)
+    if sample.ndim != 1 or sample.size == 0:
+        raise ValueError(f"expected a sample [n] with n >= 1, found shape {sample.shape}")
+    if not np.isfinite(sample).all():
+        bad = int(np.flatnonzero(~np.isfinite(sample))[0])
+        raise ValueError(f"expected finite values, found {sample[bad]} at index {bad}")
+    return sample
+
+
+def _check_level(level: float) -> None:
+    if not 0 < level < 1:
+        raise ValueError(f"expected a confidence level between 0 and 1, found {level}")

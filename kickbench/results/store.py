@@ -1,0 +1,144 @@
+"""The folder of one run: which files it has, when it is finished, and how it is made ready."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from kickbench.errors import KickbenchError
+from kickbench.results.atomic import TEMPORARY_PREFIX, atomic_file, atomic_write_bytes, atomic_write_text
+from kickbench.results.metrics import load_metrics
+
+__all__ = ["RunDirectory", "atomic_file", "atomic_write_bytes", "atomic_write_text", "find_runs"]
+
+_SPEC_FILES = ("task.yaml", "method.yaml", "robot.yaml", "representations.yaml", "robot.xml")
+_TOP_FILES = ("metrics.json", "episodes.csv", "progress.csv", "checkpoint.pt", "policy.pt")
+_EVENT_FILES = "events.out.tfevents.*"
+
+
+class RunDirectory:
+    """The folder of one run. Only names: what is in the files is the business of those who write them.
+
+    Args:
+        path: the folder; it need not exist yet.
+    """
+
+    def __init__(self, path: Path | str) -> None:
+        self.path = Path(path)
+
+    def __repr__(self) -> str:
+        return f"RunDirectory({str(self.path)!r})"
+
+    @property
+    def specs(self) -> Path:
+        """Folder of the resolved specs."""
+        return self.path / "specs"
+
+    @property
+    def task_spec(self) -> Path:
+        """The resolved task."""
+        return self.specs / "task.yaml"
+
+    @property
+    def method_spec(self) -> Path:
+        """The resolved method."""
+        return self.specs / "method.yaml"
+
+    @property
+    def robot_spec(self) -> Path:
+        """The resolved robot."""
+        return self.specs / "robot.yaml"
+
+    @property
+    def representations_spec(self) -> Path:
+        """The resolved table of field representations."""
+        return self.specs / "representations.yaml"
+
+    @property
+    def robot_xml(self) -> Path:
+        """The robot's MJCF as the run used it."""
+        return self.specs / "robot.xml"
+
+    @property
+    def metrics(self) -> Path:
+        """The result; written last, so its presence says that the run is finished."""
+        return self.path / "metrics.json"
+
+    @property
+    def episodes(self) -> Path:
+        """The per-episode table of the evaluation."""
+        return self.path / "episodes.csv"
+
+    @property
+    def progress(self) -> Path:
+        """One row a training iteration."""
+        return self.path / "progress.csv"
+
+    @property
+    def checkpoint(self) -> Path:
+        """Everything that training needs to go on."""
+        return self.path / "checkpoint.pt"
+
+    @property
+    def policy(self) -> Path:
+        """The trained policy."""
+        return self.path / "policy.pt"
+
+    @property
+    def tensorboard(self) -> Path:
+        """Folder of the TensorBoard event files."""
+        return self.path / "tensorboard"
+
+    @property
+    def is_finished(self) -> bool:
+        """Whether a valid metrics.json exists. A damaged one counts as none."""
+        if not self.metrics.is_file():
+            return False
+        try:
+            load_metrics(self.metrics)
+        except KickbenchError:
+            return False
+        return True
+
+    def prepare(self, force: bool = False) -> None:
+        """Make the folder ready for a run.
+
+        An unfinished run is left as it is, so that it can be resumed. With `force` the run starts anew: the
+        files that kickbench writes are removed, and nothing else.
+
+        Args:
+            force: whether a run that is there, finished or not, is given up.
+
+        Raises:
+            KickbenchError: a finished run is there and `force` is not set, or the path is not a folder.
+        """
+        if self.path.exists() and not self.path.is_dir():
+            raise KickbenchError(f"{self.path}: expected a folder for the run, found a file")
+        if force:
+            self._remove_own_files()
+        elif self.is_finished:
+            raise KickbenchError(
+                f"{self.path}: holds a finished run; --force runs it again and overwrites it"
+            )
+        self.specs.mkdir(parents=True, exist_ok=True)
+
+    def _remove_own_files(self) -> None:
+        # metrics.json goes first: a run that is half removed must not look finished.
+        for file in self._own_files():
+            file.unlink(missing_ok=True)
+        for folder in (self.tensorboard, self.specs):
+            if folder.is_dir() and not any(folder.iterdir()):
+                folder.rmdir()
+
+    def _own_files(self) -> Iterator[Path]:
+        yield from (self.path / name for name in _TOP_FILES)
+        yield from (self.specs / name for name in _SPEC_FILES)
+        yield from self.tensorboard.glob(_EVENT_FILES)
+        for folder in (self.path, self.specs):
+            yield from folder.glob(f"{TEMPORARY_PREFIX}*")
+
+
+def find_runs(root: Path | str) -> list[RunDirectory]:
+    """The finished runs in `root` (itself or any folder below), in the order of their paths."""
+    candidates = sorted(file.parent for file in Path(root).rglob("metrics.json"))
+    return [run for run in map(RunDirectory, candidates) if run.is_finished]

@@ -1,0 +1,197 @@
+"""One run: train, evaluate on both sides, write the result."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+import torch
+
+from kickbench.env import KickEnv, make_engine
+from kickbench.errors import KickbenchError
+from kickbench.evaluate.episodes import Policy, draw_starts, mirror_starts, run_episodes
+from kickbench.experiment import Experiment, load_experiment
+from kickbench.nets.build import build_actor
+from kickbench.physics.cpu import usable_cores
+from kickbench.results.episodes import EpisodeSides, write_episodes
+from kickbench.results.metrics import Metrics, summarise_sides, write_metrics
+from kickbench.results.provenance import collect_provenance
+from kickbench.results.specs import write_specs
+from kickbench.results.store import RunDirectory
+from kickbench.train.checkpoint import load_policy, save_policy
+from kickbench.train.progress import standard_progress
+from kickbench.train.trainer import Trainer, TrainingResult
+
+
+@dataclass(frozen=True)
+class RunRequest:
+    """What to run.
+
+    Attributes:
+        task: Path of the task.
+        method: Path of the method.
+        seed: Seed of networks, exploration and starts.
+        overrides: `key.path=value` texts.
+        iterations: Iterations; default: the method's.
+        num_envs: Parallel environments; default: the method's.
+        out: Run directory; default: `runs/<task>/<method>/seed<k>`.
+        device: Where to train.
+        threads: Threads of physics and torch; default: the cores this process may use.
+        force: Overwrite a finished run.
+        command: The command line, for provenance.
+    """
+
+    task: Path
+    method: Path
+    seed: int = 0
+    overrides: tuple[str, ...] = ()
+    iterations: int | None = None
+    num_envs: int | None = None
+    out: Path | None = None
+    device: str = "cpu"
+    threads: int | None = None
+    force: bool = False
+    command: tuple[str, ...] = ()
+
+    def all_overrides(self) -> list[str]:
+        """The overrides, those with flags of their own included."""
+        flags = {"iterations": self.iterations, "num_envs": self.num_envs}
+        extra = [f"algorithm.{key}={value}" for key, value in flags.items() if value is not None]
+        return [*self.overrides, *extra]
+
+
+@dataclass(frozen=True)
+class RunOutcome:
+    """How a run ended; `metrics` is None if it was interrupted."""
+
+    directory: RunDirectory
+    training: TrainingResult
+    metrics: Metrics | None
+
+
+def prepare_torch(device: str, threads: int | None) -> int:
+    """Sets torch's threads and returns their number.
+
+    Raises:
+        KickbenchError: The device is not available.
+    """
+    if device != "cpu":
+        raise KickbenchError(
+            f"--device {device}: this version of kickbench has a CPU engine only; use --device cpu"
+        )
+    count = threads or usable_cores()
+    torch.set_num_threads(count)
+    return count
+
+
+def run(request: RunRequest) -> RunOutcome:
+    """Trains, evaluates and writes a run.
+
+    Raises:
+        SpecError: A specification is wrong; nothing has been written.
+        KickbenchError: The run directory holds a finished run, or training diverged.
+    """
+    threads = prepare_torch(request.device, request.threads)
+    experiment = load_experiment(request.task, request.method, request.all_overrides())
+    default = Path("runs", experiment.task.name, experiment.method.name, f"seed{request.seed}")
+    directory = RunDirectory(request.out or default)
+    directory.prepare(request.force)
+    write_specs(directory, experiment)
+    started = datetime.now(UTC)
+    trainer = make_trainer(experiment, directory, request.seed, threads)
+    training = trainer.train(experiment.method.spec.algorithm.iterations)
+    if training.interrupted:
+        return RunOutcome(directory, training, None)
+    policy = trainer.ppo.get_policy().eval()
+    save_policy(directory.policy, policy)
+    sides = evaluate(experiment, policy, threads=threads)
+    write_episodes(directory.episodes, sides)
+    metrics = Metrics(
+        task=experiment.task.name,
+        method=experiment.method.name,
+        seed=request.seed,
+        iterations=training.iterations,
+        env_steps=training.env_steps,
+        training_seconds=round(training.seconds, 3),
+        evaluation=summarise_sides(sides, experiment.task.spec.evaluation.success_radius),
+        provenance=collect_provenance(
+            seed=request.seed,
+            env_steps=training.env_steps,
+            started=started,
+            num_threads=threads,
+            device=request.device,
+            argv=request.command,
+        ),
+    )
+    write_metrics(directory.metrics, metrics)
+    return RunOutcome(directory, training, metrics)
+
+
+def make_trainer(experiment: Experiment, directory: RunDirectory, seed: int, threads: int) -> Trainer:
+    """Seeds everything and builds environments, networks and progress displays."""
+    torch.manual_seed(seed)
+    engine = make_engine(experiment.task, experiment.method.spec.algorithm.num_envs, num_threads=threads)
+    env = KickEnv(experiment.task, engine, seed)
+    title = f"{experiment.task.name} / {experiment.method.name} / seed {seed}"
+    progress = standard_progress(directory.progress, directory.tensorboard, title)
+    return Trainer(experiment, env, progress, directory.checkpoint)
+
+
+def evaluate(
+    experiment: Experiment,
+    policy: Policy,
+    *,
+    episodes: int | None = None,
+    seed: int | None = None,
+    threads: int | None = None,
+) -> EpisodeSides:
+    """Evaluates a policy by the task's protocol, on the mirrored side too where it asks for it.
+
+    Args:
+        experiment: The experiment.
+        policy: Deterministic policy.
+        episodes: Episodes a side; default: the task's.
+        seed: Seed of the starts; default: the task's.
+        threads: Physics threads.
+    """
+    protocol = experiment.task.spec.evaluation
+    seed = protocol.seed if seed is None else seed
+    starts = draw_starts(experiment.task, episodes or protocol.episodes, seed)
+    home = run_episodes(experiment.task, policy, starts, seed, num_threads=threads)
+    if not protocol.mirrored:
+        return EpisodeSides(home)
+    mirrored = mirror_starts(experiment, starts)
+    return EpisodeSides(home, run_episodes(experiment.task, policy, mirrored, seed, num_threads=threads))
+
+
+def load_run(path: Path) -> tuple[Experiment, Policy]:
+    """Loads experiment and policy of a run directory.
+
+    Raises:
+        KickbenchError: The directory holds no run with a policy.
+    """
+    directory = RunDirectory(path)
+    if not directory.task_spec.is_file():
+        raise KickbenchError(f"{os.fspath(path)}: not a run directory (it has no {directory.task_spec.name})")
+    experiment = load_experiment(directory.task_spec, directory.method_spec)
+    symmetry = experiment.symmetry
+    policy = build_actor(experiment.method.spec, symmetry.groups["actor"], symmetry.actions)
+    load_policy(directory.policy, policy)
+    return experiment, policy
+
+
+def reevaluate(
+    path: Path, episodes: int | None, seed: int | None, threads: int | None, command: Sequence[str] = ()
+) -> tuple[Metrics, EpisodeSides]:
+    """Evaluates the policy of a finished run again; the run itself is left as it is."""
+    from kickbench.results.metrics import load_metrics
+
+    count = prepare_torch("cpu", threads)
+    recorded = load_metrics(RunDirectory(path).metrics)
+    experiment, policy = load_run(path)
+    sides = evaluate(experiment, policy, episodes=episodes, seed=seed, threads=count)
+    evaluation = summarise_sides(sides, experiment.task.spec.evaluation.success_radius)
+    return recorded.model_copy(update={"evaluation": evaluation}), sides

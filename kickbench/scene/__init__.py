@@ -1,0 +1,1 @@
+"""RobotSpec + TaskSpec -> MjSpec -> compiled model, sensors, and index maps by name."""

@@ -1,0 +1,205 @@
+"""RobotSpec + TaskSpec -> MjSpec -> compiled model with index maps by name."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+# pyright: reportAttributeAccessIssue=false
+import mujoco
+
+from kickbench.errors import SpecError
+from kickbench.scene.check import check_robot
+from kickbench.scene.layout import SceneLayout, read_layout
+from kickbench.scene.sensors import ALWAYS, ROBOT, SIDES, SensorGroup, plan_sensors, sole_site
+from kickbench.spec.load import Loaded
+from kickbench.spec.robot import ActuatorSpec, RobotSpec
+from kickbench.spec.task import BallSpec, SimulationSpec, TaskSpec
+
+_AXES = {"x": 0, "y": 1, "z": 2, "rx": 3, "ry": 4, "rz": 5}
+_BASE_SITE = "kickbench_base"
+_ENUMS = {
+    "integrator": {
+        "euler": mujoco.mjtIntegrator.mjINT_EULER,
+        "implicit": mujoco.mjtIntegrator.mjINT_IMPLICIT,
+        "implicitfast": mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
+    },
+    "cone": {"elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC, "pyramidal": mujoco.mjtCone.mjCONE_PYRAMIDAL},
+    "jacobian": {
+        "dense": mujoco.mjtJacobian.mjJAC_DENSE,
+        "sparse": mujoco.mjtJacobian.mjJAC_SPARSE,
+        "auto": mujoco.mjtJacobian.mjJAC_AUTO,
+    },
+}
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A compiled scene.
+
+    Attributes:
+        spec: The editable scene, for viewers and for exporting MJCF.
+        model: The compiled model.
+        layout: Where everything is in it, by name.
+    """
+
+    spec: mujoco.MjSpec
+    model: mujoco.MjModel
+    layout: SceneLayout
+
+
+def read_robot(robot: Loaded[RobotSpec]) -> mujoco.MjSpec:
+    """Reads the robot's MJCF and checks that it has every name the robot file uses.
+
+    Raises:
+        SpecError: The MJCF cannot be read or lacks a name.
+    """
+    try:
+        spec = mujoco.MjSpec.from_file(robot.spec.model)
+    except ValueError as error:
+        raise _model_error(robot, "read this model", error) from None
+    problems = check_robot(robot, spec)
+    if problems:
+        raise SpecError(problems)
+    return spec
+
+
+def build_scene(task: TaskSpec, robot: Loaded[RobotSpec], needs: frozenset[SensorGroup]) -> Scene:
+    """Builds and compiles the scene of a task.
+
+    Args:
+        task: The task.
+        robot: The robot it names.
+        needs: Sensor groups that the task's terms read.
+
+    Raises:
+        SpecError: The MJCF cannot be read, lacks a name or does not compile.
+    """
+    body = read_robot(robot)
+    root = body.worldbody.first_body().name
+    for item in (*body.actuators, *body.sensors, *body.keys):
+        body.delete(item)
+    scene = mujoco.MjSpec()
+    scene.modelname = "kickbench"
+    _set_options(scene, task.simulation)
+    # The options are the task's; MuJoCo would warn about every one that the robot's MJCF has otherwise.
+    body.option, body.memory = scene.option, scene.memory
+    _add_floor(scene, task)
+    _add_soles(body, robot.spec)
+    scene.attach(body, prefix=ROBOT, frame=scene.worldbody.add_frame())
+    _add_ball(scene, task.ball)
+    _add_target(scene, task.evaluation.success_radius)
+    _add_actuators(scene, robot.spec)
+    plans = plan_sensors(robot.spec, root, needs | frozenset(ALWAYS))
+    for plan in plans:
+        plan.add_to(scene)
+    try:
+        model = scene.compile()
+    except ValueError as error:
+        raise _model_error(robot, "compile the scene of this model", error) from None
+    return Scene(scene, model, read_layout(model, robot.spec, plans))
+
+
+def _model_error(robot: Loaded[RobotSpec], action: str, error: ValueError) -> SpecError:
+    reason = " ".join(str(error).split())
+    return robot.document.error(("model",), f"MuJoCo cannot {action}: {reason}")
+
+
+def _set_options(scene: mujoco.MjSpec, simulation: SimulationSpec) -> None:
+    option = scene.option
+    option.timestep = simulation.timestep
+    option.iterations, option.ls_iterations = simulation.iterations, simulation.ls_iterations
+    for name, table in _ENUMS.items():
+        setattr(option, name, table[getattr(simulation, name)])
+    # An unstable world must be seen and counted; MuJoCo's automatic reset would hide it.
+    option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+
+
+def _add_floor(scene: mujoco.MjSpec, task: TaskSpec) -> None:
+    texture = scene.add_texture(
+        name="grid", type=mujoco.mjtTexture.mjTEXTURE_2D, builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER
+    )
+    texture.width = texture.height = 256
+    texture.rgb1, texture.rgb2 = [0.20, 0.42, 0.24], [0.24, 0.48, 0.28]
+    material = scene.add_material(name="grid", texrepeat=[1, 1], texuniform=True)
+    material.textures[int(mujoco.mjtTextureRole.mjTEXROLE_RGB)] = "grid"
+    scene.worldbody.add_geom(
+        name="floor",
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        size=[0, 0, 1],
+        friction=task.floor.friction,
+        material="grid",
+    )
+    scene.worldbody.add_light(pos=[0, 0, 4], dir=[0.2, 0.1, -1], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
+
+
+def _add_ball(scene: mujoco.MjSpec, ball: BallSpec) -> None:
+    body = scene.worldbody.add_body(name="ball", pos=[1.0, 0.0, ball.radius])
+    body.add_freejoint(name="ball")
+    body.add_geom(
+        name="ball",
+        type=mujoco.mjtGeom.mjGEOM_SPHERE,
+        size=[ball.radius, 0, 0],
+        mass=ball.mass,
+        typeinertia=mujoco.mjtGeomInertia.mjINERTIA_SHELL,
+        friction=ball.friction,
+        condim=ball.condim,
+        priority=ball.priority,
+        solref=ball.solref,
+        rgba=[0.95, 0.95, 0.95, 1.0],
+    )
+
+
+def _add_target(scene: mujoco.MjSpec, radius: float) -> None:
+    """A mocap body, so that a viewer can place it; it touches nothing."""
+    target = scene.worldbody.add_body(name="target", mocap=True, pos=[2.0, 0.0, 0.0])
+    target.add_geom(
+        name="target",
+        type=mujoco.mjtGeom.mjGEOM_CYLINDER,
+        size=[radius, 0.002, 0],
+        mass=0.0,
+        contype=0,
+        conaffinity=0,
+        rgba=[0.95, 0.80, 0.15, 0.6],
+    )
+
+
+def _add_soles(body: mujoco.MjSpec, robot: RobotSpec) -> None:
+    for side in SIDES if robot.feet else ():
+        foot = getattr(robot.feet, side)
+        _add_site(body, foot.body, sole_site(side), foot.offset)
+    _add_site(body, robot.base, _BASE_SITE, (0.0, 0.0, 0.0))
+
+
+def _add_site(spec: mujoco.MjSpec, body: str, name: str, offset: tuple[float, float, float]) -> None:
+    # Stated in full: what is left out would come from the robot's own defaults.
+    spec.body(body).add_site(name=name, pos=offset, quat=[1.0, 0.0, 0.0, 0.0])
+
+
+def _add_actuators(scene: mujoco.MjSpec, robot: RobotSpec) -> None:
+    for name, spec in robot.actuators.items():
+        actuator = scene.add_actuator(name=name)
+        if spec.joint is not None:
+            actuator.trntype, actuator.target = mujoco.mjtTrn.mjTRN_JOINT, ROBOT + spec.joint
+        elif spec.base_axis is not None:
+            actuator.trntype, actuator.target = mujoco.mjtTrn.mjTRN_SITE, ROBOT + _BASE_SITE
+            actuator.gear = [float(i == _AXES[spec.base_axis]) for i in range(6)]
+        _set_servo(actuator, spec)
+
+
+def _set_servo(actuator: mujoco.MjsActuator, spec: ActuatorSpec) -> None:
+    stiffness = spec.kp or 0.0
+    actuator.gaintype, actuator.biastype = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_AFFINE
+    actuator.gainprm[0] = stiffness if spec.kind == "position" else spec.kd
+    actuator.biasprm[0:3] = [0.0, -stiffness, -spec.kd]
+    actuator.forcelimited, actuator.forcerange = True, [-spec.effort, spec.effort]
+    if spec.limits is not None:
+        actuator.ctrllimited, actuator.ctrlrange = True, spec.limits
+
+
+def has_external_assets(path: str | Path) -> bool:
+    """Whether an MJCF reads other files: meshes, textures, height fields or skins."""
+    spec = mujoco.MjSpec.from_file(str(path))
+    return any(
+        item.file for items in (spec.meshes, spec.textures, spec.hfields, spec.skins) for item in items
+    )

@@ -1,0 +1,132 @@
+"""Where everything is in a compiled model: index maps by name, made once, used everywhere."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+# pyright: reportAttributeAccessIssue=false
+import mujoco
+import numpy as np
+
+from kickbench.scene.sensors import ROBOT, SIDES, SensorPlan
+from kickbench.spec.robot import RobotSpec
+from kickbench.symmetry.mirror import Coordinate
+
+Indices = np.ndarray
+"""Integer index array."""
+
+
+@dataclass(frozen=True)
+class SceneLayout:
+    """Index maps of a scene.
+
+    Attributes:
+        coordinates: Every joint of the model with its place in qpos and qvel.
+        actuator_names: Actuators in the order of the action vector.
+        joint_names: Observed joints: those with an actuator, in the actuators' order.
+        joint_qpos: Their places in qpos.
+        joint_qvel: Their places in qvel.
+        ball_qpos: First place of the ball in qpos (position 3, quaternion 4).
+        ball_qvel: First place of the ball in qvel (linear 3, angular 3).
+        default_qpos: The whole model in its default pose, ball at the origin [nq].
+        default_target: Control target of a zero action [nu].
+        action_scale: Factor of an action [nu].
+        frames: Frame channel -> places in sensordata, for channels without contact.
+        contacts: Contact channel -> places of the `found` counts.
+        forces: Contact channel -> places of the net forces [parts, 3], where the channel reports them.
+        foot_geoms: Geoms of the left and of the right foot.
+        base_body: Body id of the base.
+    """
+
+    coordinates: tuple[Coordinate, ...]
+    actuator_names: tuple[str, ...]
+    joint_names: tuple[str, ...]
+    joint_qpos: Indices
+    joint_qvel: Indices
+    ball_qpos: int
+    ball_qvel: int
+    default_qpos: np.ndarray
+    default_target: np.ndarray
+    action_scale: np.ndarray
+    frames: Mapping[str, Indices]
+    contacts: Mapping[str, Indices]
+    forces: Mapping[str, Indices]
+    foot_geoms: tuple[Indices, ...]
+    base_body: int
+
+
+def read_layout(model: mujoco.MjModel, robot: RobotSpec, plans: Sequence[SensorPlan]) -> SceneLayout:
+    """Reads the index maps of a compiled scene."""
+    coordinates = tuple(_coordinate(model, j) for j in range(model.njnt))
+    by_name = {c.name: c for c in coordinates}
+    driven = [spec.joint for spec in robot.actuators.values() if spec.joint is not None]
+    frames, contacts, forces = _sensor_maps(model, plans)
+    return SceneLayout(
+        coordinates=coordinates,
+        actuator_names=tuple(robot.actuators),
+        joint_names=tuple(driven),
+        joint_qpos=np.array([by_name[name].qpos for name in driven], dtype=np.int64),
+        joint_qvel=np.array([by_name[name].qvel for name in driven], dtype=np.int64),
+        ball_qpos=by_name["ball"].qpos,
+        ball_qvel=by_name["ball"].qvel,
+        default_qpos=_default_qpos(model, robot, by_name),
+        default_target=np.array([_default_target(robot, name) for name in robot.actuators]),
+        action_scale=np.array([spec.scale for spec in robot.actuators.values()]),
+        frames=frames,
+        contacts=contacts,
+        forces=forces,
+        foot_geoms=tuple(_foot_geoms(model, robot, side) for side in SIDES) if robot.feet else (),
+        base_body=model.body(ROBOT + robot.base).id,
+    )
+
+
+def _coordinate(model: mujoco.MjModel, joint: int) -> Coordinate:
+    name = model.joint(joint).name.removeprefix(ROBOT)
+    free = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE
+    return Coordinate(name, free, int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint]))
+
+
+def _default_qpos(model: mujoco.MjModel, robot: RobotSpec, by_name: Mapping[str, Coordinate]) -> np.ndarray:
+    qpos = model.qpos0.copy()
+    for name, value in robot.initial.joints.items():
+        qpos[by_name[name].qpos] = value
+    base = next((c for c in by_name.values() if c.free and c.name != "ball"), None)
+    if base is not None and robot.initial.position is not None:
+        qpos[base.qpos : base.qpos + 3] = robot.initial.position
+    ball = by_name["ball"].qpos
+    qpos[ball : ball + 2] = 0.0
+    return qpos
+
+
+def _default_target(robot: RobotSpec, actuator: str) -> float:
+    spec = robot.actuators[actuator]
+    if spec.kind == "velocity" or spec.joint is None:
+        return 0.0
+    return robot.initial.joints.get(spec.joint, 0.0)
+
+
+def _foot_geoms(model: mujoco.MjModel, robot: RobotSpec, side: str) -> Indices:
+    foot = getattr(robot.feet, side)
+    if foot.geoms:
+        return np.array([model.geom(ROBOT + geom).id for geom in foot.geoms], dtype=np.int64)
+    return np.flatnonzero(model.geom_bodyid == model.body(ROBOT + foot.body).id)
+
+
+def _sensor_maps(
+    model: mujoco.MjModel, plans: Sequence[SensorPlan]
+) -> tuple[dict[str, Indices], dict[str, Indices], dict[str, Indices]]:
+    frames: dict[str, Indices] = {}
+    found: dict[str, list[int]] = {}
+    force: dict[str, list[np.ndarray]] = {}
+    for plan in plans:
+        sensor = model.sensor(plan.name)
+        first = int(sensor.adr[0])
+        if not plan.is_contact:
+            frames[plan.channel] = np.arange(first, first + int(sensor.dim[0]))
+            continue
+        found.setdefault(plan.channel, []).append(first)
+        if plan.force:
+            force.setdefault(plan.channel, []).append(np.arange(first + 1, first + 4))
+    contacts = {name: np.array(places) for name, places in found.items()}
+    return frames, contacts, {name: np.stack(places) for name, places in force.items()}

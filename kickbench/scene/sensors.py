@@ -1,0 +1,134 @@
+"""The sensors a scene can have, by name.
+
+Frame sensors describe the state they come with. Contact sensors are latched over the substeps of a control
+step: a kick lasts 4-10 ms, so the last substep alone would miss a third of all touches.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+# pyright: reportAttributeAccessIssue=false
+import mujoco
+
+from kickbench.spec.robot import FootSpec, RobotSpec
+
+SensorGroup = Literal["base", "foot_frame", "foot_ball", "robot_ball", "foot_floor", "robot_floor"]
+"""What a term may ask for: frames of base and feet, and contacts of the feet or the whole robot."""
+
+SIDES = ("left", "right")
+ROBOT = "robot/"
+"""Prefix of the robot's names in the scene, so that they never clash with ball and floor."""
+
+FOOT_GROUPS: tuple[SensorGroup, ...] = ("foot_frame", "foot_ball", "foot_floor")
+ALWAYS: tuple[SensorGroup, ...] = ("base", "robot_ball")
+"""Groups that every scene has: every task needs the base's frame and whether the ball was touched."""
+
+_FOUND = 1 << int(mujoco.mjtConDataField.mjCONDATA_FOUND)
+_FORCE = 1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE)
+_NETFORCE = 3
+
+
+@dataclass(frozen=True)
+class SensorPlan:
+    """One MuJoCo sensor: `channel` is the name that state views read, `part` tells its sensors apart."""
+
+    channel: str
+    part: int
+    type: mujoco.mjtSensor
+    objtype: mujoco.mjtObj
+    objname: str
+    reftype: mujoco.mjtObj | None = None
+    refname: str = ""
+    force: bool = False
+
+    @property
+    def name(self) -> str:
+        """Name in the compiled model."""
+        return f"{self.channel}.{self.part}"
+
+    @property
+    def is_contact(self) -> bool:
+        """Whether the sensor reports contacts."""
+        return self.type == mujoco.mjtSensor.mjSENS_CONTACT
+
+    def add_to(self, spec: mujoco.MjSpec) -> None:
+        """Adds the sensor to a scene."""
+        sensor = spec.add_sensor()
+        sensor.name, sensor.type = self.name, self.type
+        sensor.objtype, sensor.objname = self.objtype, self.objname
+        if self.reftype is not None:
+            sensor.reftype, sensor.refname = self.reftype, self.refname
+        if self.is_contact:
+            data = _FOUND | (_FORCE if self.force else 0)
+            sensor.intprm[0:3] = [data, _NETFORCE if self.force else 0, 1]
+
+
+def available_groups(robot: RobotSpec) -> frozenset[SensorGroup]:
+    """The groups a robot's scene can provide."""
+    groups: set[SensorGroup] = {*ALWAYS, "robot_floor"}
+    return frozenset(groups | set(FOOT_GROUPS) if robot.feet else groups)
+
+
+def plan_sensors(robot: RobotSpec, root: str, groups: frozenset[SensorGroup]) -> list[SensorPlan]:
+    """Lists the sensors of the wanted groups.
+
+    Args:
+        robot: The robot.
+        root: The robot's topmost body; its subtree is the whole robot.
+        groups: Wanted groups; those the robot cannot provide have been rejected before.
+    """
+    plans = [*_base(robot.base), _touch("robot_ball", 0, mujoco.mjtObj.mjOBJ_XBODY, ROBOT + root, "ball")]
+    if "robot_floor" in groups:
+        plans.append(_touch("robot_floor", 0, mujoco.mjtObj.mjOBJ_XBODY, ROBOT + root, "floor", force=False))
+    if robot.feet:
+        for side in SIDES:
+            plans += _foot(side, getattr(robot.feet, side), groups)
+    return plans
+
+
+def _base(body: str) -> list[SensorPlan]:
+    kinds = {
+        "base_pos": mujoco.mjtSensor.mjSENS_FRAMEPOS,
+        "base_quat": mujoco.mjtSensor.mjSENS_FRAMEQUAT,
+        "base_linvel": mujoco.mjtSensor.mjSENS_FRAMELINVEL,
+        "base_angvel": mujoco.mjtSensor.mjSENS_FRAMEANGVEL,
+    }
+    return [
+        SensorPlan(name, 0, kind, mujoco.mjtObj.mjOBJ_XBODY, ROBOT + body) for name, kind in kinds.items()
+    ]
+
+
+def _foot(side: str, foot: FootSpec, groups: frozenset[SensorGroup]) -> Iterator[SensorPlan]:
+    if "foot_frame" in groups:
+        for channel, kind in (
+            (f"{side}_foot_pos", mujoco.mjtSensor.mjSENS_FRAMEPOS),
+            (f"{side}_foot_vel", mujoco.mjtSensor.mjSENS_FRAMELINVEL),
+        ):
+            yield SensorPlan(channel, 0, kind, mujoco.mjtObj.mjOBJ_SITE, ROBOT + sole_site(side))
+    for other in ("ball", "floor"):
+        if f"foot_{other}" not in groups:
+            continue
+        channel = f"{side}_foot_{other}"
+        for part, (objtype, name) in enumerate(_foot_objects(foot)):
+            yield _touch(channel, part, objtype, name, other, force=other == "floor")
+
+
+def _foot_objects(foot: FootSpec) -> list[tuple[mujoco.mjtObj, str]]:
+    if foot.geoms:
+        return [(mujoco.mjtObj.mjOBJ_GEOM, ROBOT + geom) for geom in foot.geoms]
+    return [(mujoco.mjtObj.mjOBJ_BODY, ROBOT + foot.body)]
+
+
+def _touch(
+    channel: str, part: int, objtype: mujoco.mjtObj, objname: str, other: str, *, force: bool = False
+) -> SensorPlan:
+    contact, geom = mujoco.mjtSensor.mjSENS_CONTACT, mujoco.mjtObj.mjOBJ_GEOM
+    return SensorPlan(channel, part, contact, objtype, objname, geom, other, force)
+
+
+def sole_site(side: str) -> str:
+    """Name of the site at the centre of a sole, added to the robot."""
+    return f"kickbench_{side}_sole"

@@ -1,0 +1,1 @@
+"""Specifications: what a YAML file may say, as frozen pydantic models."""

@@ -1,0 +1,180 @@
+"""The base of all specs: frozen, strict, and with problems that name file, line and key."""
+
+from __future__ import annotations
+
+import copy
+import os
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PlainSerializer,
+    ValidationError,
+    WithJsonSchema,
+)
+from pydantic_core import PydanticCustomError
+
+from kickbench.errors import KeyPath, Mark, Problem, SpecError
+from kickbench.spec.annotations import FileMarker, file_paths
+from kickbench.spec.json_schema import json_schema
+from kickbench.spec.problems import problems_of
+from kickbench.yamlio import Document, unreadable
+
+__all__ = [
+    "FileRef",
+    "FloatList",
+    "Fraction",
+    "NameList",
+    "NonNegativeFloat",
+    "NonNegativeInt",
+    "PositiveFloat",
+    "PositiveInt",
+    "Range",
+    "Spec",
+    "Vector3",
+    "VectorPair",
+    "json_schema",
+    "validate",
+]
+
+
+class Spec(BaseModel):
+    """A part of a YAML file.
+
+    The string below a field documents it, and is its description in the JSON Schema. Validation is strict,
+    so a YAML list needs a type that takes one: those below, or `tuple[X, ...] = Field(strict=False)`.
+    """
+
+    model_config = ConfigDict(
+        frozen=True,
+        strict=True,
+        extra="forbid",
+        allow_inf_nan=False,
+        validate_default=True,
+        use_attribute_docstrings=True,
+    )
+
+
+S = TypeVar("S", bound=BaseModel)
+
+PositiveFloat = Annotated[float, Field(gt=0)]
+NonNegativeFloat = Annotated[float, Field(ge=0)]
+PositiveInt = Annotated[int, Field(gt=0)]
+NonNegativeInt = Annotated[int, Field(ge=0)]
+Fraction = Annotated[float, Field(ge=0, le=1)]
+"""A number from 0 to 1, both included."""
+
+FloatList = Annotated[tuple[float, ...], Field(strict=False)]
+"""Numbers."""
+NameList = Annotated[tuple[str, ...], Field(strict=False)]
+"""Strings."""
+Vector3 = Annotated[tuple[float, float, float], Field(strict=False)]
+"""Three numbers."""
+VectorPair = Annotated[tuple[float, float], Field(strict=False)]
+"""Two numbers."""
+
+
+def _ordered(value: tuple[float, float]) -> tuple[float, float]:
+    if value[0] >= value[1]:
+        wrong = "reversed" if value[0] > value[1] else "empty"
+        raise ValueError(f"the range [{value[0]}, {value[1]}] is {wrong}: low must be less than high")
+    return value
+
+
+Bounds = Annotated[VectorPair, AfterValidator(_ordered)]
+"""Bounds `[low, high]` with low < high."""
+
+
+def _read_range(value: Any) -> Any:
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        return (value, value)
+    if not isinstance(value, list | tuple) or len(value) != 2:
+        raise PydanticCustomError("range_type", "expected a number or [low, high]")
+    low, high = value
+    if not all(isinstance(bound, int | float) for bound in value):
+        return value
+    # Only YAML gives lists. A tuple of equal bounds is a constant that was read before.
+    if low > high or (low == high and isinstance(value, list)):
+        wrong = "reversed" if low > high else "empty"
+        rule = "low must be less than high; a constant is one number"
+        raise ValueError(f"the range [{low}, {high}] is {wrong}: {rule}")
+    return value
+
+
+def _write_range(value: tuple[float, float]) -> float | tuple[float, float]:
+    return value[0] if value[0] == value[1] else value
+
+
+_RANGE_SCHEMA = {
+    "anyOf": [
+        {"type": "number"},
+        {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2},
+    ]
+}
+
+Range = Annotated[
+    tuple[float, float],
+    Field(strict=False),
+    BeforeValidator(_read_range),
+    PlainSerializer(_write_range),
+    WithJsonSchema(_RANGE_SCHEMA),
+]
+"""An interval `[low, high]` with low < high, or one number `c`, which becomes `(c, c)`."""
+
+FileRef = Annotated[str, FileMarker()]
+"""Path of a file, relative to the file that has it; made absolute and checked by `validate`."""
+
+
+def validate(model: type[S], document: Document) -> S:
+    """Makes a spec of a document.
+
+    Raises:
+        SpecError: With every problem of the document, in the order of its lines.
+    """
+    data, problems = _resolve_files(model, document)
+    try:
+        spec = model.model_validate(data)
+    except ValidationError as error:
+        problems += problems_of(error, model, document)
+    else:
+        if not problems:
+            return spec
+    raise SpecError(sorted(problems, key=lambda problem: _order(problem.mark, document)))
+
+
+def _resolve_files(model: type[BaseModel], document: Document) -> tuple[Any, list[Problem]]:
+    # Before pydantic, because a validator knows neither where its value was written nor in which file.
+    data, problems = copy.deepcopy(document.data), []
+    for path in file_paths(model, data):
+        holder: Any = data
+        for key in path[:-1]:
+            holder = holder[key]
+        file = _absolute(holder[path[-1]], document.origin(path))
+        holder[path[-1]] = file.as_posix()
+        problems += _file_problems(file, path, document)
+    return data, problems
+
+
+def _absolute(name: str, origin: Path | None) -> Path:
+    # An override is typed in a shell, so it is relative to the working directory.
+    return Path(os.path.abspath(origin.parent / name if origin else name))
+
+
+def _file_problems(file: Path, path: KeyPath, document: Document) -> list[Problem]:
+    try:
+        with file.open("rb"):
+            return []
+    except (OSError, ValueError) as error:
+        return [Problem(document.value_mark(path), path, *unreadable(file, error))]
+
+
+def _order(mark: Mark | None, document: Document) -> tuple[int, int, int]:
+    files = [str(file) for file in document.sources]
+    if mark is None or mark.file not in files:
+        return len(files), 0, 0
+    return files.index(mark.file), mark.line, mark.column

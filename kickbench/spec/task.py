@@ -1,0 +1,172 @@
+"""Task specification: scene, sampling regions, terms and the evaluation protocol."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from kickbench.spec.base import (
+    FileRef,
+    NonNegativeFloat,
+    NonNegativeInt,
+    PositiveFloat,
+    PositiveInt,
+    Range,
+    Spec,
+    VectorPair,
+)
+from kickbench.spec.terms import RewardTable, TermTable
+
+
+Friction = Annotated[tuple[NonNegativeFloat, NonNegativeFloat, NonNegativeFloat], Field(strict=False)]
+"""Sliding, torsional and rolling friction."""
+
+
+class BallSpec(Spec):
+    """The ball (thesis Table 3.1)."""
+
+    mass: PositiveFloat = 0.1
+    """Mass, kg."""
+    radius: PositiveFloat = 0.08
+    """Radius, m. The ball is a thin-walled sphere: inertia 2/3 m r^2."""
+    friction: Friction = (1.0, 0.5, 0.015)
+    """Sliding, torsional (m) and rolling (m) friction."""
+    condim: Literal[3, 4, 6] = 6
+    """Contact dimensions; 6 adds torsional and rolling friction."""
+    priority: NonNegativeInt = 2
+    """Contact priority: the ball's friction wins over floor and feet."""
+    solref: VectorPair = (0.02, 1.0)
+    """Contact time constant, s, and damping ratio."""
+
+
+class FloorSpec(Spec):
+    """The floor: an infinite plane."""
+
+    friction: Friction = (1.0, 0.005, 0.0001)
+    """Sliding, torsional (m) and rolling (m) friction."""
+
+
+class SimulationSpec(Spec):
+    """Time discretisation and solver of MuJoCo."""
+
+    timestep: PositiveFloat
+    """Physics time step, s."""
+    control_interval: PositiveFloat
+    """Time between two actions, s; a whole multiple of the time step."""
+    integrator: Literal["euler", "implicit", "implicitfast"] = "euler"
+    """Integrator."""
+    cone: Literal["elliptic", "pyramidal"] = "elliptic"
+    """Friction cone; the pyramidal one makes the ball's roll depend on its heading (digest)."""
+    jacobian: Literal["dense", "sparse", "auto"] = "dense"
+    """Constraint Jacobian."""
+    iterations: PositiveInt = 10
+    """Newton iterations."""
+    ls_iterations: PositiveInt = 20
+    """Line-search iterations."""
+
+    @model_validator(mode="after")
+    def _whole_decimation(self) -> SimulationSpec:
+        steps = self.control_interval / self.timestep
+        if round(steps) < 1 or abs(steps - round(steps)) > 1e-6:
+            raise ValueError(
+                f"control_interval {self.control_interval} s is not a whole multiple of timestep "
+                f"{self.timestep} s (ratio {steps:g})"
+            )
+        return self
+
+    @property
+    def decimation(self) -> int:
+        """Physics steps per control step."""
+        return round(self.control_interval / self.timestep)
+
+
+class EpisodeSpec(Spec):
+    """What all terms share about an episode (thesis Table B.2)."""
+
+    max_steps: PositiveInt
+    """Maximum episode length T_max, control steps."""
+    contact_window: NonNegativeInt
+    """Contact window T_window, control steps after the first touch."""
+    stop_speed: PositiveFloat
+    """Speed epsilon below which the ball counts as stopped, m/s."""
+
+
+class BallSampling(Spec):
+    """Where the ball starts, in the robot's start frame."""
+
+    x: Range
+    """Forward distance, m."""
+    y: Range
+    """Lateral offset, m; left is positive."""
+
+
+class TargetSampling(Spec):
+    """Where the target lies, in polar coordinates of the robot's start frame."""
+
+    distance: Range
+    """Distance from the robot, m."""
+    angle: Range
+    """Angle from straight ahead, rad; left is positive."""
+
+
+class SamplingSpec(Spec):
+    """Start distribution of an episode."""
+
+    ball: BallSampling
+    """Ball."""
+    target: TargetSampling
+    """Target."""
+
+
+class ObservationSpec(Spec):
+    """Observation groups: the fields of each, in the order of the vector."""
+
+    actor: TermTable
+    """What the policy sees."""
+    critic: TermTable
+    """What the value function sees in training."""
+
+
+class EvaluationSpec(Spec):
+    """How a policy is measured."""
+
+    episodes: PositiveInt
+    """Episodes a side."""
+    seed: NonNegativeInt = 20_000
+    """Seed of the starts; all methods and training seeds meet the same episodes."""
+    mirrored: bool
+    """Also evaluate the exact mirror images of the starts."""
+    success_radius: PositiveFloat
+    """An episode succeeds if the ball ends at rest within this distance of the target, m."""
+    observation_noise: bool = False
+    """Apply the observation noise of the task."""
+
+
+class TaskSpec(Spec):
+    """A task. Tables of terms are narrowed by `mdp.catalog.task_model` to the terms that exist."""
+
+    description: str = ""
+    """One line for lists and reports."""
+    robot: FileRef
+    """Path of the robot's YAML file."""
+    ball: BallSpec = BallSpec()
+    """Ball."""
+    floor: FloorSpec = FloorSpec()
+    """Floor."""
+    simulation: SimulationSpec
+    """Time discretisation and solver."""
+    episode: EpisodeSpec
+    """Limits shared by all terms."""
+    sampling: SamplingSpec
+    """Start distribution."""
+    observations: ObservationSpec
+    """Observation groups."""
+    rewards: RewardTable
+    """Reward terms."""
+    terminations: TermTable
+    """Termination terms."""
+    randomization: TermTable = TermTable()
+    """Randomisation terms."""
+    evaluation: EvaluationSpec
+    """Evaluation protocol."""

@@ -1,0 +1,72 @@
+"""Parameters of terms as YAML gives them, and the tables that collect them.
+
+`kickbench.mdp` defines the terms and derives one model per table from its catalogue
+(`mdp.catalog.task_model`), so a wrong name or parameter is an error at validation, and a new term needs no
+change here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Self, TypeVar
+
+from pydantic import ModelWrapValidatorHandler, PrivateAttr, model_validator
+
+from kickbench.spec.base import NonNegativeFloat, Range, Spec
+
+
+class TermParams(Spec):
+    """Parameters of a term; a term without parameters is written `{}`."""
+
+
+class ObservationParams(TermParams):
+    """What every observation field accepts."""
+
+    noise: NonNegativeFloat = 0.0
+    """Half-width of uniform noise added to each component, in the field's unit; off in evaluation."""
+    clip: Range | None = None
+    """Range into which each component is clipped after the noise."""
+
+
+class RewardParams(TermParams):
+    """What every reward accepts."""
+
+    weight: float
+    """Factor of the term; penalties have positive magnitudes and negative weights."""
+
+
+class TerminationParams(TermParams):
+    """What every termination accepts."""
+
+
+class RandomizationParams(TermParams):
+    """What every randomisation accepts."""
+
+
+P = TypeVar("P", bound=TermParams)
+
+
+class TermTable(Spec):
+    """Named terms; one set to `null` is switched off. Keeps the order of the YAML file."""
+
+    _order: tuple[str, ...] = PrivateAttr(default=())
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _keep_order(cls, data: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
+        table = handler(data)
+        if isinstance(data, Mapping) and not table._order:
+            table._order = tuple(name for name in data if name in cls.model_fields)
+        return table
+
+    def active(self, kind: type[P]) -> dict[str, P]:
+        """Terms that are on, in the order written, as instances of `kind`."""
+        entries = ((name, getattr(self, name)) for name in self._order)
+        return {name: params for name, params in entries if isinstance(params, kind)}
+
+
+class RewardTable(TermTable):
+    """Rewards: their weighted sum is the reward of a step."""
+
+    scale_by_dt: bool = True
+    """Multiply every term by the control interval (digest: as mjlab does), so weights are per second."""

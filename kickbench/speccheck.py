@@ -1,0 +1,107 @@
+"""Checks files of any kind, together where they belong together."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from kickbench.errors import Mark, Problem, SpecError, did_you_mean
+from kickbench.experiment import read_symmetry
+from kickbench.mdp.catalog import task_model
+from kickbench.mdp.compile import CompiledTask, compile_task
+from kickbench.scene.build import read_robot
+from kickbench.spec.base import Spec
+from kickbench.spec.load import LoadedMethod, load, load_method, load_task
+from kickbench.spec.method import MethodSpec
+from kickbench.spec.representation import RepresentationSpec
+from kickbench.spec.robot import RobotSpec
+from kickbench.yamlio import Document, load_document
+
+KINDS = ("task", "method", "robot", "representations")
+
+
+def model_of(kind: str) -> type[Spec]:
+    """The model of a kind of file."""
+    models = {"method": MethodSpec, "robot": RobotSpec, "representations": RepresentationSpec}
+    return task_model() if kind == "task" else models[kind]
+
+
+def kind_of(document: Document) -> str:
+    """Tells a file's kind by its keys: the model that knows most of them.
+
+    Raises:
+        SpecError: No model knows any of them.
+    """
+    known = {kind: len(set(document.data) & set(model_of(kind).model_fields)) for kind in KINDS}
+    best = max(KINDS, key=lambda kind: known[kind])
+    if not known[best] or known[best] == ("description" in document.data):
+        keys = ", ".join(map(str, document.data))
+        raise document.error(
+            (), f"neither a task, a method, a robot nor a representation table; its keys: {keys}"
+        )
+    return best
+
+
+@dataclass
+class Report:
+    """What was found in one file, or in a task and a method together."""
+
+    name: str
+    kind: str
+    problems: list[Problem] = field(default_factory=list)
+
+
+def check_files(files: Sequence[Path], overrides: Sequence[str] = ()) -> Iterator[Report]:
+    """Checks every file, and every task with every method among them.
+
+    Args:
+        files: Tasks, methods, robots and representation tables.
+        overrides: `key.path=value` texts, applied to the files whose kind has the first key.
+    """
+    unused = dict.fromkeys(overrides)
+    tasks: list[CompiledTask] = []
+    methods: list[LoadedMethod] = []
+    for path in files:
+        report = Report(str(path), "?")
+        try:
+            report.kind = kind_of(load_document(path))
+            own = [text for text in overrides if _head(text) in ("", *model_of(report.kind).model_fields)]
+            unused = {text: None for text in unused if text not in own}
+            _check(path, report.kind, own, tasks, methods)
+        except SpecError as error:
+            report.problems += error.problems
+        yield report
+    for text in unused:
+        yield Report(f"--set {text}", "override", [_unused(text)])
+    for task in tasks:
+        for method in methods:
+            report = Report(f"{task.name} with {method.name}", "task and method")
+            try:
+                read_symmetry(task, method)
+            except SpecError as error:
+                report.problems += error.problems
+            yield report
+
+
+def _head(override: str) -> str:
+    return override.partition("=")[0].partition(".")[0].strip()
+
+
+def _unused(override: str) -> Problem:
+    head = _head(override)
+    hint = did_you_mean(head, [key for kind in KINDS for key in model_of(kind).model_fields])
+    return Problem(Mark(f"--set {override}", 0, 0), (), f"none of the files has a key '{head}'", hint)
+
+
+def _check(
+    path: Path, kind: str, overrides: Sequence[str], tasks: list[CompiledTask], methods: list[LoadedMethod]
+) -> None:
+    if kind == "task":
+        tasks.append(compile_task(load_task(task_model(), path, overrides)))
+    elif kind == "method":
+        methods.append(load_method(path, overrides))
+    elif kind == "robot":
+        read_robot(load(RobotSpec, path, overrides))
+    else:
+        load(RepresentationSpec, path, overrides)

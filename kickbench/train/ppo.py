@@ -1,0 +1,83 @@
+"""rsl_rl's PPO, put together from a method."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from rsl_rl.algorithms import PPO
+from rsl_rl.extensions import Symmetry
+from rsl_rl.models import MLPModel
+from rsl_rl.storage import RolloutStorage
+from tensordict import TensorDict
+from torch import Tensor
+
+from kickbench.experiment import Experiment
+from kickbench.nets.augmentation import Augmentation
+from kickbench.nets.build import build_actor, build_critic
+from kickbench.spec.method import AlgorithmSpec
+
+
+class BoundedPPO(PPO):
+    """PPO whose adaptive learning rate stays within bounds of the method's choosing."""
+
+    def __init__(self, *args: Any, learning_rate_range: tuple[float, float], **kwargs: Any) -> None:
+        """As PPO; `learning_rate_range` holds the lowest and the highest learning rate."""
+        self._bounds = learning_rate_range
+        super().__init__(*args, **kwargs)
+
+    @property
+    def learning_rate(self) -> float:
+        """The present learning rate."""
+        return self._learning_rate
+
+    @learning_rate.setter
+    def learning_rate(self, value: float) -> None:
+        self._learning_rate = min(max(value, self._bounds[0]), self._bounds[1])
+
+
+class _AugmentationOnly(Symmetry):
+    """rsl_rl's symmetry extension without the pass for a mirror loss that nobody asked for."""
+
+    def compute_loss(self, actor: MLPModel, batch: RolloutStorage.Batch, original_batch_size: int) -> Tensor:
+        return torch.zeros((), device=batch.actions.device) if batch.actions is not None else torch.zeros(())
+
+
+def build_ppo(experiment: Experiment, observations: TensorDict, device: torch.device) -> BoundedPPO:
+    """Builds networks, storage and PPO of an experiment.
+
+    Args:
+        experiment: The experiment.
+        observations: Example observations {group: [B, width]}.
+        device: Where to train.
+    """
+    method, symmetry = experiment.method.spec, experiment.symmetry
+    settings = method.algorithm
+    actor = build_actor(method, symmetry.groups["actor"], symmetry.actions)
+    critic = build_critic(method, symmetry.groups["critic"])
+    envs, actions = observations.batch_size[0], symmetry.actions.dim
+    storage = RolloutStorage("rl", envs, settings.steps_per_env, observations, [actions], str(device))
+    ppo = BoundedPPO(actor, critic, storage, device=str(device), **_settings(settings))
+    if method.symmetry.augmentation:
+        tables = {name: table.representation for name, table in symmetry.groups.items()}
+        augment = Augmentation(tables, symmetry.actions)
+        ppo.symmetry = _AugmentationOnly(None, augment, use_data_augmentation=True)  # type: ignore[arg-type]
+    return ppo
+
+
+def _settings(spec: AlgorithmSpec) -> dict[str, Any]:
+    return {
+        "num_learning_epochs": spec.epochs,
+        "num_mini_batches": spec.mini_batches,
+        "clip_param": spec.clip,
+        "gamma": spec.gamma,
+        "lam": spec.gae_lambda,
+        "value_loss_coef": spec.value_coefficient,
+        "entropy_coef": spec.entropy_coefficient,
+        "learning_rate": spec.learning_rate,
+        "learning_rate_range": spec.learning_rate_range,
+        "max_grad_norm": spec.max_gradient_norm,
+        "use_clipped_value_loss": spec.clip_value_loss,
+        "schedule": spec.schedule,
+        "desired_kl": spec.desired_kl,
+    }

@@ -1,0 +1,157 @@
+"""The progress of a training as files: `progress.csv`, one row an iteration, and TensorBoard events."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import sys
+from collections.abc import Mapping
+from numbers import Integral
+from pathlib import Path
+from typing import IO, Any
+
+from kickbench.errors import KickbenchError
+from kickbench.results.atomic import atomic_write_text
+from kickbench.train.progress import IterationRecord
+
+_SCALARS = (
+    "iteration",
+    "env_steps",
+    "steps_per_second",
+    "mean_return",
+    "mean_episode_steps",
+    "success_rate",
+    "learning_rate",
+    "action_std",
+    "collect_seconds",
+    "update_seconds",
+    "resets_nonfinite",
+)
+
+
+def flatten(record: IterationRecord) -> dict[str, float]:
+    """A record as one level of names: its scalars, then `termination/<name>`, `reward/<name>`, ..."""
+    flat: dict[str, float] = {name: getattr(record, name) for name in _SCALARS}
+    groups: dict[str, Mapping[str, float]] = {
+        "termination": record.terminations,
+        "reward": record.rewards,
+        "reward_raw": record.rewards_raw,
+        "loss": record.losses,
+    }
+    for group, values in groups.items():
+        flat.update({f"{group}/{name}": value for name, value in values.items()})
+    return flat
+
+
+class CsvProgress:
+    """`progress.csv`: a header from the first record, then a row an iteration, written at once.
+
+    On a resume the rows of iterations that will be run again, and a row that a kill cut short, are dropped.
+
+    Args:
+        path: the file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = Path(path)
+        self._file: IO[str] | None = None
+        self._columns: list[str] | None = None
+
+    def start(self, total_iterations: int, first_iteration: int) -> None:
+        """Keep the rows before `first_iteration`, and open the file to append to them."""
+        kept = _rows_before(self._path, first_iteration)
+        self._columns = kept[0] if kept else None
+        atomic_write_text(self._path, _to_csv(kept))
+        self._file = open(self._path, "a", encoding="utf-8", newline="")  # noqa: SIM115 (open until close())
+
+    def update(self, record: IterationRecord) -> None:
+        """Append a row. A name that the header lacks is an error: columns would lose their meaning."""
+        if self._file is None:
+            raise RuntimeError("start() comes before update()")
+        flat = flatten(record)
+        rows = []
+        if self._columns is None:
+            self._columns = list(flat)
+            rows.append(self._columns)
+        strangers = [name for name in flat if name not in self._columns]
+        if strangers:
+            raise KickbenchError(f"{self._path}: no column for {', '.join(strangers)}")
+        rows.append([_format(flat.get(name)) for name in self._columns])
+        self._file.write(_to_csv(rows))
+        self._file.flush()
+
+    def close(self) -> None:
+        """Close the file."""
+        if self._file is not None:
+            self._file.close()
+            self._file = None
+
+
+class TensorBoardProgress:
+    """TensorBoard events, the step being the iteration. Without tensorboard: says so once and does nothing.
+
+    Args:
+        folder: folder of the event files.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = Path(folder)
+        self._writer: Any = None
+
+    def start(self, total_iterations: int, first_iteration: int) -> None:
+        """Open an event file; on a resume, events from `first_iteration` on are purged."""
+        try:
+            # Slow to import, and not needed by anything else.
+            from torch.utils.tensorboard.writer import SummaryWriter
+        except ImportError:
+            print("tensorboard is not installed: no event files are written", file=sys.stderr)
+            return
+        self._writer = SummaryWriter(str(self._folder), purge_step=first_iteration or None)
+
+    def update(self, record: IterationRecord) -> None:
+        """Write one scalar for each figure that is a number; a rate that is not known yet is left out."""
+        if self._writer is None:
+            return
+        for name, value in flatten(record).items():
+            if name != "iteration" and not math.isnan(value):
+                self._writer.add_scalar(name if "/" in name else f"train/{name}", value, record.iteration)
+
+    def close(self) -> None:
+        """Write out what is buffered and close the event file."""
+        if self._writer is not None:
+            self._writer.close()
+            self._writer = None
+
+
+def _rows_before(path: Path, first_iteration: int) -> list[list[str]]:
+    """Header and rows of the iterations below `first_iteration`; nothing if there is no such row."""
+    if first_iteration == 0 or not path.is_file():
+        return []
+    text = path.read_text(encoding="utf-8")
+    # A row without its newline was cut short by a kill, even if it looks whole.
+    rows = list(csv.reader(io.StringIO(text[: text.rfind("\n") + 1], newline="")))
+    if not rows or rows[0][:1] != ["iteration"]:
+        raise KickbenchError(f"{path}:1: expected a progress table whose first column is iteration")
+    kept = [row for row in rows[1:] if _iteration(path, row, len(rows[0])) < first_iteration]
+    return [rows[0], *kept] if kept else []
+
+
+def _iteration(path: Path, row: list[str], width: int) -> int:
+    if len(row) != width or not row[0].isdigit():
+        raise KickbenchError(f"{path}: expected {width} values that begin with an iteration, found {row}")
+    return int(row[0])
+
+
+def _to_csv(rows: list[list[str]]) -> str:
+    buffer = io.StringIO()
+    csv.writer(buffer, lineterminator="\n").writerows(rows)
+    return buffer.getvalue()
+
+
+def _format(value: float | None) -> str:
+    """Whole numbers as they are, others with six significant digits, nothing for what is absent."""
+    if value is None:
+        return ""
+    # Integral, not int: a numpy integer must keep all its digits too.
+    return str(value) if isinstance(value, Integral) else f"{value:.6g}"

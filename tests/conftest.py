@@ -1,0 +1,27 @@
+"""What many tests need: the mini kicker's experiments, loaded once."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+
+
+@cache
+def _experiment(task: str, method: str, overrides: tuple[str, ...]):
+    from kickbench.experiment import load_experiment
+
+    return load_experiment(ROOT / "tasks" / f"{task}.yaml", ROOT / "methods" / "mini" / f"{method}.yaml", overrides)
+
+
+@pytest.fixture(scope="session")
+def experiment():
+    """Loads a mini experiment: `experiment(task, method, *overrides)`."""
+
+    def load(task: str = "mini_home_field", method: str = "baseline", *overrides: str):
+        return _experiment(task, method, overrides)
+
+    return load

@@ -1,0 +1,131 @@
+"""The per-episode table: what it accepts, and that a file gives back what was written."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from kickbench.errors import KickbenchError
+from kickbench.results.episodes import EpisodeSides, EpisodeTable, read_episodes, write_episodes
+
+
+def make_table(episodes: int = 5, seed: int = 0) -> EpisodeTable:
+    rng = np.random.default_rng(seed)
+    kicked = rng.random(episodes) < 0.8
+    distance = rng.gamma(2.0, 0.2, episodes)
+    return EpisodeTable(
+        world=np.arange(episodes) % 3,
+        episode=np.arange(episodes) // 3,
+        start_ball_x=rng.uniform(0.2, 0.4, episodes),
+        start_ball_y=rng.uniform(-0.2, 0.2, episodes),
+        target_x=rng.uniform(1, 2, episodes),
+        target_y=rng.uniform(-1, 1, episodes),
+        final_ball_x=rng.uniform(0, 2, episodes),
+        final_ball_y=rng.uniform(-1, 1, episodes),
+        distance=distance,
+        success=distance < 0.35,
+        termination=rng.choice(["target_reached", "fell", "timeout"], episodes),
+        steps=rng.integers(1, 200, episodes),
+        episode_return=rng.normal(size=episodes),
+        kick_foot=np.where(kicked, rng.choice(["left", "right", "other"], episodes), "none"),
+        kick_step=np.where(kicked, rng.integers(0, 50, episodes), -1),
+        peak_ball_speed=rng.uniform(0, 3, episodes),
+    )
+
+
+def assert_same(found: EpisodeTable, expected: EpisodeTable) -> None:
+    for name, column in expected.columns().items():
+        other = found.columns()[name]
+        if column.dtype.kind == "f":
+            np.testing.assert_allclose(other, column, rtol=0, atol=5.1e-7, err_msg=name)
+        else:
+            np.testing.assert_array_equal(other, column, err_msg=name)
+
+
+def test_a_file_gives_back_both_sides(tmp_path: Path) -> None:
+    sides = EpisodeSides(make_table(7), make_table(4, seed=1))
+    write_episodes(tmp_path / "episodes.csv", sides)
+    found = read_episodes(tmp_path / "episodes.csv")
+    assert_same(found.in_distribution, sides.in_distribution)
+    assert found.mirrored is not None
+    assert_same(found.mirrored, make_table(4, seed=1))
+
+
+def test_a_file_without_mirrored_episodes_has_no_mirrored_side(tmp_path: Path) -> None:
+    write_episodes(tmp_path / "episodes.csv", EpisodeSides(make_table()))
+    found = read_episodes(tmp_path / "episodes.csv")
+    assert found.mirrored is None
+    assert len(found.in_distribution) == 5
+
+
+def test_writing_what_was_read_gives_the_same_bytes(tmp_path: Path) -> None:
+    write_episodes(tmp_path / "a.csv", EpisodeSides(make_table(50), make_table(50, seed=1)))
+    write_episodes(tmp_path / "b.csv", read_episodes(tmp_path / "a.csv"))
+    assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
+
+
+def test_the_file_is_plain_csv_with_a_side_column(tmp_path: Path) -> None:
+    table = replace(make_table(1), start_ball_y=np.array([-1e-9]), success=np.array([True]))
+    write_episodes(tmp_path / "episodes.csv", EpisodeSides(table))
+    header, row = (tmp_path / "episodes.csv").read_text().splitlines()
+    cells = dict(zip(header.split(","), row.split(","), strict=True))
+    assert cells["side"] == "in_distribution"
+    assert cells["start_ball_y"] == "0.000000"
+    assert cells["success"] == "1"
+
+
+def test_float32_columns_become_doubles() -> None:
+    table = replace(make_table(2), distance=np.array([0.1, 0.2], dtype=np.float32))
+    assert table.distance.dtype == np.float64
+
+
+def test_the_table_does_not_change_with_the_arrays_it_was_made_from() -> None:
+    distance = np.array([0.1, 0.2])
+    table = replace(make_table(2), distance=distance)
+    distance[0] = 9.0
+    assert table.distance[0] == 0.1
+    with pytest.raises(ValueError, match="read-only"):
+        table.distance[0] = 9.0
+
+
+@pytest.mark.parametrize(
+    ("column", "values", "message"),
+    [
+        ("distance", [0.1, np.nan], "distance: expected finite values, found nan in row 1"),
+        ("distance", [0.1], r"distance: expected shape \(2,\)"),
+        ("steps", [1.5, 2.0], "steps: expected whole numbers"),
+        ("success", ["yes", "no"], "success: expected whole numbers or truth values"),
+        ("kick_foot", ["left", "hand"], "kick_foot: expected one of left, right, other, none"),
+    ],
+)
+def test_a_wrong_column_is_named(column: str, values: list, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        replace(make_table(2), **{column: np.array(values)})
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("side,world", "side,mundus", ":1: expected the columns side, world"),
+        ("\nin_distribution", "\nhome", ":2: side: expected in_distribution or mirrored, found 'home'"),
+        ("\nin_distribution,0,", "\nin_distribution,", ":2: expected 17 values, found 16"),
+        ("\nin_distribution,0,", "\nin_distribution,zero,", "world: invalid literal"),
+    ],
+)
+def test_a_damaged_file_is_an_error_that_names_the_place(
+    tmp_path: Path, old: str, new: str, message: str
+) -> None:
+    path = tmp_path / "episodes.csv"
+    write_episodes(path, EpisodeSides(make_table(3)))
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+    with pytest.raises(KickbenchError, match=message) as caught:
+        read_episodes(path)
+    assert "episodes.csv" in str(caught.value)
+
+
+def test_a_missing_file_is_an_error(tmp_path: Path) -> None:
+    with pytest.raises(KickbenchError, match="No such file"):
+        read_episodes(tmp_path / "episodes.csv")

@@ -1,0 +1,136 @@
+"""Provenance: right about versions and commits, silent about the machine's paths."""
+
+import subprocess
+from datetime import UTC, datetime, timedelta, timezone
+from pathlib import Path
+
+import numpy
+import pytest
+
+from kickbench.results import provenance
+from kickbench.results.provenance import (
+    collect_provenance,
+    cpu_name,
+    git_state,
+    package_versions,
+    portable_command,
+)
+
+STARTED = datetime(2026, 1, 2, 3, 4, 5, tzinfo=timezone(timedelta(hours=2)))
+
+
+def git(folder: Path, *arguments: str) -> str:
+    identity = ["-c", "user.name=nobody", "-c", "user.email=nobody@example.org", "-c", "commit.gpgsign=false"]
+    done = subprocess.run(
+        ["git", *identity, *arguments], cwd=folder, check=True, capture_output=True, text=True
+    )
+    return done.stdout.strip()
+
+
+@pytest.fixture
+def checkout(tmp_path: Path) -> Path:
+    """A repository with one commit, which tracks module.py."""
+    git(tmp_path, "init", "-q")
+    (tmp_path / "module.py").write_text("one = 1\n")
+    git(tmp_path, "add", "module.py")
+    git(tmp_path, "commit", "-q", "-m", "first")
+    return tmp_path
+
+
+def test_the_record_has_the_times_in_utc_and_what_it_was_told() -> None:
+    record = collect_provenance(
+        seed=7, env_steps=99, started=STARTED, finished=STARTED + timedelta(seconds=61.5), num_threads=2
+    )
+    assert record.started == "2026-01-02T01:04:05+00:00"
+    assert record.finished == "2026-01-02T01:05:06+00:00"
+    assert record.seconds == 61.5
+    assert (record.seed, record.env_steps, record.num_threads) == (7, 99, 2)
+    assert record.device == cpu_name() != ""
+
+
+def test_a_time_without_a_zone_is_refused() -> None:
+    with pytest.raises(ValueError, match="zone"):
+        collect_provenance(
+            seed=0,
+            env_steps=0,
+            started=datetime(2026, 1, 1),
+            finished=datetime(2026, 1, 2),
+            num_threads=1,
+        )
+
+
+def test_versions_are_those_installed_and_nothing_else(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(provenance, "_PACKAGES", ("numpy", "no-such-package"))
+    versions = package_versions()
+    assert versions["numpy"] == numpy.__version__
+    assert set(versions) == {"python", "numpy"}
+
+
+def test_the_processor_is_named_as_linux_names_it(tmp_path: Path) -> None:
+    (tmp_path / "cpuinfo").write_text("processor\t: 0\nmodel name\t: Fast Chip 9 @ 3:1\n")
+    assert cpu_name(tmp_path / "cpuinfo") == "Fast Chip 9 @ 3:1"
+    assert cpu_name(tmp_path / "absent")
+
+
+def test_a_clean_checkout_gives_its_commit(checkout: Path) -> None:
+    assert git_state(checkout / "module.py") == (git(checkout, "rev-parse", "HEAD"), False)
+
+
+@pytest.mark.parametrize("name", ["module.py", "new.yaml"])
+def test_a_changed_or_a_new_file_makes_the_checkout_dirty(checkout: Path, name: str) -> None:
+    (checkout / name).write_text("two = 2\n")
+    assert git_state(checkout / "module.py")[1] is True
+
+
+def test_a_package_that_the_surrounding_checkout_does_not_track_has_no_commit(checkout: Path) -> None:
+    (checkout / "installed.py").write_text("")
+    assert git_state(checkout / "installed.py") == (None, None)
+
+
+def test_outside_of_git_there_is_no_commit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("GIT_CEILING_DIRECTORIES", str(tmp_path.parent))
+    (tmp_path / "module.py").write_text("")
+    assert git_state(tmp_path / "module.py") == (None, None)
+
+
+def test_without_git_installed_there_is_no_commit(checkout: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", "")
+    assert git_state(checkout / "module.py") == (None, None)
+
+
+def test_the_command_has_no_paths_of_this_machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    argv = [
+        "/some/where/bin/kickbench",
+        "run",
+        str(tmp_path / "tasks" / "mini.yaml"),
+        "/else/where/method.yaml",
+        f"--out={tmp_path}/runs/a",
+        "--set",
+        "robot=/else/where/robot.yaml",
+        "--set",
+        "rewards.fall.weight=-1.5",
+        "--seed",
+        "0",
+    ]
+    assert portable_command(argv) == [
+        "kickbench",
+        "run",
+        "tasks/mini.yaml",
+        "method.yaml",
+        "--out=runs/a",
+        "--set",
+        "robot=robot.yaml",
+        "--set",
+        "rewards.fall.weight=-1.5",
+        "--seed",
+        "0",
+    ]
+
+
+def test_no_field_of_a_record_names_a_folder_of_this_machine() -> None:
+    text = collect_provenance(
+        seed=0, env_steps=0, started=datetime.now(UTC), num_threads=1, argv=[__file__, "run", __file__]
+    ).model_dump_json()
+    for folder in (Path.home(), Path.cwd(), Path(__file__).parent):
+        assert str(folder) + "/" not in text

@@ -1,0 +1,131 @@
+"""The run directory: atomic files, what counts as finished, and that only our own files are ever removed."""
+
+from pathlib import Path
+
+import pytest
+
+from kickbench.errors import KickbenchError
+from kickbench.results import store
+from kickbench.results.store import (
+    RunDirectory,
+    atomic_file,
+    atomic_write_bytes,
+    atomic_write_text,
+    find_runs,
+)
+
+METRICS = "metrics.json"
+
+
+@pytest.fixture(autouse=True)
+def any_json_object_is_valid(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What valid metrics are is tested in test_metrics.py; here `{}` will do."""
+
+    def load(path: Path) -> None:
+        if path.read_text() != "{}":
+            raise KickbenchError("not valid")
+
+    monkeypatch.setattr(store, "load_metrics", load)
+
+
+def make_run(folder: Path, metrics: str = "{}") -> RunDirectory:
+    """A run with every file that kickbench writes, and two that a person put there."""
+    run = RunDirectory(folder)
+    for file in (
+        *(run.task_spec, run.method_spec, run.robot_spec, run.representations_spec, run.robot_xml),
+        *(run.episodes, run.progress, run.checkpoint, run.policy),
+        run.tensorboard / "events.out.tfevents.1.host.2.0",
+        folder / "notes.txt",
+        run.specs / "mine.yaml",
+    ):
+        atomic_write_text(file, "x")
+    atomic_write_text(run.metrics, metrics)
+    return run
+
+
+def test_atomic_writing_replaces_the_whole_file_and_leaves_nothing_else(tmp_path: Path) -> None:
+    path = tmp_path / "deep" / "file.txt"
+    atomic_write_text(path, "a long first version\n")
+    atomic_write_text(path, "µ\n")
+    assert path.read_bytes() == "µ\n".encode()
+    atomic_write_bytes(path, b"\r\n\x00")
+    assert path.read_bytes() == b"\r\n\x00"
+    assert [file.name for file in path.parent.iterdir()] == ["file.txt"]
+
+
+def test_a_write_that_fails_leaves_the_old_file_and_no_other(tmp_path: Path) -> None:
+    path = tmp_path / "checkpoint.pt"
+    atomic_write_bytes(path, b"old")
+
+    def write_half() -> None:
+        with atomic_file(path) as file:
+            file.write(b"ne")
+            assert path.read_bytes() == b"old"
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_half()
+    assert path.read_bytes() == b"old"
+    assert [file.name for file in tmp_path.iterdir()] == ["checkpoint.pt"]
+
+
+def test_a_written_file_has_the_permissions_of_any_other(tmp_path: Path) -> None:
+    (tmp_path / "plain").write_text("")
+    atomic_write_text(tmp_path / "atomic", "")
+    assert (tmp_path / "atomic").stat().st_mode == (tmp_path / "plain").stat().st_mode
+
+
+@pytest.mark.parametrize(("metrics", "finished"), [("{}", True), ("{", False), (None, False)])
+def test_a_run_is_finished_when_its_metrics_are_valid(
+    tmp_path: Path, metrics: str | None, finished: bool
+) -> None:
+    if metrics is not None:
+        (tmp_path / METRICS).write_text(metrics)
+    assert RunDirectory(tmp_path).is_finished is finished
+
+
+def test_a_finished_run_is_not_overwritten_without_force(tmp_path: Path) -> None:
+    run = make_run(tmp_path / "run")
+    with pytest.raises(KickbenchError, match=r"finished run.*--force"):
+        run.prepare()
+    assert run.checkpoint.exists()
+    assert run.is_finished
+
+
+def test_force_removes_what_kickbench_wrote_and_nothing_else(tmp_path: Path) -> None:
+    run = make_run(tmp_path / "run")
+    (run.path / ".partial-policy.pt-0123").write_text("x")
+    run.prepare(force=True)
+    left = sorted(str(file.relative_to(run.path)) for file in run.path.rglob("*") if file.is_file())
+    assert left == ["notes.txt", "specs/mine.yaml"]
+    assert not run.tensorboard.exists()
+    assert run.specs.is_dir()
+
+
+def test_an_unfinished_run_is_kept_so_that_it_can_go_on(tmp_path: Path) -> None:
+    run = make_run(tmp_path / "run", metrics="{")
+    run.prepare()
+    assert run.checkpoint.read_text() == "x"
+
+
+def test_a_new_run_gets_its_folders(tmp_path: Path) -> None:
+    run = RunDirectory(tmp_path / "runs" / "task" / "method" / "seed0")
+    run.prepare()
+    assert run.specs.is_dir()
+
+
+def test_a_file_in_the_place_of_the_folder_is_an_error(tmp_path: Path) -> None:
+    (tmp_path / "run").write_text("")
+    with pytest.raises(KickbenchError, match="expected a folder"):
+        RunDirectory(tmp_path / "run").prepare(force=True)
+
+
+def test_finished_runs_are_found_in_the_order_of_their_paths(tmp_path: Path) -> None:
+    for name, metrics in {"b/seed0": "{}", "a/seed1": "{}", "a/seed0": "{"}.items():
+        make_run(tmp_path / name, metrics)
+    assert [run.path.relative_to(tmp_path).as_posix() for run in find_runs(tmp_path)] == [
+        "a/seed1",
+        "b/seed0",
+    ]
+    assert [run.path for run in find_runs(tmp_path / "b" / "seed0")] == [tmp_path / "b" / "seed0"]
+    assert find_runs(tmp_path / "absent") == []
