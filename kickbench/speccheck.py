@@ -90,7 +90,8 @@ def _head(override: str) -> str:
 
 def _unused(override: str) -> Problem:
     head = _head(override)
-    hint = did_you_mean(head, [key for kind in KINDS for key in model_of(kind).model_fields])
+    known = [key for kind in KINDS for key in model_of(kind).model_fields]
+    hint = None if head in known else did_you_mean(head, known)
     return Problem(Mark(f"--set {override}", 0, 0), (), f"none of the files has a key '{head}'", hint)
 
 

@@ -14,7 +14,9 @@ ROOT = Path(__file__).parent.parent
 def _experiment(task: str, method: str, overrides: tuple[str, ...]):
     from kickbench.experiment import load_experiment
 
-    return load_experiment(ROOT / "tasks" / f"{task}.yaml", ROOT / "methods" / "mini" / f"{method}.yaml", overrides)
+    return load_experiment(
+        ROOT / "tasks" / f"{task}.yaml", ROOT / "methods" / "mini" / f"{method}.yaml", overrides
+    )
 
 
 @pytest.fixture(scope="session")

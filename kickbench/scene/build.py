@@ -76,7 +76,8 @@ def build_scene(task: TaskSpec, robot: Loaded[RobotSpec], needs: frozenset[Senso
         SpecError: The MJCF cannot be read, lacks a name or does not compile.
     """
     body = read_robot(robot)
-    root = body.worldbody.first_body().name
+    root = body.worldbody.first_body().name or "kickbench_root"
+    body.worldbody.first_body().name = root
     for item in (*body.actuators, *body.sensors, *body.keys):
         body.delete(item)
     scene = mujoco.MjSpec()

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from kickbench.scene.sensors import ROBOT, SIDES, SensorPlan
-from kickbench.spec.robot import RobotSpec
+from kickbench.spec.robot import ActuatorSpec, RobotSpec
 from kickbench.symmetry.mirror import Coordinate
 
 Indices = np.ndarray
@@ -61,6 +61,7 @@ def read_layout(model: mujoco.MjModel, robot: RobotSpec, plans: Sequence[SensorP
     coordinates = tuple(_coordinate(model, j) for j in range(model.njnt))
     by_name = {c.name: c for c in coordinates}
     driven = [spec.joint for spec in robot.actuators.values() if spec.joint is not None]
+    default = _default_qpos(model, robot, by_name)
     frames, contacts, forces = _sensor_maps(model, plans)
     return SceneLayout(
         coordinates=coordinates,
@@ -70,8 +71,8 @@ def read_layout(model: mujoco.MjModel, robot: RobotSpec, plans: Sequence[SensorP
         joint_qvel=np.array([by_name[name].qvel for name in driven], dtype=np.int64),
         ball_qpos=by_name["ball"].qpos,
         ball_qvel=by_name["ball"].qvel,
-        default_qpos=_default_qpos(model, robot, by_name),
-        default_target=np.array([_default_target(robot, name) for name in robot.actuators]),
+        default_qpos=default,
+        default_target=np.array([_default_target(spec, default, by_name) for spec in robot.actuators.values()]),
         action_scale=np.array([spec.scale for spec in robot.actuators.values()]),
         frames=frames,
         contacts=contacts,
@@ -99,11 +100,10 @@ def _default_qpos(model: mujoco.MjModel, robot: RobotSpec, by_name: Mapping[str,
     return qpos
 
 
-def _default_target(robot: RobotSpec, actuator: str) -> float:
-    spec = robot.actuators[actuator]
+def _default_target(spec: ActuatorSpec, qpos: np.ndarray, by_name: Mapping[str, Coordinate]) -> float:
     if spec.kind == "velocity" or spec.joint is None:
         return 0.0
-    return robot.initial.joints.get(spec.joint, 0.0)
+    return float(qpos[by_name[spec.joint].qpos])
 
 
 def _foot_geoms(model: mujoco.MjModel, robot: RobotSpec, side: str) -> Indices:

@@ -71,7 +71,7 @@ class InitialSpec(Spec):
     position: Vector3 | None = None
     """Base position of a robot with a free joint, m; default: as in the MJCF."""
     joints: dict[str, float] = Field(default_factory=dict)
-    """Joint positions, rad or m; joints not named start at 0."""
+    """Joint positions, rad or m; joints not named start at 0, or at their `ref` in the MJCF."""
 
 
 class JointPairs(Spec):

@@ -133,7 +133,7 @@ class Trainer:
             rewards_raw=dict(zip(rewards, mean["by_reward_raw"], strict=True)),
             losses=losses,
             learning_rate=self.ppo.learning_rate,
-            action_std=float(self.ppo.get_policy().output_std.mean()),
+            action_std=float(self.ppo.get_policy().output_std.detach().mean()),
             collect_seconds=collect,
             update_seconds=update,
             resets_nonfinite=int(totals["failures"]),

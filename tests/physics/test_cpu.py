@@ -79,7 +79,10 @@ def test_frame_sensors_describe_the_state_they_come_with(task):
             mujoco.mj_forward(task.scene.model, data)
             for channel, places in task.scene.layout.frames.items():
                 np.testing.assert_allclose(
-                    engine.sensors[world, places].numpy(), data.sensordata[places], atol=1e-12, err_msg=channel
+                    engine.sensors[world, places].numpy(),
+                    data.sensordata[places],
+                    atol=1e-12,
+                    err_msg=channel,
                 )
 
 

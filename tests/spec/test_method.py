@@ -1,0 +1,86 @@
+import pytest
+
+from kickbench.spec.method import MethodSpec
+
+METHOD = """\
+algorithm: {iterations: 10, num_envs: 4, learning_rate: 1e-3}
+network: {type: mlp, actor_hidden: [7, 4], critic_hidden: [5]}
+representations: table.yaml
+"""
+
+
+def test_what_is_not_written_has_the_values_of_the_thesis(read):
+    method = read(MethodSpec, METHOD)
+    algorithm = method.algorithm
+    assert (algorithm.steps_per_env, algorithm.epochs, algorithm.mini_batches) == (24, 5, 4)
+    assert (algorithm.desired_kl, algorithm.schedule) == (0.01, "adaptive")
+    assert (method.network.activation, method.network.initial_std) == ("elu", 1.0)
+    assert not (method.symmetry.augmentation or method.symmetry.tied_std)
+
+
+def test_a_plain_network_may_have_odd_widths(read):
+    assert read(MethodSpec, METHOD).network.actor_hidden == (7, 4)
+
+
+@pytest.mark.parametrize(("actor", "critic", "odd"), [("[8, 7]", "[4]", 7), ("[8]", "[4, 5]", 5)])
+def test_an_equivariant_network_has_even_widths(complaints, actor, critic, odd):
+    text = METHOD.replace("[7, 4]", actor).replace("[5]", critic).replace("mlp", "equivariant")
+    what = f"hidden widths of an equivariant network are even (regular fields); found {odd}"
+    assert complaints(MethodSpec, text) == [f"a.yaml:2:1: network: {what}"]
+
+
+def test_odd_widths_by_override_are_caught_too(complaints):
+    even = METHOD.replace("[7, 4]", "[8, 4]").replace("[5]", "[4]")
+    (complaint,) = complaints(MethodSpec, even, "network.type=equivariant", "network.actor_hidden=[9]")
+    assert complaint.endswith("found 9")
+
+
+def test_even_widths_make_an_equivariant_network(read):
+    text = METHOD.replace("[7, 4]", "[8, 4]").replace("[5]", "[4]").replace("mlp", "equivariant")
+    assert read(MethodSpec, text).network.type == "equivariant"
+
+
+@pytest.mark.parametrize("role", ["actor", "critic"])
+def test_hidden_layers_are_not_optional(complaints, role):
+    (complaint,) = complaints(MethodSpec, METHOD, f"network.{role}_hidden=[]")
+    assert complaint.endswith(f"network.{role}_hidden: expected at least 1 entry, found an empty list")
+
+
+def test_a_width_is_positive(complaints):
+    assert complaints(MethodSpec, METHOD.replace("[7, 4]", "[7, 0]")) == [
+        "a.yaml:2:40: network.actor_hidden.1: expected a number greater than 0, found the number 0"
+    ]
+
+
+def test_there_are_at_least_as_many_samples_as_mini_batches(complaints, read):
+    small = METHOD.replace("num_envs: 4", "num_envs: 1, steps_per_env: 3")
+    what = "3 samples cannot be split into 4 mini-batches"
+    assert complaints(MethodSpec, small) == [f"a.yaml:1:1: algorithm: {what}"]
+    read(MethodSpec, small, "algorithm.mini_batches=3")
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("algorithm.iterations=0", "expected a number greater than 0, found the number 0"),
+        ("algorithm.iterations=1.5", "expected a whole number, found the number 1.5"),
+        ("algorithm.learning_rate=-1e-3", "expected a number greater than 0, found the number -0.001"),
+        ("algorithm.gamma=1.01", "expected a number of at most 1, found the number 1.01"),
+        ("algorithm.gae_lambda=-0.1", "expected a number of at least 0, found the number -0.1"),
+        ("algorithm.clip_value_loss=1", "expected true or false, found the number 1"),
+        ("network.initial_std=0", "expected a number greater than 0, found the number 0"),
+    ],
+)
+def test_hyperparameters_are_bounded(complaints, override, message):
+    key = override.partition("=")[0]
+    assert complaints(MethodSpec, METHOD, override) == [f"--set {override}: {key}: {message}"]
+
+
+def test_the_bounds_of_the_learning_rate_are_a_range(complaints):
+    (complaint,) = complaints(MethodSpec, METHOD, "algorithm.learning_rate_range=[1e-2, 1e-5]")
+    assert "algorithm.learning_rate_range: the range [0.01, 1e-05] is reversed" in complaint
+
+
+def test_an_unknown_activation_names_the_nearest(complaints):
+    (complaint,) = complaints(MethodSpec, METHOD, "network.activation=ELU")
+    assert complaint.endswith("found the string 'ELU' (did you mean 'elu'?)")

@@ -1,0 +1,131 @@
+"""A whole run through the command line: files, numbers, refusals."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from kickbench.cli import main
+from kickbench.results.episodes import read_episodes
+from kickbench.results.metrics import load_metrics
+
+ROOT = Path(__file__).parent.parent
+TASK, METHOD = str(ROOT / "tasks/mini_home_field.yaml"), str(ROOT / "methods/mini/equivariant.yaml")
+QUICK = [
+    "--iterations",
+    "2",
+    "--num-envs",
+    "16",
+    "--set",
+    "evaluation.episodes=30",
+    "--set",
+    "episode.max_steps=30",
+]
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    out = tmp_path_factory.mktemp("runs") / "run"
+    assert main(["run", TASK, METHOD, "--seed", "3", "--out", str(out), *QUICK]) == 0
+    return out
+
+
+def test_a_run_directory_holds_everything(finished):
+    names = {str(p.relative_to(finished)) for p in finished.rglob("*") if p.is_file()}
+    expected = {"metrics.json", "episodes.csv", "progress.csv", "checkpoint.pt", "policy.pt"}
+    specs = {
+        f"specs/{name}"
+        for name in ("task.yaml", "method.yaml", "robot.yaml", "representations.yaml", "robot.xml")
+    }
+    assert expected | specs <= names
+    assert any(name.startswith("tensorboard/") for name in names)
+
+
+def test_metrics_say_what_was_run_and_where_it_comes_from(finished):
+    metrics = json.loads((finished / "metrics.json").read_text())
+    assert (metrics["task"], metrics["method"], metrics["seed"]) == ("mini_home_field", "equivariant", 3)
+    assert (metrics["iterations"], metrics["env_steps"]) == (2, 2 * 16 * 24)
+    for side in ("in_distribution", "mirrored"):
+        part = metrics["evaluation"][side]
+        assert part["episodes"] == 30
+        assert 0 <= part["success_ci"][0] <= part["success_rate"] <= part["success_ci"][1] <= 1
+        assert part["mean_distance_ci"][0] <= part["mean_distance"] <= part["mean_distance_ci"][1]
+        assert sum(part["terminations"].values()) == pytest.approx(1.0)
+        assert part["kicks"]
+    assert {"versions", "device", "seed", "commit", "seconds", "env_steps"} <= set(metrics["provenance"])
+
+
+def test_the_episode_table_agrees_with_the_metrics(finished):
+    sides, metrics = read_episodes(finished / "episodes.csv"), load_metrics(finished / "metrics.json")
+    assert metrics.evaluation.in_distribution.success_rate == sides.in_distribution.success.mean()
+    assert sides.mirrored is not None
+    np.testing.assert_array_equal(sides.mirrored.start_ball_y, -sides.in_distribution.start_ball_y)
+    np.testing.assert_array_equal(sides.mirrored.target_y, -sides.in_distribution.target_y)
+
+
+def test_stored_specs_have_overrides_and_extends_merged_in_and_no_absolute_path(finished):
+    task = yaml.safe_load((finished / "specs/task.yaml").read_text())
+    assert "extends" not in task
+    assert task["episode"]["max_steps"] == 30
+    assert task["sampling"]["ball"]["y"] == [0.0, 0.3]
+    assert task["robot"] == "robot.yaml"
+    for path in (finished / "specs").glob("*.yaml"):
+        assert str(ROOT) not in path.read_text()
+
+
+def test_a_moved_run_evaluates_to_the_same_figures(finished, tmp_path, capsys):
+    moved = tmp_path / "elsewhere"
+    finished.rename(moved)
+    try:
+        assert main(["eval", str(moved), "--json"]) == 0
+        again = json.loads(capsys.readouterr().out)
+        recorded = json.loads((moved / "metrics.json").read_text())
+        assert again["evaluation"] == recorded["evaluation"]
+        assert main(["eval", str(moved), "--episodes", "7", "--seed", "5", "--json"]) == 0
+        fewer = json.loads(capsys.readouterr().out)
+        assert fewer["evaluation"]["mirrored"]["episodes"] == 7
+    finally:
+        moved.rename(finished)
+
+
+def test_a_finished_run_is_not_overwritten_without_force(finished, capsys):
+    before = (finished / "metrics.json").read_bytes()
+    assert main(["run", TASK, METHOD, "--seed", "3", "--out", str(finished), *QUICK]) == 2
+    assert "--force" in capsys.readouterr().err
+    assert (finished / "metrics.json").read_bytes() == before
+
+
+def test_force_runs_again_with_the_same_result(finished):
+    before = json.loads((finished / "metrics.json").read_text())
+    assert main(["run", TASK, METHOD, "--seed", "3", "--out", str(finished), *QUICK, "--force"]) == 0
+    after = json.loads((finished / "metrics.json").read_text())
+    assert after["evaluation"] == before["evaluation"]
+
+
+def test_the_default_run_directory_is_named_after_task_method_and_seed(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["run", TASK, METHOD, "--seed", "1", *QUICK]) == 0
+    assert (tmp_path / "runs/mini_home_field/equivariant/seed1/metrics.json").is_file()
+
+
+def test_cuda_is_refused_with_a_plain_word(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["run", TASK, METHOD, "--device", "cuda"]) == 2
+    assert "CPU engine" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+def test_eval_of_something_else_is_an_error(tmp_path, capsys):
+    assert main(["eval", str(tmp_path)]) == 2
+    assert str(tmp_path.name) in capsys.readouterr().err
+
+
+def test_the_table_of_finished_runs_is_printed(finished, capsys):
+    assert main(["table", str(finished.parent)]) == 0
+    out = capsys.readouterr().out
+    assert "equivariant" in out
+    assert "mini_home_field" in out

@@ -1,0 +1,195 @@
+"""Training: it learns, it is reproducible, it stops cleanly."""
+
+from __future__ import annotations
+
+import csv
+import math
+
+import pytest
+import torch
+
+from kickbench.env import KickEnv, make_engine
+from kickbench.errors import KickbenchError
+from kickbench.nets.build import build_actor
+from kickbench.train.checkpoint import load_policy, save_policy
+from kickbench.train.ppo import build_ppo
+from kickbench.train.progress import IterationRecord, ProgressGroup
+from kickbench.train.progress_files import CsvProgress
+from kickbench.train.trainer import Trainer
+
+SMALL = (
+    "algorithm.num_envs=32",
+    "algorithm.steps_per_env=8",
+    "network.actor_hidden=[16]",
+    "network.critic_hidden=[16]",
+)
+
+
+class Recorder:
+    """Keeps what it is told; may interrupt the training."""
+
+    def __init__(self, interrupt_at: int | None = None) -> None:
+        self.records: list[IterationRecord] = []
+        self.closed = False
+        self._interrupt_at = interrupt_at
+
+    def start(self, total_iterations: int, first_iteration: int) -> None:
+        pass
+
+    def update(self, record: IterationRecord) -> None:
+        self.records.append(record)
+        if record.iteration == self._interrupt_at:
+            raise KeyboardInterrupt
+
+    def close(self) -> None:
+        self.closed = True
+
+
+def make_trainer(chosen, folder, progress, seed: int = 0) -> Trainer:
+    torch.manual_seed(seed)
+    env = KickEnv(chosen.task, make_engine(chosen.task, chosen.method.spec.algorithm.num_envs), seed)
+    return Trainer(chosen, env, progress, folder / "checkpoint.pt")
+
+
+def weights(trainer: Trainer) -> torch.Tensor:
+    return torch.cat([p.detach().flatten() for p in trainer.ppo.get_policy().parameters()])
+
+
+@pytest.mark.parametrize("method", ["baseline", "augmentation", "equivariant"])
+def test_equal_seeds_give_equal_weights_and_others_do_not(experiment, tmp_path, method):
+    chosen = experiment("mini_home_field", method, *SMALL)
+
+    def train(seed: int) -> torch.Tensor:
+        trainer = make_trainer(chosen, tmp_path, Recorder(), seed)
+        trainer.train(3)
+        return weights(trainer)
+
+    assert torch.equal(train(1), train(1))
+    assert not torch.equal(train(1), train(2))
+
+
+def test_a_record_tells_counts_shares_and_sums_of_the_iteration(experiment, tmp_path):
+    chosen = experiment("mini_home_field", "baseline", *SMALL, "episode.max_steps=10")
+    recorder = Recorder()
+    result = make_trainer(chosen, tmp_path, recorder).train(4)
+    assert (result.iterations, result.env_steps, result.interrupted) == (4, 4 * 32 * 8, False)
+    assert [r.iteration for r in recorder.records] == [0, 1, 2, 3]
+    first, last = recorder.records[0], recorder.records[-1]
+    assert math.isnan(first.success_rate), "no episode has ended yet"
+    assert last.env_steps == 4 * 32 * 8
+    assert last.terminations["time_out"] > 0
+    assert (
+        set(last.rewards) == set(last.rewards_raw) == set(chosen.task.spec.rewards._order) - {"scale_by_dt"}
+    )
+    assert last.mean_return == pytest.approx(sum(last.rewards.values()), abs=1e-4)
+    assert recorder.closed
+
+
+def test_the_progress_file_has_a_row_an_iteration(experiment, tmp_path):
+    chosen = experiment("mini_home_field", "baseline", *SMALL)
+    make_trainer(chosen, tmp_path, ProgressGroup([CsvProgress(tmp_path / "progress.csv")])).train(3)
+    with open(tmp_path / "progress.csv", encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [int(row["iteration"]) for row in rows] == [0, 1, 2]
+
+
+def test_an_interrupt_ends_cleanly_with_a_checkpoint_of_what_was_done(experiment, tmp_path):
+    chosen = experiment("mini_home_field", "baseline", *SMALL)
+    recorder = Recorder(interrupt_at=1)
+    trainer = make_trainer(chosen, tmp_path, recorder)
+    result = trainer.train(10)
+    assert result.interrupted
+    assert result.iterations == 2
+    assert recorder.closed
+    content = torch.load(tmp_path / "checkpoint.pt", weights_only=True)
+    assert content["iteration"] == 2
+    for name, value in trainer.ppo.get_policy().state_dict().items():
+        assert torch.equal(content["actor_state_dict"][name], value)
+
+
+def test_a_policy_file_gives_the_same_actions_and_holds_no_code(experiment, tmp_path):
+    chosen = experiment("mini_home_field", "equivariant", *SMALL)
+    trainer = make_trainer(chosen, tmp_path, Recorder())
+    trainer.train(2)
+    policy = trainer.ppo.get_policy().eval()
+    save_policy(tmp_path / "policy.pt", policy)
+    other = build_actor(chosen.method.spec, chosen.symmetry.groups["actor"], chosen.symmetry.actions)
+    load_policy(tmp_path / "policy.pt", other)
+    observations = trainer.env.get_observations()
+    assert torch.equal(other(observations), policy(observations))
+
+
+def test_a_damaged_or_foreign_policy_file_is_an_error_that_names_it(experiment, tmp_path):
+    chosen = experiment("mini_home_field", "equivariant", *SMALL)
+    actor = build_actor(chosen.method.spec, chosen.symmetry.groups["actor"], chosen.symmetry.actions)
+    path = tmp_path / "policy.pt"
+    with pytest.raises(KickbenchError, match=r"policy\.pt"):
+        load_policy(path, actor)
+    save_policy(path, actor)
+    path.write_bytes(path.read_bytes()[:200])
+    with pytest.raises(KickbenchError, match=r"policy\.pt"):
+        load_policy(path, actor)
+    wider = experiment("mini_home_field", "equivariant", *SMALL[:2], "network.actor_hidden=[32]")
+    save_policy(path, build_actor(wider.method.spec, wider.symmetry.groups["actor"], wider.symmetry.actions))
+    with pytest.raises(KickbenchError, match=r"policy\.pt"):
+        load_policy(path, actor)
+
+
+def test_the_adaptive_learning_rate_stays_in_its_range(experiment, tmp_path):
+    overrides = (*SMALL, "algorithm.learning_rate=1e-3", "algorithm.learning_rate_range=[9e-4, 1.1e-3]")
+    recorder = Recorder()
+    make_trainer(experiment("mini_home_field", "baseline", *overrides), tmp_path, recorder).train(5)
+    rates = [record.learning_rate for record in recorder.records]
+    assert all(9e-4 <= rate <= 1.1e-3 for rate in rates)
+
+
+def test_the_desired_kl_is_annealed_linearly_over_the_run(experiment, tmp_path):
+    overrides = (*SMALL, "algorithm.desired_kl=0.04", "algorithm.final_desired_kl=0.01")
+    seen: list[float] = []
+
+    class Watcher(Recorder):
+        def update(self, record: IterationRecord) -> None:
+            seen.append(trainer.ppo.desired_kl)
+
+    trainer = make_trainer(experiment("mini_home_field", "baseline", *overrides), tmp_path, Watcher())
+    trainer.train(4)
+    assert seen == pytest.approx([0.04, 0.03, 0.02, 0.01])
+
+
+def test_augmentation_learns_from_twice_the_samples_and_the_others_do_not(experiment):
+    for method, factor in (("baseline", 1), ("augmentation", 2), ("equivariant", 1)):
+        chosen = experiment("mini_home_field", method, *SMALL)
+        env = KickEnv(chosen.task, make_engine(chosen.task, 32), 0)
+        ppo = build_ppo(chosen, env.get_observations(), torch.device("cpu"))
+        sizes: list[int] = []
+        critic_forward = ppo.critic.forward
+        ppo.critic.forward = lambda obs, *a, f=critic_forward, s=sizes, **k: (
+            s.append(len(obs)) or f(obs, *a, **k)
+        )
+        ppo.train_mode()
+        with torch.no_grad():
+            observations = env.get_observations()
+            for _ in range(8):
+                observations, rewards, dones, extras = env.step(ppo.act(observations))
+                ppo.process_env_step(observations, rewards, dones, extras)
+            ppo.compute_returns(observations)
+        sizes.clear()
+        ppo.update()
+        assert set(sizes) == {factor * 32 * 8 // chosen.method.spec.algorithm.mini_batches}
+
+
+def test_a_short_training_improves(experiment, tmp_path):
+    """An easy variant: drive to the ball. Return must clearly rise within seconds."""
+    overrides = (
+        "algorithm.num_envs=128",
+        "algorithm.steps_per_env=16",
+        "network.actor_hidden=[32]",
+        "network.critic_hidden=[32]",
+        "episode.max_steps=40",
+        "rewards.agent_approach_ball.weight=5.0",
+    )
+    recorder = Recorder()
+    make_trainer(experiment("mini_home_field", "equivariant", *overrides), tmp_path, recorder).train(40)
+    approach = [r.rewards["agent_approach_ball"] for r in recorder.records if not math.isnan(r.mean_return)]
+    early, late = sum(approach[:5]) / 5, sum(approach[-5:]) / 5
+    assert late > early + 0.3, (early, late)
