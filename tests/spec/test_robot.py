@@ -138,7 +138,8 @@ def test_gains_are_bounded(complaints, old, new, what):
 def test_limits_are_a_range(complaints, limits, wrong):
     text = ROBOT.replace("scale: 0.5", f"limits: {limits}, scale: 0.5")
     (complaint,) = complaints(RobotSpec, text)
-    assert complaint.startswith(f"a.yaml:4:75: actuators.knee.limits: the range {limits} is {wrong}")
+    column = text.splitlines()[3].index(limits) + 1
+    assert complaint.startswith(f"a.yaml:4:{column}: actuators.knee.limits: the range {limits} is {wrong}")
 
 
 def test_a_base_drive_has_one_of_six_axes(complaints):
