@@ -12,7 +12,7 @@ DEMO_FOLDER := $(RUNS)/mini_home_field
 DEMO_METRICS := $(DEMO_METHODS:%=$(DEMO_FOLDER)/%/seed0/metrics.json)
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test test-fast lint format clean
+.PHONY: help install demo test test-fast lint format schemas clean
 # One training uses every core already; two at once would only slow each other and spoil the figures.
 .NOTPARALLEL:
 
@@ -50,6 +50,11 @@ lint: $(INSTALLED)  ## ruff and pyright
 format: $(INSTALLED)  ## let ruff format and fix what it can
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
+
+schemas: $(INSTALLED)  ## write the JSON Schemas that editors use
+	for kind in task method robot representations; do \
+	  $(BIN)/kickbench schema $$kind > kickbench/spec/schemas/$$kind.schema.json || exit 1; \
+	done
 
 clean:  ## remove .venv and caches; results of runs stay
 	rm -rf $(VENV) .pytest_cache .ruff_cache .hypothesis build dist

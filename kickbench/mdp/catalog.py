@@ -9,14 +9,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from types import ModuleType
-from typing import Any
+from typing import Any, TypeVar
 
-from pydantic import create_model
+from pydantic import Field, create_model
 
 from kickbench.mdp import observations, randomizations, rewards, terminations
 from kickbench.mdp.term import Kind, Term
+from kickbench.spec.base import Spec
 from kickbench.spec.task import ObservationSpec, TaskSpec
 from kickbench.spec.terms import RewardTable, TermTable
+
+S = TypeVar("S", bound=Spec)
 
 
 @dataclass(frozen=True)
@@ -52,28 +55,31 @@ def _terms(module: ModuleType, kind: Kind) -> dict[str, Term[Any]]:
 
 @cache
 def task_model() -> type[TaskSpec]:
-    """The task model whose tables of terms accept exactly the terms that exist, with their parameters."""
+    """The task model whose tables accept exactly the terms that exist, with their parameters."""
     terms = catalog()
-    randomization = _table("Randomization", TermTable, terms.randomizations)
     group = _table("ObservationTable", TermTable, terms.observations)
-    observation = create_model(
-        "Observations",
-        __base__=ObservationSpec,
-        __doc__=ObservationSpec.__doc__,
-        actor=(group, ...),
-        critic=(group, ...),
-    )
-    return create_model(
-        "Task",
-        __base__=TaskSpec,
-        __doc__=TaskSpec.__doc__,
-        observations=(observation, ...),
-        rewards=(_table("Rewards", RewardTable, terms.rewards), ...),
-        terminations=(_table("Terminations", TermTable, terms.terminations), ...),
-        randomization=(randomization, randomization()),
-    )
+    fields = {name: (group, _like(ObservationSpec, name)) for name in ("actor", "critic")}
+    randomization = _table("Randomization", TermTable, terms.randomizations)
+    tables: dict[str, Any] = {
+        "observations": _model("Observations", ObservationSpec, fields),
+        "rewards": _table("Rewards", RewardTable, terms.rewards),
+        "terminations": _table("Terminations", TermTable, terms.terminations),
+    }
+    narrowed: dict[str, Any] = {name: (model, _like(TaskSpec, name)) for name, model in tables.items()}
+    description = TaskSpec.model_fields["randomization"].description
+    narrowed["randomization"] = (randomization, Field(randomization(), description=description))
+    return _model("Task", TaskSpec, narrowed)
 
 
 def _table(name: str, base: type[TermTable], terms: Mapping[str, Term[Any]]) -> type[TermTable]:
-    fields: dict[str, Any] = {key: (term.params | None, None) for key, term in terms.items()}
+    fields = {key: (t.params | None, Field(None, description=t.summary)) for key, t in terms.items()}
+    return _model(name, base, fields)
+
+
+def _model(name: str, base: type[S], fields: dict[str, Any]) -> type[S]:
     return create_model(name, __base__=base, __doc__=base.__doc__, **fields)
+
+
+def _like(base: type[Spec], name: str) -> Any:
+    """A required field described as in the base model."""
+    return Field(description=base.model_fields[name].description)

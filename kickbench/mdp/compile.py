@@ -172,7 +172,7 @@ def _fields(bounds: tuple[Bound, ...], joints: int, actions: int) -> tuple[Field
 
 def field_size(term: Term[Any], joints: int, actions: int) -> int:
     """Length of an observation field for a robot with that many observed joints and actions."""
-    return {"joints": joints, "actions": actions}.get(str(term.size), 0) or int(term.size)
+    return {"joints": joints, "actions": actions}[term.size] if isinstance(term.size, str) else term.size
 
 
 def _randomizer(bound: Bound) -> Callable[[Starts, Draw], Starts]:

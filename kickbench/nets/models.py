@@ -85,7 +85,7 @@ class SymmetricNormMLPModel(MLPModel):
         return self._plain(super().as_onnx(verbose))
 
     def _plain(self, exported: nn.Module) -> nn.Module:
-        """Replace the parts of rsl_rl's export that know about symmetry by plain ones with the same values."""
+        """Replace the parts of rsl_rl's export that know about symmetry by plain ones of the same values."""
         if isinstance(self.obs_normalizer, SymmetricNormalization):
             exported.obs_normalizer = self.obs_normalizer.to_plain()
         return exported

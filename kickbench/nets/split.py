@@ -30,21 +30,25 @@ class SplitLinear(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, x: torch.Tensor, free: torch.Tensor, bias: bool) -> torch.Tensor:
         """Evaluate the formula of the module's docstring."""
-        total, difference = _butterfly(x)
-        ctx.save_for_backward(total, difference, free)
+        halves = _sum_difference(x.to(free.dtype))
+        ctx.save_for_backward(halves, free)
         ctx.bias = bias
+        total, difference = _halves(halves)
         even, odd, offset = unpack(free, total.shape[1], bias)
+        y = halves.new_empty(x.shape[0], 2 * even.shape[1])
+        p, q = _halves(y)
         start = free.new_zeros(()) if offset is None else offset
-        return _join(torch.addmm(start, total, even, beta=HALF_ROOT, alpha=0.5), difference @ odd)
+        torch.addmm(start, total, even, beta=HALF_ROOT, alpha=0.5, out=p)
+        torch.mm(difference, odd, out=q)
+        return _recombine_(y, p, q)
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, grad: torch.Tensor) -> tuple:  # pyright: ignore
         """The same structure transposed; factors are put on the weights, which are smaller than the batch."""
-        total, difference, free = ctx.saved_tensors
-        # Under autocast the batch is in half precision, the parameters are not.
-        total, difference, grad = total.to(free.dtype), difference.to(free.dtype), grad.to(free.dtype)
-        p, q = _butterfly(grad)
+        halves, free = ctx.saved_tensors
+        total, difference = _halves(halves)
+        p, q = _halves(_sum_difference(grad))
         grad_free = torch.empty_like(free)
         grad_even, grad_odd, grad_offset = unpack(grad_free, total.shape[1], ctx.bias)
         torch.mm(total.T, p, out=grad_even)
@@ -55,7 +59,11 @@ class SplitLinear(torch.autograd.Function):
         if not ctx.needs_input_grad[0]:
             return None, grad_free, None
         even, odd, _ = unpack(free, total.shape[1], ctx.bias)
-        return _join(p @ (0.5 * even).T, q @ odd.T), grad_free, None
+        grad_x = torch.empty_like(halves)
+        grad_total, grad_difference = _halves(grad_x)
+        torch.mm(p, (0.5 * even).T, out=grad_total)
+        torch.mm(q, odd.T, out=grad_difference)
+        return _recombine_(grad_x, grad_total, grad_difference), grad_free, None
 
 
 def unpack(
@@ -76,17 +84,24 @@ def expand(free: torch.Tensor, half: int, bias: bool) -> torch.Tensor:
     return torch.cat(rows)
 
 
-def _butterfly(x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Sum and difference of the halves of ``[B, n]``."""
+def _halves(x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Views of the left and the right half of ``[B, n]``."""
     half = x.shape[1] // 2
-    left, right = x[:, :half], x[:, half:]
-    return left + right, left - right
+    return x.narrow(1, 0, half), x.narrow(1, half, half)
 
 
-def _join(p: torch.Tensor, q: torch.Tensor) -> torch.Tensor:
-    """``[p + q / 2 | p - q / 2]``."""
-    half = p.shape[1]
-    y = p.new_empty(p.shape[0], 2 * half)
-    torch.add(p, q, alpha=0.5, out=y[:, :half])
-    torch.sub(p, q, alpha=0.5, out=y[:, half:])
+def _sum_difference(x: torch.Tensor) -> torch.Tensor:
+    """``[L | R] -> [L + R | L - R]``, a new tensor."""
+    left, right = _halves(x)
+    result = torch.empty_like(x)
+    total, difference = _halves(result)
+    torch.add(left, right, out=total)
+    torch.sub(left, right, out=difference)
+    return result
+
+
+def _recombine_(y: torch.Tensor, p: torch.Tensor, q: torch.Tensor) -> torch.Tensor:
+    """``[P | Q] -> [P + Q / 2 | P - Q / 2]`` in place, given the halves of y."""
+    p.add_(q, alpha=0.5)
+    torch.sub(p, q, out=q)
     return y

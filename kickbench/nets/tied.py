@@ -97,6 +97,11 @@ def _support(basis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.where(values == 0, 0, where), values
 
 
+def blas_order(weight: torch.Tensor) -> torch.Tensor:
+    """The same ``[n, m]`` in the memory order that multiplies fast: for few outputs, a plain layer's."""
+    return weight if weight.shape[1] >= weight.shape[0] else weight.T.contiguous().T
+
+
 class TiedLinear(torch.autograd.Function):
     """``(x [B, n], free) -> x W^T + b [B, m]`` as a single autograd node."""
 
@@ -104,21 +109,24 @@ class TiedLinear(torch.autograd.Function):
     def forward(ctx: Any, x: torch.Tensor, free: torch.Tensor, tying: Tying, bias: bool) -> torch.Tensor:
         """Expand and multiply."""
         dense = tying.expand(free)
-        ctx.save_for_backward(x, dense)
+        weight = blas_order(dense[:-1] if bias else dense)
+        ctx.save_for_backward(x, weight)
         ctx.tying, ctx.bias = tying, bias
-        return torch.addmm(dense[-1], x, dense[:-1]) if bias else x @ dense
+        return torch.addmm(dense[-1], x, weight) if bias else x @ weight
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, grad: torch.Tensor) -> tuple:  # pyright: ignore
         """The gradient of a plain layer, gathered onto the free parameters."""
-        x, dense = ctx.saved_tensors
-        grad, x = grad.to(dense.dtype), x.to(dense.dtype)  # they differ under autocast
-        weight, grad_dense = dense, torch.empty_like(dense)
-        grad_weight = grad_dense
+        x, weight = ctx.saved_tensors
+        grad, x = grad.to(weight.dtype), x.to(weight.dtype)  # they differ under autocast
+        grad_dense = weight.new_empty(ctx.tying.shape)
+        grad_weight = grad_dense[:-1] if ctx.bias else grad_dense
+        if weight.is_contiguous():
+            torch.mm(x.T, grad, out=grad_weight)
+        else:
+            grad_weight.copy_((grad.T @ x).T)
         if ctx.bias:
-            weight, grad_weight = dense[:-1], grad_dense[:-1]
             torch.sum(grad, 0, out=grad_dense[-1])
-        torch.mm(x.T, grad, out=grad_weight)
         grad_x = grad @ weight.T if ctx.needs_input_grad[0] else None
         return grad_x, ctx.tying.adjoint(grad_dense), None, None

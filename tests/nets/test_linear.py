@@ -63,7 +63,7 @@ def test_parameters_reach_every_intertwiner_of_each_of_the_sixteen_blocks(a, b):
     layer = EquivariantLinear(a, b, bias=False)
     images = []
     for direction in torch.eye(layer.free.numel()):
-        layer.free.data = direction
+        layer.load_state_dict({"free": direction})
         images.append(layer.dense_weight().detach().flatten())
     assert len(images) == intertwiners(a, b)
     if images:
@@ -129,6 +129,30 @@ def test_training_values_and_gradients_are_those_of_the_dense_layer(a, b, bias):
     )
 
 
+@settings(max_examples=30, deadline=None)
+@given(st.integers(1, 5), st.integers(1, 5), st.booleans())
+def test_half_size_products_give_the_values_and_gradients_of_the_tied_layer(n, m, bias):
+    tied = EquivariantLinear(regular(n), regular(m), bias, split=False)
+    split = EquivariantLinear(regular(n), regular(m), bias, split=True)
+    split.load_state_dict(tied.state_dict())
+    x, out = torch.randn(6, 2 * n, requires_grad=True), torch.randn(6, 2 * m)
+    torch.testing.assert_close(split(x), tied(x))
+    torch.testing.assert_close(split.dense_weight(), tied.dense_weight())
+    gradients = [torch.autograd.grad(layer(x), [x, layer.free], out) for layer in (split, tied)]
+    torch.testing.assert_close(*gradients)
+
+
+def test_wide_hidden_layers_are_split_and_others_are_not():
+    assert EquivariantLinear(regular(256), regular(128)).tying is None
+    assert EquivariantLinear(regular(32), regular(32)).tying is not None
+    assert EquivariantLinear(MIXED, regular(512)).tying is not None
+
+
+def test_only_hidden_layers_can_be_split():
+    with pytest.raises(ValueError, match="cannot split 1 trivial"):
+        EquivariantLinear(MIXED, regular(2), split=True)
+
+
 def test_dense_weight_is_the_formula_of_schur():
     layer = EquivariantLinear(MIXED, MIXED + REGULAR)
     (in_even, in_odd), (out_even, out_odd) = (
@@ -169,7 +193,9 @@ def test_leading_dimensions_are_kept():
 @pytest.fixture(params=["tied", "split"])
 def layer(request) -> EquivariantLinear:
     torch.manual_seed(0)
-    return EquivariantLinear(MIXED if request.param == "tied" else regular(3), regular(2))
+    if request.param == "split":
+        return EquivariantLinear(regular(3), regular(2), split=True)
+    return EquivariantLinear(MIXED, regular(2))
 
 
 def acts_like_its_parameters(layer: EquivariantLinear) -> bool:

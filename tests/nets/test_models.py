@@ -60,8 +60,8 @@ def build(set_name: str, output_dim: int, config: dict) -> MLPModel:
 def train_a_little(model: MLPModel) -> None:
     """A trained normaliser and optimiser steps in arbitrary directions."""
     optimizer = torch.optim.Adam(model.parameters(), lr=3e-3)
-    for _ in range(8):
-        obs = sample(512)
+    for _ in range(5):
+        obs = sample(256)
         model.update_normalization(obs)
         output = model(obs, stochastic_output=model.distribution is not None)
         loss = (output * torch.randn_like(output)).sum()

@@ -104,9 +104,9 @@ def test_from_orbits_states_pairs_once():
 
 
 def test_representations_are_values():
-    assert TRIVIAL + SIGN == direct_sum([TRIVIAL, SIGN])
+    assert direct_sum([TRIVIAL, SIGN]) == TRIVIAL + SIGN
     assert len({regular(2), regular(2), regular(3)}) == 2
-    assert REGULAR == Representation([1, 0], np.array([1, 1]))
+    assert Representation([1, 0], np.array([1, 1])) == REGULAR
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,246 @@
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from kickbench.cli import main
+from kickbench.mdp.catalog import catalog
+from kickbench.speccheck import KINDS
+
+ROOT = Path(__file__).parents[2]
+HEAVY = ("torch", "mujoco", "warp", "rsl_rl", "tensordict", "numpy", "pydantic")
+SHIPPED = {
+    "task": sorted(ROOT.glob("tasks/*.yaml")),
+    "method": sorted(ROOT.glob("methods/[!r]*/*.yaml")),
+    "representations": sorted(ROOT.glob("methods/representations/*.yaml")),
+    "robot": sorted(ROOT.glob("assets/*/*.yaml")),
+}
+
+
+@pytest.fixture
+def printed(capsys):
+    """Calls the command line, which must succeed; returns what it printed."""
+
+    def printed(*argv: str) -> str:
+        assert main(argv) == 0
+        return capsys.readouterr().out
+
+    return printed
+
+
+def modules_after(code: str) -> set[str]:
+    """Top-level modules that a fresh interpreter has after running some code."""
+    report = "; import sys, json; print(json.dumps(sorted({name.partition('.')[0] for name in sys.modules})))"
+    done = subprocess.run([sys.executable, "-c", code + report], capture_output=True, text=True, cwd=ROOT, check=True)
+    return set(json.loads(done.stdout.splitlines()[-1]))
+
+
+# Imports
+
+
+def test_importing_the_package_imports_nothing_heavy():
+    assert not modules_after("import kickbench") & set(HEAVY)
+
+
+@pytest.mark.parametrize("argv", [["--help"], ["run", "--help"], ["--version"]], ids=" ".join)
+def test_help_imports_nothing_heavy(argv):
+    code = f"import contextlib, kickbench.cli\nwith contextlib.suppress(SystemExit): kickbench.cli.main({argv})\npass"
+    assert not modules_after(code) & set(HEAVY)
+
+
+def test_reading_specs_imports_no_physics_and_no_learning():
+    code = "import kickbench.spec.load, kickbench.spec.explain, kickbench.symmetry.tables, kickbench.symmetry.mirror"
+    assert not modules_after(code) & {"torch", "mujoco", "warp", "rsl_rl", "tensordict"}
+
+
+def test_no_verb_is_a_usage_error(capsys):
+    with pytest.raises(SystemExit) as stop:
+        main([])
+    assert stop.value.code == 2
+    assert "VERB" in capsys.readouterr().err
+
+
+def test_help_lists_every_verb(capsys):
+    with pytest.raises(SystemExit) as stop:
+        main(["--help"])
+    assert stop.value.code == 0
+    text = capsys.readouterr().out
+    for verb in ("run", "eval", "validate", "show", "schema", "terms", "list", "table", "bench"):
+        assert re.search(rf"^ +{verb} +\S", text, re.MULTILINE), verb
+
+
+# show
+
+
+def comments(text: str) -> dict[str, str]:
+    """Line of YAML -> its comment."""
+    lines = (line.partition("  # ") for line in text.splitlines())
+    return {yaml.strip(): comment.strip() for yaml, _, comment in lines if comment}
+
+
+def test_show_says_where_each_value_comes_from(place, printed):
+    sources = comments(printed("show", "tasks/mini_home_field.yaml", "--set", "ball.mass=0.2"))
+    home, general = Path("tasks/mini_home_field.yaml"), Path("tasks/mini_general.yaml")
+    row = {path: path.read_text().splitlines() for path in (home, general)}
+    assert sources["mass: 0.2"] == "--set ball.mass=0.2"
+    assert sources["angle: [0.0, 0.8]"] == f"{home}:{row[home].index('    angle: [0.0, 0.8]') + 1}"
+    timestep = next(i for i, line in enumerate(row[general], 1) if line.startswith("  timestep: "))
+    assert sources["timestep: 0.005"] == f"{general}:{timestep}"
+    assert sources["condim: 6"] == "default"
+
+
+def test_what_show_prints_is_the_same_task(place, printed):
+    text = printed("show", "tasks/mini_home_field.yaml")
+    Path("shown.yaml").write_text(text)
+    values = [line.partition("  # ")[0].rstrip() for line in text.splitlines()]
+    assert [line.partition("  # ")[0].rstrip() for line in printed("show", "shown.yaml").splitlines()] == values
+
+
+@pytest.mark.parametrize(
+    ("file", "line"),
+    [
+        ("methods/mini/equivariant.yaml", "type: equivariant"),
+        ("assets/mini_kicker/robot.yaml", "base: trunk"),
+        ("methods/representations/mini_kicker.yaml", "joint_pos: joints"),
+    ],
+)
+def test_show_knows_every_kind_of_file(place, printed, file, line):
+    assert comments(printed("show", file))[line].startswith(f"{file}:")
+
+
+def test_show_of_a_wrong_file_fails_like_validate(place, capsys):
+    assert main(["show", "tasks/mini_general.yaml", "--set", "ball.mass=-1"]) == 2
+    assert capsys.readouterr().err == (
+        "--set ball.mass=-1: ball.mass: expected a number greater than 0, found the number -1\n"
+    )
+
+
+# schema
+
+
+@pytest.fixture(params=KINDS)
+def kind(request):
+    return request.param
+
+
+def resolve(schema, root):
+    while "$ref" in schema:
+        schema = root["$defs"][schema["$ref"].removeprefix("#/$defs/")]
+    return schema
+
+
+def test_schema_is_a_json_schema_that_knows_the_keys_of_the_shipped_files(kind, printed):
+    from kickbench.yamlio import load_document
+
+    schema = json.loads(printed("schema", kind))
+    assert schema["$schema"] == "https://json-schema.org/draft/2020-12/schema"
+    assert schema["additionalProperties"] is False
+    for path in SHIPPED[kind]:
+        assert set(load_document(path).data) <= set(schema["properties"]), path
+
+
+def test_every_property_of_a_schema_is_described(kind, printed):
+    schema = json.loads(printed("schema", kind))
+    for name, rule in schema["properties"].items():
+        assert rule.get("description") or resolve(rule, schema).get("description"), name
+
+
+def test_the_schema_of_a_task_lists_every_term(printed):
+    schema = json.loads(printed("schema", "task"))
+
+    def terms(*path: str) -> set[str]:
+        rule = schema
+        for key in path:
+            rule = resolve(rule["properties"][key], schema)
+        return set(rule["properties"])
+
+    known = catalog()
+    assert terms("rewards") == {*known.rewards, "scale_by_dt"}
+    assert terms("terminations") == set(known.terminations)
+    assert terms("randomization") == set(known.randomizations)
+    assert terms("observations", "actor") == terms("observations", "critic") == set(known.observations)
+
+
+@pytest.mark.parametrize("path", [p for paths in SHIPPED.values() for p in paths], ids=lambda p: f"{p.parent.name}-{p.name}")
+def test_the_first_line_of_a_shipped_file_points_editors_at_its_schema(path, printed):
+    kind = next(kind for kind, paths in SHIPPED.items() if path in paths)
+    match = re.fullmatch(r"# yaml-language-server: \$schema=(\S+)", path.read_text().splitlines()[0])
+    assert match, path.read_text().splitlines()[0]
+    target = (path.parent / match[1]).resolve()
+    assert target == ROOT / "kickbench" / "spec" / "schemas" / f"{kind}.schema.json"
+
+
+def test_the_schemas_in_the_package_are_those_that_the_command_prints(kind, printed):
+    stored = ROOT / "kickbench" / "spec" / "schemas" / f"{kind}.schema.json"
+    assert json.loads(stored.read_text()) == json.loads(printed("schema", kind))
+
+
+@pytest.mark.parametrize("path", [p for paths in SHIPPED.values() for p in paths], ids=lambda p: f"{p.parent.name}-{p.name}")
+def test_a_shipped_file_satisfies_its_schema(path, printed):
+    jsonschema = pytest.importorskip("jsonschema")
+    import yaml
+
+    kind = next(kind for kind, paths in SHIPPED.items() if path in paths)
+    jsonschema.validate(yaml.safe_load(path.read_text()), json.loads(printed("schema", kind)))
+
+
+# terms
+
+
+def test_terms_lists_every_term_with_its_unit_and_source(printed):
+    lines = printed("terms").splitlines()
+    for term in catalog().all():
+        assert term.name in lines, term.name
+        start = lines.index(term.name)
+        end = lines.index("", start)
+        text = " ".join(line.strip() for line in lines[start:end])
+        assert f"unit {term.units}; source {term.source}" in text
+        assert term.summary in text
+
+
+def test_terms_lists_parameters_with_their_meaning_and_default(printed):
+    text = " ".join(printed("terms").split())
+    assert "- sigma: Distance sensitivity sigma, sqrt(m). (required)" in text
+    assert re.search(r"- until_touch: Zero once the ball was touched .* \(default True\)", text)
+    assert "every reward accepts - weight: Factor of the term" in text
+    assert "needs foot_ball" in text
+
+
+def test_terms_are_headed_by_their_kinds(printed):
+    lines = printed("terms").splitlines()
+    kinds = ["observations", "rewards", "terminations", "randomizations"]
+    assert [line for line in lines if line in kinds] == kinds
+
+
+# list
+
+
+def test_list_names_tasks_methods_robots_and_tables_with_their_descriptions(place, printed):
+    text = printed("list")
+    headings = [line for line in text.splitlines() if not line.startswith(" ")]
+    assert headings == ["task:", "method:", "robot:", "representations:"]
+    assert re.search(r"^  tasks/mini_general.yaml +Mini kicker, ball and target anywhere in front$", text, re.MULTILINE)
+    assert re.search(r"^  methods/mini/baseline.yaml +Plain PPO$", text, re.MULTILINE)
+    assert re.search(r"^  assets/mini_kicker/robot.yaml$", text, re.MULTILINE)
+
+
+def test_list_goes_on_after_a_file_that_does_not_load(place, printed):
+    Path("tasks/broken.yaml").write_text("a: [\n")
+    text = printed("list")
+    assert re.search(r"^  tasks/broken.yaml +does not load: tasks/broken.yaml:2:1: not valid YAML", text, re.MULTILINE)
+    assert "methods/mini/baseline.yaml" in text
+
+
+def test_list_of_a_folder_that_does_not_exist_is_an_error(place, capsys):
+    assert main(["list", "nowhere"]) == 2
+    assert capsys.readouterr().err == "nowhere: no such folder\n"
+
+
+def test_a_table_of_no_runs_is_an_error(place, capsys):
+    assert main(["table", "runs"]) == 2
+    assert capsys.readouterr().err == "no finished run in runs\n"
