@@ -4,14 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import torch
 from rsl_rl.env import VecEnv
 from tensordict import TensorDict
 from torch import Tensor
 
-from kickbench.mdp.compile import CompiledTask, Field
+from kickbench.mdp.compile import Bound, CompiledTask, Field
+from kickbench.mdp.delay import ActionDelay
 from kickbench.mdp.episode import EpisodeRecord, Outcome, Totals
+from kickbench.mdp.pushes import Pushes
+from kickbench.mdp.randomizations import Setting
 from kickbench.mdp.starts import Starts, StartSampler
 from kickbench.mdp.state import EpisodeState, State, StateIndex
 from kickbench.physics.engine import Engine
@@ -34,6 +38,7 @@ class KickEnv(VecEnv):
         seed: int,
         *,
         noise: bool = True,
+        pushes: bool = True,
         starts: StartSource | None = None,
     ) -> None:
         """Resets every world.
@@ -43,6 +48,7 @@ class KickEnv(VecEnv):
             engine: Physics of `task.scene`; its number of worlds is the number of environments.
             seed: Seed of starts, randomisation and observation noise.
             noise: Whether observation noise applies.
+            pushes: Whether the task's pushes apply.
             starts: Where starts come from; default: sampled from the task's regions.
         """
         self.task, self.engine = task, engine
@@ -62,6 +68,9 @@ class KickEnv(VecEnv):
         self._starts = starts or (lambda mask: self.sampler.sample(self.num_envs))
         self._noise = noise
         self._prepare_constants()
+        made = {bound.term.stage: self._make_process(bound) for bound in task.processes}
+        self._delay: ActionDelay | None = made.get("command")
+        self._pushes: Pushes | None = made.get("push") if pushes else None
         self.episode = EpisodeState.zeros(self.num_envs, self.num_actions, self.device)
         self.record = EpisodeRecord.empty(self.num_envs, len(task.rewards), self.device)
         self.totals = Totals.zeros(len(task.terminations), len(task.rewards), self.device)
@@ -79,7 +88,13 @@ class KickEnv(VecEnv):
         self._truncates = torch.tensor(
             [bound.term.truncates for bound in task.terminations], device=self.device
         )
+        self._senses_floor = "left_foot_floor" in layout.contacts
         self._foot_geoms = tuple(tuple(int(g) for g in geoms) for geoms in layout.foot_geoms)
+
+    def _make_process(self, bound: Bound) -> Any:
+        spec = self.task.spec.simulation
+        setting = Setting(spec.timestep, spec.decimation, self._default_target, self.num_envs, self.generator)
+        return bound.term.function(bound.params, setting)
 
     @property
     def episode_length_buf(self) -> Tensor:  # type: ignore[override]
@@ -116,7 +131,10 @@ class KickEnv(VecEnv):
     def _apply(self, actions: Tensor) -> None:
         self.episode.previous_action = self.episode.action
         self.episode.action = actions
-        self.engine.step(self.targets(actions))
+        targets = self.targets(actions)
+        if self._pushes is not None:
+            self.engine.push(torch.nn.functional.pad(self._pushes(), (0, 1)))
+        self.engine.step(targets if self._delay is None else self._delay(targets))
 
     def targets(self, actions: Tensor) -> Tensor:
         """Control targets of actions: default + scale * action [B, nu]."""
@@ -126,6 +144,9 @@ class KickEnv(VecEnv):
         episode = self.episode
         episode.step = episode.step + 1
         episode.contact_count = episode.contact_count + ((episode.contact_count > 0) | state.ball_contact)
+        if self._senses_floor:
+            dt = self.task.spec.simulation.control_interval
+            episode.air_time = torch.where(state.foot_floor_contact, 0.0, episode.air_time + dt)
         self.record.note_touch(state, bool(self._foot_geoms))
 
     def _reward(self, state: State) -> Tensor:
@@ -168,6 +189,10 @@ class KickEnv(VecEnv):
         episode.contact_count = torch.where(mask, 0, episode.contact_count)
         episode.action = torch.where(column, 0.0, episode.action)
         episode.previous_action = torch.where(column, 0.0, episode.previous_action)
+        episode.air_time = torch.where(column, 0.0, episode.air_time)
+        for process in (self._delay, self._pushes):
+            if process is not None:
+                process.reset(mask)
         self.record.clear(mask)
         self._observations = self._observe()
 
@@ -197,4 +222,5 @@ def make_engine(
     counts = [int(place) for places in layout.contacts.values() for place in places]
     forces = [int(place) for places in layout.forces.values() for place in places.flatten()]
     decimation = task.spec.simulation.decimation
-    return CpuEngine(task.scene.model, num_envs, decimation, counts, forces, num_threads)
+    pushed = layout.base_body if any(b.term.stage == "push" for b in task.processes) else None
+    return CpuEngine(task.scene.model, num_envs, decimation, counts, forces, pushed, num_threads)

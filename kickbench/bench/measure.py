@@ -1,7 +1,4 @@
-"""What `kickbench bench` measures:
-
-the environment step against raw physics, and the updates of the methods.
-"""
+"""What `kickbench bench` measures: the step against raw physics, and the updates of the methods."""
 
 from __future__ import annotations
 

@@ -86,7 +86,10 @@ def run_episodes(
     worlds = min(num_envs, len(starts))
     schedule = _Schedule(starts, worlds)
     engine = make_engine(task, worlds, device, num_threads)
-    env = KickEnv(task, engine, seed, noise=task.spec.evaluation.observation_noise, starts=schedule)
+    protocol = task.spec.evaluation
+    env = KickEnv(
+        task, engine, seed, noise=protocol.observation_noise, pushes=protocol.pushes, starts=schedule
+    )
     ended: list[dict[str, np.ndarray]] = []
     with torch.inference_mode():
         while not schedule.finished:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from torch import Tensor
 
-from kickbench.errors import Problem, SpecError
+from kickbench.errors import KeyPath, Problem, SpecError, did_you_mean
 from kickbench.mdp.catalog import catalog
 from kickbench.mdp.starts import Draw, Starts
 from kickbench.mdp.state import State
@@ -72,7 +72,8 @@ class CompiledTask:
         groups: Observation group -> fields in the order of the vector.
         rewards: Reward terms with weights, time step not applied.
         terminations: Termination terms.
-        randomizers: Randomisation terms with parameters bound.
+        randomizers: Randomisation of episode starts, parameters bound.
+        processes: Randomisation that acts during episodes.
     """
 
     name: str
@@ -83,6 +84,7 @@ class CompiledTask:
     rewards: tuple[tuple[Bound, float], ...]
     terminations: tuple[Bound, ...]
     randomizers: tuple[Callable[[Starts, Draw], Starts], ...]
+    processes: tuple[Bound, ...]
 
     def width(self, group: str) -> int:
         """Length of an observation group's vector."""
@@ -117,7 +119,8 @@ def compile_task(task: LoadedTask[Any]) -> CompiledTask:
         groups={"actor": _fields(actor, joints, actions), "critic": _fields(critic, joints, actions)},
         rewards=tuple((bound, _weight(bound)) for bound in rewards),
         terminations=terminations,
-        randomizers=tuple(_randomizer(bound) for bound in randomizations),
+        randomizers=tuple(_randomizer(b) for b in randomizations if b.term.stage == "start"),
+        processes=tuple(b for b in randomizations if b.term.stage != "start"),
     )
 
 
@@ -141,7 +144,8 @@ def check_task(task: LoadedTask[Any]) -> None:
         active = table.active(TermParams)
         if not active and path != ("randomization",):
             problems.append(document.problem(path, "no term is on", f"one of: {', '.join(known)}"))
-        for name in active:
+        for name, params in active.items():
+            problems += _unknown_joints(task, (*path, name), params)
             lacking = sorted(known[name].needs - have)
             if lacking:
                 what = f"'{name}' needs the sensors {', '.join(lacking)}, which the scene lacks"
@@ -149,6 +153,15 @@ def check_task(task: LoadedTask[Any]) -> None:
                 problems.append(document.problem((*path, name), what, why))
     if problems:
         raise SpecError(problems)
+
+
+def _unknown_joints(task: LoadedTask[Any], path: KeyPath, params: TermParams) -> Iterator[Problem]:
+    observed = [spec.joint for spec in task.robot.spec.actuators.values() if spec.joint is not None]
+    for key, joint in params.named_joints():
+        if joint not in observed:
+            hint = did_you_mean(joint, observed) or f"it has: {', '.join(observed)}"
+            what = f"the robot {task.robot.document.file.name} drives no joint '{joint}'"
+            yield task.document.problem((*path, *key), what, hint)
 
 
 def _bind(known: Mapping[str, Term[Any]], table: TermTable, kind: type[TermParams]) -> tuple[Bound, ...]:

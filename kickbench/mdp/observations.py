@@ -81,3 +81,28 @@ def foot_position(state: State, params: ObservationParams) -> Tensor:
     """Centres of the left and the right sole relative to the base, in the base frame: left xyz, right xyz."""
     feet = (state.foot_pos - state.base_pos.unsqueeze(1)).unbind(dim=1)
     return torch.cat([state.in_base_frame(foot) for foot in feet], dim=1)
+
+
+@observation(2, "m", "Table 3.2, critic only", needs=("foot_frame",))
+def foot_height(state: State, params: ObservationParams) -> Tensor:
+    """Height of the left and the right sole above the floor."""
+    return state.foot_pos[:, :, 2]
+
+
+@observation(2, "s", "Table 3.2, critic only", needs=("foot_floor",))
+def foot_air_time(state: State, params: ObservationParams) -> Tensor:
+    """Time since the left, the right foot last touched the floor; 0 while it does."""
+    return state.episode.air_time
+
+
+@observation(2, "true/false", "Table 3.2, critic only", needs=("foot_floor",))
+def foot_contact(state: State, params: ObservationParams) -> Tensor:
+    """Left, right foot touched the floor during the last control step."""
+    return state.foot_floor_contact.float()
+
+
+@observation(6, "N", "Table 3.2, critic only; Table 3.4 corrected: digest", needs=("foot_floor",))
+def foot_contact_forces(state: State, params: ObservationParams) -> Tensor:
+    """Mean force of the floor on each foot over the last control step, base frame: left xyz, right xyz."""
+    sides = state.foot_floor_force.unbind(dim=1)
+    return torch.cat([state.in_base_frame(force) for force in sides], dim=1)

@@ -1,11 +1,41 @@
-"""Randomisation of episode starts (thesis 3.1). Each is `(starts, params, draw) -> starts`."""
+"""Randomisation (thesis 3.1).
+
+One of episode starts is `(starts, params, draw) -> starts`. One of another stage makes the process that acts during
+the episode: `(params, setting) -> process`.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from kickbench.mdp.delay import ActionDelay as DelayBuffer
+from kickbench.mdp.pushes import Pushes as PushSchedule
 from kickbench.mdp.starts import Draw, Starts, with_foot_friction
 from kickbench.mdp.term import randomization
-from kickbench.spec.base import Range
+from kickbench.spec.base import Fraction, PositiveFloat, Range
 from kickbench.spec.terms import RandomizationParams
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What a process needs to know of its environment.
+
+    Attributes:
+        timestep: Physics time step, s.
+        decimation: Physics steps per control step.
+        default_target: Control target of a zero action [nu].
+        num_worlds: Number of worlds B.
+        generator: Source of all draws.
+    """
+
+    timestep: float
+    decimation: int
+    default_target: Tensor
+    num_worlds: int
+    generator: torch.Generator
 
 
 class FootFriction(RandomizationParams):
@@ -19,3 +49,61 @@ class FootFriction(RandomizationParams):
 def foot_friction(starts: Starts, params: FootFriction, draw: Draw) -> Starts:
     """Sliding friction of each foot, uniform, drawn anew for every foot and episode."""
     return with_foot_friction(starts, draw(*params.range, len(starts), 2))
+
+
+class JointPosition(RandomizationParams):
+    """Parameters of `joint_position`."""
+
+    noise: PositiveFloat
+    """Half-width of the uniform offset, rad."""
+
+
+@randomization("digest: initial joint noise", units="rad", params=JointPosition)
+def joint_position(starts: Starts, params: JointPosition, draw: Draw) -> Starts:
+    """Uniform offset of every observed joint from the default pose."""
+    offset = draw(-params.noise, params.noise, len(starts), len(starts.joints))
+    qpos = starts.qpos.clone()
+    qpos[:, starts.joints] += offset
+    return replace(starts, qpos=qpos)
+
+
+class ActionDelay(RandomizationParams):
+    """Parameters of `action_delay`."""
+
+    delay: Range
+    """Delay between a command and its effect, s; whole physics steps are drawn from it."""
+    hold_probability: Fraction = 0.0
+    """Probability that the previous command is held for one physics step more."""
+
+
+@randomization("3.1 Action Delay; in seconds: digest", units="s", stage="command", params=ActionDelay)
+def action_delay(params: ActionDelay, setting: Setting) -> DelayBuffer:
+    """Commands reach the servos late, by a delay drawn anew for every command and world."""
+    return DelayBuffer(
+        params.delay,
+        params.hold_probability,
+        setting.timestep,
+        setting.decimation,
+        setting.default_target,
+        setting.num_worlds,
+        setting.generator,
+    )
+
+
+class Pushes(RandomizationParams):
+    """Parameters of `pushes`."""
+
+    interval: Range
+    """Time between two pushes, s."""
+    duration: PositiveFloat
+    """Length of a push, s."""
+    force: Range
+    """Magnitude of the force, N."""
+
+
+@randomization("3.1 Physical Perturbations; figures: digest", units="N", stage="push", params=Pushes)
+def pushes(params: Pushes, setting: Setting) -> PushSchedule:
+    """A horizontal force of random magnitude and direction acts on the base at random intervals."""
+    step = setting.timestep * setting.decimation
+    schedule = (params.interval, params.duration, params.force)
+    return PushSchedule(*schedule, step, setting.num_worlds, setting.generator)

@@ -6,12 +6,13 @@ Penalties return positive magnitudes; their weights are negative (digest).
 from __future__ import annotations
 
 import torch
+from pydantic import Field
 from torch import Tensor
 
 from kickbench.mdp.state import State
 from kickbench.mdp.term import reward
-from kickbench.spec.base import NonNegativeFloat, PositiveFloat
-from kickbench.spec.terms import RewardParams
+from kickbench.spec.base import Fraction, NonNegativeFloat, PositiveFloat
+from kickbench.spec.terms import JointName, JointNames, RewardParams
 
 _TINY = 1e-6
 """Keeps directions of vanishing vectors finite."""
@@ -80,3 +81,111 @@ def ball_not_moving(state: State, params: RewardParams) -> Tensor:
 def action_rate(state: State, params: RewardParams) -> Tensor:
     """Squared norm of the change of action, |a_t - a_(t-1)|^2."""
     return (state.episode.action - state.episode.previous_action).square().sum(dim=1)
+
+
+@reward("A Survival Reward")
+def survival(state: State, params: RewardParams) -> Tensor:
+    """1 at every step."""
+    return torch.ones_like(state.ball_speed)
+
+
+class Upright(RewardParams):
+    """Parameters of `upright`."""
+
+    sigma: PositiveFloat
+    """Tilt sensitivity sigma_upright, rad."""
+
+
+@reward("A Upright", params=Upright)
+def upright(state: State, params: Upright) -> Tensor:
+    """exp(-theta^2 / sigma^2) of the base's tilt theta."""
+    return torch.exp(-((state.tilt / params.sigma) ** 2))
+
+
+class FellOver(RewardParams):
+    """Parameters of `fell_over`."""
+
+    angle: PositiveFloat
+    """Largest tilt theta_limit, rad."""
+
+
+@reward("A Fell Over", params=FellOver)
+def fell_over(state: State, params: FellOver) -> Tensor:
+    """1 when the base tilts by more than `angle`, else 0."""
+    return (state.tilt > params.angle).float()
+
+
+class FallDown(RewardParams):
+    """Parameters of `fall_down`."""
+
+    height: PositiveFloat
+    """Lowest base height z_falldown, m."""
+
+
+@reward("A Fall Down", params=FallDown)
+def fall_down(state: State, params: FallDown) -> Tensor:
+    """1 when the base is lower than `height`, else 0."""
+    return (state.base_pos[:, 2] < params.height).float()
+
+
+class ArmPosture(RewardParams):
+    """Parameters of `arm_posture`."""
+
+    joints: JointNames = Field(min_length=1)
+    """Shoulder roll joints; the term is their mean (digest: the formula has one, the robot two)."""
+    sigma: PositiveFloat
+    """Sensitivity sigma_roll, rad."""
+
+
+@reward("3.2.3 Arm Posture; sign: digest", params=ArmPosture)
+def arm_posture(state: State, params: ArmPosture) -> Tensor:
+    """Mean over the joints of 1 - exp(-(q - q_default)^2 / sigma^2); a penalty in [0, 1]."""
+    offset = state.offsets_of(params.joints)
+    return (1.0 - torch.exp(-((offset / params.sigma) ** 2))).mean(dim=1)
+
+
+class ArmSwing(RewardParams):
+    """Parameters of `arm_swing`."""
+
+    left: JointName
+    """Left shoulder pitch joint."""
+    right: JointName
+    """Right shoulder pitch joint."""
+    threshold: PositiveFloat = 2.0
+    """Sum of the angles beyond which the term acts, rad."""
+
+
+@reward("3.2.3 Arm Swing; absolute angles: digest", params=ArmSwing)
+def arm_swing(state: State, params: ArmSwing) -> Tensor:
+    """exp(-1 / (q_L + q_R)^2) while both arms point to the same side and |q_L + q_R| > threshold; else 0."""
+    left, right = state.angles_of((params.left, params.right)).unbind(dim=1)
+    total = left + right
+    active = (left * right > 0.0) & (total.abs() > params.threshold)
+    return torch.exp(-1.0 / total.square().clamp(min=_TINY)) * active
+
+
+@reward("A Illegal Contact Penalty", needs=("body_floor",))
+def illegal_contact(state: State, params: RewardParams) -> Tensor:
+    """1 when a part of the robot other than its feet touches the ground, else 0."""
+    return state.body_floor_contact.float()
+
+
+class JointPositionLimit(RewardParams):
+    """Parameters of `joint_position_limit`."""
+
+    soft_limit_factor: Fraction = 0.9
+    """Share of the joint's range, about its middle, that is free (digest)."""
+
+
+@reward("A Joint Position Limit; soft limits: digest", params=JointPositionLimit)
+def joint_position_limit(state: State, params: JointPositionLimit) -> Tensor:
+    """1 when any observed joint is outside its soft limits, else 0."""
+    middle, half = state.joint_range_middle, state.joint_range_half
+    return ((state.joint_angles - middle).abs() > params.soft_limit_factor * half).any(dim=1).float()
+
+
+@reward("A Foot Slip; sign: digest", units="m^2/s^2", needs=("foot_floor", "foot_frame"))
+def foot_slip(state: State, params: RewardParams) -> Tensor:
+    """Sum over the feet on the ground of the squared horizontal velocity of the sole."""
+    speed = state.foot_vel[:, :, :2].square().sum(dim=2)
+    return (speed * state.foot_floor_contact).sum(dim=1)

@@ -24,12 +24,14 @@ class Starts:
         qpos: Generalised positions [N, nq], float64.
         qvel: Generalised velocities [N, nv], float64.
         target: Target position on the floor [N, 2], m, float64.
+        joints: Places of the observed joints in qpos.
         foot_friction: Sliding friction of the left and right foot [N, 2], or None: as compiled.
     """
 
     qpos: Tensor
     qvel: Tensor
     target: Tensor
+    joints: Tensor
     foot_friction: Tensor | None = None
 
     def __len__(self) -> int:
@@ -39,13 +41,13 @@ class Starts:
     def take(self, rows: Tensor) -> Starts:
         """The starts of the given row numbers."""
         friction = None if self.foot_friction is None else self.foot_friction[rows]
-        return Starts(self.qpos[rows], self.qvel[rows], self.target[rows], friction)
+        return Starts(self.qpos[rows], self.qvel[rows], self.target[rows], self.joints, friction)
 
     def mirrored(self, qpos: Mirror, qvel: Mirror) -> Starts:
         """Reflects every start in the xz plane; `qpos` and `qvel` are the model's mirror maps."""
         target = self.target * self.target.new_tensor([1.0, -1.0])
         friction = None if self.foot_friction is None else self.foot_friction.flip(1)
-        return Starts(qpos(self.qpos), qvel(self.qvel), target, friction)
+        return Starts(qpos(self.qpos), qvel(self.qvel), target, self.joints, friction)
 
 
 Randomizer = Callable[[Starts, Draw], Starts]
@@ -77,6 +79,7 @@ class StartSampler:
         self._sampling, self._ball = sampling, ball
         self._place, self._nv = layout.ball_qpos, nv
         self._default = torch.as_tensor(layout.default_qpos, device=generator.device)
+        self._joints = torch.as_tensor(layout.joint_qpos, device=generator.device)
         self._randomizers = randomizers
         self.generator = generator
 
@@ -94,7 +97,7 @@ class StartSampler:
         qpos[:, self._place : self._place + 3] = torch.stack(position, dim=1)
         distance, angle = self.draw(*target.distance, count), self.draw(*target.angle, count)
         goal = torch.stack([distance * angle.cos(), distance * angle.sin()], dim=1)
-        starts = Starts(qpos, qpos.new_zeros(count, self._nv), goal)
+        starts = Starts(qpos, qpos.new_zeros(count, self._nv), goal, self._joints)
         for randomize in self._randomizers:
             starts = randomize(starts, self.draw)
         return starts

@@ -26,6 +26,7 @@ class EpisodeState:
         target: Target position in the world [B, 2], m.
         action: Action of the last control step [B, nu].
         previous_action: Action of the step before [B, nu].
+        air_time: Time since the left, the right foot last touched the floor [B, 2], s.
     """
 
     step: Tensor
@@ -33,6 +34,7 @@ class EpisodeState:
     target: Tensor
     action: Tensor
     previous_action: Tensor
+    air_time: Tensor
 
     @staticmethod
     def zeros(num_worlds: int, num_actions: int, device: torch.device) -> EpisodeState:
@@ -40,7 +42,7 @@ class EpisodeState:
         count = torch.zeros(num_worlds, dtype=torch.int64, device=device)
         action = torch.zeros(num_worlds, num_actions, device=device)
         target = torch.zeros(num_worlds, 2, device=device)
-        return EpisodeState(count, count.clone(), target, action, action.clone())
+        return EpisodeState(count, count.clone(), target, action, action.clone(), torch.zeros_like(target))
 
 
 class StateIndex:
@@ -55,7 +57,21 @@ class StateIndex:
         self.ball_qpos, self.ball_qvel = layout.ball_qpos, layout.ball_qvel
         self.frames = {name: slice(int(c[0]), int(c[-1]) + 1) for name, c in layout.frames.items()}
         self.contacts = {name: torch.as_tensor(c, device=device) for name, c in layout.contacts.items()}
+        self.forces = {name: torch.as_tensor(c, device=device) for name, c in layout.forces.items()}
+        low, high = torch.as_tensor(layout.joint_range, dtype=torch.float32, device=device).unbind(dim=1)
+        self.joint_range_middle = torch.where(low.isfinite(), (low + high) / 2, 0.0)
+        self.joint_range_half = (high - low) / 2
+        self._joints = {name: column for column, name in enumerate(layout.joint_names)}
+        self._columns: dict[tuple[str, ...], Tensor] = {}
+        self._device = device
         self.gravity = torch.tensor([[0.0, 0.0, -1.0]], device=device)
+
+    def columns_of(self, names: tuple[str, ...]) -> Tensor:
+        """Columns of observed joints in a joint vector; made once a list of names."""
+        if names not in self._columns:
+            columns = [self._joints[name] for name in names]
+            self._columns[names] = torch.tensor(columns, device=self._device)
+        return self._columns[names]
 
 
 class State:
@@ -76,7 +92,11 @@ class State:
         return self._sensors[:, self._index.frames[channel]]
 
     def _touches(self, channel: str) -> Tensor:
-        return self._sensors[:, self._index.contacts[channel]].amax(dim=1) > 0.0
+        return (self._sensors[:, self._index.contacts[channel]] > 0.0).any(dim=1)
+
+    def _force(self, channel: str) -> Tensor:
+        # MuJoCo reports the force of the foot on the other body.
+        return -self._sensors[:, self._index.forces[channel]].sum(dim=1)
 
     @cached_property
     def base_pos(self) -> Tensor:
@@ -113,9 +133,37 @@ class State:
         return self.in_base_frame(self._index.gravity.expand_as(self.base_pos))
 
     @cached_property
+    def tilt(self) -> Tensor:
+        """Angle between the base's z-axis and the vertical [B], rad."""
+        return torch.acos((-self.projected_gravity[:, 2]).clamp(-1.0, 1.0))
+
+    @cached_property
     def joint_pos(self) -> Tensor:
         """Observed joints, offsets from the default pose [B, joints], rad."""
         return self._qpos[:, self._index.joint_qpos] - self._index.default_joint_pos
+
+    @cached_property
+    def joint_angles(self) -> Tensor:
+        """Observed joints, absolute [B, joints], rad."""
+        return self._qpos[:, self._index.joint_qpos]
+
+    @property
+    def joint_range_middle(self) -> Tensor:
+        """Middle of every observed joint's range [joints], rad."""
+        return self._index.joint_range_middle
+
+    @property
+    def joint_range_half(self) -> Tensor:
+        """Half of every observed joint's range [joints], rad; infinite for joints without one."""
+        return self._index.joint_range_half
+
+    def angles_of(self, names: tuple[str, ...]) -> Tensor:
+        """Absolute positions of the named observed joints [B, len(names)], rad."""
+        return self.joint_angles[:, self._index.columns_of(names)]
+
+    def offsets_of(self, names: tuple[str, ...]) -> Tensor:
+        """Offsets of the named observed joints from the default pose [B, len(names)], rad."""
+        return self.joint_pos[:, self._index.columns_of(names)]
 
     @cached_property
     def joint_vel(self) -> Tensor:
@@ -161,6 +209,26 @@ class State:
     def foot_pos(self) -> Tensor:
         """Centres of the left and the right sole [B, 2, 3], m."""
         return torch.stack([self._frame(f"{side}_foot_pos") for side in SIDES], dim=1)
+
+    @cached_property
+    def foot_vel(self) -> Tensor:
+        """Velocities of the left and the right sole [B, 2, 3], m/s."""
+        return torch.stack([self._frame(f"{side}_foot_vel") for side in SIDES], dim=1)
+
+    @cached_property
+    def foot_floor_contact(self) -> Tensor:
+        """Left, right foot touched the floor during the control step [B, 2] bool."""
+        return torch.stack([self._touches(f"{side}_foot_floor") for side in SIDES], dim=1)
+
+    @cached_property
+    def body_floor_contact(self) -> Tensor:
+        """A part of the robot other than its feet touched the floor during the control step [B] bool."""
+        return self._touches("body_floor")
+
+    @cached_property
+    def foot_floor_force(self) -> Tensor:
+        """Mean force of the floor on the left and the right foot over the control step [B, 2, 3], N."""
+        return torch.stack([self._force(f"{side}_foot_floor") for side in SIDES], dim=1)
 
     @cached_property
     def foot_ball_contact(self) -> Tensor:

@@ -16,6 +16,8 @@ from kickbench.spec.terms import (
 )
 
 Kind = Literal["observation", "reward", "termination", "randomization"]
+Stage = Literal["start", "command", "push"]
+"""When a randomisation acts: on episode starts, on the way to the servos, or as a force on the base."""
 Size = int | Literal["joints", "actions"]
 """Length of an observation field: a number, or one number per observed joint or per action."""
 
@@ -36,6 +38,7 @@ class Term(Generic[P]):
         source: Section of the thesis, or paper.
         needs: Sensor groups it reads.
         size: Length of an observation field.
+        stage: For randomisations: when it acts.
         truncates: For terminations: a time limit rather than an outcome, so PPO bootstraps the value.
     """
 
@@ -48,6 +51,7 @@ class Term(Generic[P]):
     needs: frozenset[SensorGroup] = frozenset()
     size: Size = 1
     truncates: bool = False
+    stage: Stage = "start"
 
     @property
     def summary(self) -> str:
@@ -124,12 +128,19 @@ def randomization(
     source: str,
     *,
     units: str,
+    stage: Stage = "start",
     needs: tuple[SensorGroup, ...] = (),
     params: type[RandomizationParams] = RandomizationParams,
 ) -> Decorator:
-    """Makes a function `(starts, params, draw) -> starts` a randomisation of episode starts."""
+    """Makes a function a randomisation.
+
+    One of episode starts maps `(starts, params, draw)` to starts; one of another stage makes the process that
+    acts during episodes: `(params, setting) -> ActionDelay or Pushes`.
+    """
 
     def wrap(function: Callable[..., Any]) -> Term[Any]:
-        return Term(function.__name__, "randomization", function, params, units, source, frozenset(needs))
+        return Term(
+            function.__name__, "randomization", function, params, units, source, frozenset(needs), stage=stage
+        )
 
     return wrap

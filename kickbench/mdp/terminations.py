@@ -39,3 +39,29 @@ def target_missed(state: State, params: TargetRadius) -> Tensor:
 def double_touch(state: State, params: TerminationParams) -> Tensor:
     """The robot touches the ball after the contact window: c_t > T_window."""
     return state.ball_contact & state.contact_window_passed
+
+
+class FellOver(TerminationParams):
+    """Parameters of `fell_over`."""
+
+    angle: PositiveFloat
+    """Largest tilt theta_limit, rad."""
+
+
+@termination("Table 3.3", params=FellOver)
+def fell_over(state: State, params: FellOver) -> Tensor:
+    """The base tilts by more than `angle` from the vertical."""
+    return state.tilt > params.angle
+
+
+class FellDown(TerminationParams):
+    """Parameters of `fell_down`."""
+
+    height: PositiveFloat
+    """Lowest base height z_falldown, m."""
+
+
+@termination("Table 3.3", params=FellDown)
+def fell_down(state: State, params: FellDown) -> Tensor:
+    """The base is lower than `height`."""
+    return state.base_pos[:, 2] < params.height

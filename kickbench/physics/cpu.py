@@ -14,6 +14,8 @@ import torch
 from torch import Tensor
 
 _FULL = mujoco.mjtState.mjSTATE_FULLPHYSICS
+_CTRL = mujoco.mjtState.mjSTATE_CTRL
+_WRENCH = mujoco.mjtState.mjSTATE_XFRC_APPLIED
 _Bit = mujoco.mjtDisableBit
 _KINEMATICS_ONLY = (
     _Bit.mjDSBL_CONSTRAINT | _Bit.mjDSBL_CONTACT | _Bit.mjDSBL_ACTUATION | _Bit.mjDSBL_GRAVITY
@@ -48,6 +50,7 @@ class CpuEngine:
         decimation: int,
         contact_counts: Sequence[int] = (),
         contact_forces: Sequence[int] = (),
+        pushed_body: int | None = None,
         num_threads: int | None = None,
     ) -> None:
         """Allocates the worlds in the model's reference pose.
@@ -58,6 +61,7 @@ class CpuEngine:
             decimation: Physics substeps per control step.
             contact_counts: Places in sensordata that are latched by their maximum.
             contact_forces: Places in sensordata that are averaged over the substeps.
+            pushed_body: Id of the body that `push` acts on; None: nothing can be pushed.
             num_threads: Threads; default: the cores this process may use.
         """
         self.model = model
@@ -69,6 +73,10 @@ class CpuEngine:
         self._contacts = np.concatenate([self._counts, self._forces])
         self._models = [model] * num_worlds
         self._shared = True
+        # External forces travel with the controls; a task without pushes does not pay for them.
+        self._spec = int(_CTRL if pushed_body is None else _CTRL | _WRENCH)
+        first = model.nu + 6 * (pushed_body or 0)
+        self._push = None if pushed_body is None else slice(first, first + 3)
         self._twin = copy.copy(model)
         self._twin.opt.disableflags |= int(_KINEMATICS_ONLY)
         self._data = [mujoco.MjData(model) for _ in range(self.num_threads)]
@@ -80,11 +88,12 @@ class CpuEngine:
         model, worlds, steps = self.model, self.num_worlds, self.decimation
         self._state = np.zeros((worlds, nstate))
         self._trajectory = np.zeros((worlds, steps, nstate))
-        self._control = np.zeros((worlds, steps, model.nu))
+        width = mujoco.mj_stateSize(model, self._spec)
+        self._control = np.zeros((worlds, steps, width))
         self._sensed = np.zeros((worlds, steps, model.nsensordata))
         self._twin_state = np.zeros((worlds, 1, nstate))
         self._twin_sensed = np.zeros((worlds, 1, model.nsensordata))
-        self._twin_control = np.zeros((worlds, 1, model.nu))
+        self._twin_control = np.zeros((worlds, 1, width))
         self._sensors = np.zeros((worlds, model.nsensordata))
         # Full physics state: time, qpos, qvel, act, ...
         self.qpos = torch.from_numpy(self._state)[:, 1 : 1 + model.nq]
@@ -98,11 +107,13 @@ class CpuEngine:
 
     def step(self, targets: Tensor) -> None:
         """See `Engine.step`."""
-        self._control[:] = (targets if targets.dim() == 3 else targets.unsqueeze(1)).numpy()
+        self._control[:, :, : self.model.nu] = (
+            targets if targets.dim() == 3 else targets.unsqueeze(1)
+        ).numpy()
         self._state[:, 0] = 0.0
         self._pool.rollout(
-            self._models, self._data, self._state, self._control, skip_checks=True, nstep=self.decimation,
-            state=self._trajectory, sensordata=self._sensed,
+            self._models, self._data, self._state, self._control, control_spec=self._spec,
+            skip_checks=True, nstep=self.decimation, state=self._trajectory, sensordata=self._sensed,
         )  # fmt: skip
         self._state[:] = self._trajectory[:, -1]
         self._find_failures()
@@ -133,8 +144,9 @@ class CpuEngine:
     ) -> None:
         models = [self._twin] * len(start)
         self._pool.rollout(
-            models, self._data, start, control, skip_checks=True, nstep=1, state=end, sensordata=sensed
-        )
+            models, self._data, start, control, control_spec=self._spec, skip_checks=True, nstep=1,
+            state=end, sensordata=sensed,
+        )  # fmt: skip
 
     def reset(self, mask: Tensor, qpos: Tensor, qvel: Tensor) -> None:
         """See `Engine.reset`."""
@@ -148,6 +160,11 @@ class CpuEngine:
         self._sense_frames(rows)
         self._sensors[np.ix_(rows, self._contacts)] = 0.0
         self.failed[rows] = False
+
+    def push(self, force: Tensor) -> None:
+        """See `Engine.push`."""
+        assert self._push is not None, "the engine was made without a body to push"
+        self._control[:, :, self._push] = force.unsqueeze(1).numpy()
 
     def set_friction(self, mask: Tensor, geoms: tuple[tuple[int, ...], ...], values: Tensor) -> None:
         """See `Engine.set_friction`. The first call gives every world a model of its own."""

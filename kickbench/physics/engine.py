@@ -43,6 +43,14 @@ class Engine(Protocol):
         """Puts the worlds in `mask` [B] into the given states [B, nq], [B, nv]; other rows are not read."""
         ...
 
+    def push(self, force: Tensor) -> None:
+        """Applies a force to the pushed body's centre of mass during the next control steps, until changed.
+
+        Args:
+            force: World-frame force [B, 3], N. Only for engines made with a body to push.
+        """
+        ...
+
     def set_friction(self, mask: Tensor, geoms: tuple[tuple[int, ...], ...], values: Tensor) -> None:
         """Sets the sliding friction of groups of geoms in the worlds in `mask`.
 

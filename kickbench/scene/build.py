@@ -78,6 +78,7 @@ def build_scene(task: TaskSpec, robot: Loaded[RobotSpec], needs: frozenset[Senso
     body = read_robot(robot)
     root = body.worldbody.first_body().name or "kickbench_root"
     body.worldbody.first_body().name = root
+    body_geoms = _name_body_geoms(body, robot.spec)
     for item in (*body.actuators, *body.sensors, *body.keys):
         body.delete(item)
     scene = mujoco.MjSpec()
@@ -91,7 +92,7 @@ def build_scene(task: TaskSpec, robot: Loaded[RobotSpec], needs: frozenset[Senso
     _add_ball(scene, task.ball)
     _add_target(scene, task.evaluation.success_radius)
     _add_actuators(scene, robot.spec)
-    plans = plan_sensors(robot.spec, root, needs | frozenset(ALWAYS))
+    plans = plan_sensors(robot.spec, root, body_geoms, needs | frozenset(ALWAYS))
     for plan in plans:
         plan.add_to(scene)
     try:
@@ -99,6 +100,21 @@ def build_scene(task: TaskSpec, robot: Loaded[RobotSpec], needs: frozenset[Senso
     except ValueError as error:
         raise _model_error(robot, "compile the scene of this model", error) from None
     return Scene(scene, model, read_layout(model, robot.spec, plans))
+
+
+def _name_body_geoms(body: mujoco.MjSpec, robot: RobotSpec) -> list[str]:
+    """Names of the colliding geoms that belong to no foot; those without a name are given one."""
+    feet = [getattr(robot.feet, side) for side in SIDES] if robot.feet else []
+    of_feet = {name for foot in feet for name in foot.geoms}
+    foot_bodies = {foot.body for foot in feet if not foot.geoms}
+    names = []
+    for index, geom in enumerate(body.geoms):
+        collides = geom.contype or geom.conaffinity
+        if not collides or geom.name in of_feet or geom.parent.name in foot_bodies:
+            continue
+        geom.name = geom.name or f"kickbench_geom_{index}"
+        names.append(geom.name)
+    return names
 
 
 def _model_error(robot: Loaded[RobotSpec], action: str, error: ValueError) -> SpecError:

@@ -63,11 +63,17 @@ class _Checker:
             if actuator.joint is not None:
                 self._known(("actuators", name, "joint"), "joint", actuator.joint, self.joint_names)
         if self.spec.initial.position is not None and not self.has_free_base:
-            self._report(("initial", "position"), "the robot's model has no free joint, so its base cannot be moved")
+            self._report(
+                ("initial", "position"), "the robot's model has no free joint, so its base cannot be moved"
+            )
         if "ball" in self.joint_names:
-            self._report(("model",), "a joint of the robot is named 'ball', which is the name of the scene's ball")
+            self._report(
+                ("model",), "a joint of the robot is named 'ball', which is the name of the scene's ball"
+            )
         for name in self.ball_joints:
-            self._report(("model",), f"the joint '{name}' is a ball joint; expected hinge, slide or free joints")
+            self._report(
+                ("model",), f"the joint '{name}' is a ball joint; expected hinge, slide or free joints"
+            )
 
     def drives(self) -> None:
         """A joint is driven once, and its mirror image is driven too."""

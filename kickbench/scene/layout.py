@@ -27,6 +27,7 @@ class SceneLayout:
         joint_names: Observed joints: those with an actuator, in the actuators' order.
         joint_qpos: Their places in qpos.
         joint_qvel: Their places in qvel.
+        joint_range: Lowest and highest position of each [joints, 2]; infinite without limits.
         ball_qpos: First place of the ball in qpos (position 3, quaternion 4).
         ball_qvel: First place of the ball in qvel (linear 3, angular 3).
         default_qpos: The whole model in its default pose, ball at the origin [nq].
@@ -44,6 +45,7 @@ class SceneLayout:
     joint_names: tuple[str, ...]
     joint_qpos: Indices
     joint_qvel: Indices
+    joint_range: np.ndarray
     ball_qpos: int
     ball_qvel: int
     default_qpos: np.ndarray
@@ -69,10 +71,13 @@ def read_layout(model: mujoco.MjModel, robot: RobotSpec, plans: Sequence[SensorP
         joint_names=tuple(driven),
         joint_qpos=np.array([by_name[name].qpos for name in driven], dtype=np.int64),
         joint_qvel=np.array([by_name[name].qvel for name in driven], dtype=np.int64),
+        joint_range=np.array([_range(model, name) for name in driven]).reshape(-1, 2),
         ball_qpos=by_name["ball"].qpos,
         ball_qvel=by_name["ball"].qvel,
         default_qpos=default,
-        default_target=np.array([_default_target(spec, default, by_name) for spec in robot.actuators.values()]),
+        default_target=np.array(
+            [_default_target(spec, default, by_name) for spec in robot.actuators.values()]
+        ),
         action_scale=np.array([spec.scale for spec in robot.actuators.values()]),
         frames=frames,
         contacts=contacts,
@@ -86,6 +91,13 @@ def _coordinate(model: mujoco.MjModel, joint: int) -> Coordinate:
     name = model.joint(joint).name.removeprefix(ROBOT)
     free = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE
     return Coordinate(name, free, int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint]))
+
+
+def _range(model: mujoco.MjModel, joint: str) -> tuple[float, float]:
+    found = model.joint(ROBOT + joint)
+    if not model.jnt_limited[found.id]:
+        return -np.inf, np.inf
+    return float(found.range[0]), float(found.range[1])
 
 
 def _default_qpos(model: mujoco.MjModel, robot: RobotSpec, by_name: Mapping[str, Coordinate]) -> np.ndarray:

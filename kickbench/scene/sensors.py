@@ -6,7 +6,7 @@ step: a kick lasts 4-10 ms, so the last substep alone would miss a third of all 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -15,8 +15,9 @@ import mujoco
 
 from kickbench.spec.robot import FootSpec, RobotSpec
 
-SensorGroup = Literal["base", "foot_frame", "foot_ball", "robot_ball", "foot_floor", "robot_floor"]
-"""What a term may ask for: frames of base and feet, and contacts of the feet or the whole robot."""
+SensorGroup = Literal["base", "foot_frame", "foot_ball", "robot_ball", "foot_floor", "body_floor"]
+"""What a term may ask for: frames of base and feet, and contacts of the feet, the whole
+robot, or all of it but its feet."""
 
 SIDES = ("left", "right")
 ROBOT = "robot/"
@@ -68,21 +69,25 @@ class SensorPlan:
 
 def available_groups(robot: RobotSpec) -> frozenset[SensorGroup]:
     """The groups a robot's scene can provide."""
-    groups: set[SensorGroup] = {*ALWAYS, "robot_floor"}
+    groups: set[SensorGroup] = {*ALWAYS, "body_floor"}
     return frozenset(groups | set(FOOT_GROUPS) if robot.feet else groups)
 
 
-def plan_sensors(robot: RobotSpec, root: str, groups: frozenset[SensorGroup]) -> list[SensorPlan]:
+def plan_sensors(
+    robot: RobotSpec, root: str, body_geoms: Sequence[str], groups: frozenset[SensorGroup]
+) -> list[SensorPlan]:
     """Lists the sensors of the wanted groups.
 
     Args:
         robot: The robot.
         root: The robot's topmost body; its subtree is the whole robot.
+        body_geoms: The robot's colliding geoms other than those of its feet.
         groups: Wanted groups; those the robot cannot provide have been rejected before.
     """
     plans = [*_base(robot.base), _touch("robot_ball", 0, mujoco.mjtObj.mjOBJ_XBODY, ROBOT + root, "ball")]
-    if "robot_floor" in groups:
-        plans.append(_touch("robot_floor", 0, mujoco.mjtObj.mjOBJ_XBODY, ROBOT + root, "floor", force=False))
+    if "body_floor" in groups:
+        geom = mujoco.mjtObj.mjOBJ_GEOM
+        plans += [_touch("body_floor", i, geom, ROBOT + name, "floor") for i, name in enumerate(body_geoms)]
     if robot.feet:
         for side in SIDES:
             plans += _foot(side, getattr(robot.feet, side), groups)

@@ -18,7 +18,6 @@ from kickbench.spec.base import (
 )
 from kickbench.spec.terms import RewardTable, TermTable
 
-
 Friction = Annotated[tuple[NonNegativeFloat, NonNegativeFloat, NonNegativeFloat], Field(strict=False)]
 """Sliding, torsional and rolling friction."""
 
@@ -141,6 +140,8 @@ class EvaluationSpec(Spec):
     """An episode succeeds if the ball ends at rest within this distance of the target, m."""
     observation_noise: bool = False
     """Apply the observation noise of the task."""
+    pushes: bool = False
+    """Apply the pushes of the task; starts and the action delay are always randomised as in training."""
 
 
 class TaskSpec(Spec):

@@ -7,16 +7,37 @@ change here.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, Self, TypeVar
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Any, Self, TypeVar
 
 from pydantic import ModelWrapValidatorHandler, PrivateAttr, model_validator
 
-from kickbench.spec.base import NonNegativeFloat, Range, Spec
+from kickbench.errors import KeyPath
+from kickbench.spec.base import NameList, NonNegativeFloat, Range, Spec
+
+
+class _JointMarker:
+    """Marks a parameter that names observed joints of the robot."""
+
+
+JointName = Annotated[str, _JointMarker()]
+"""Name of an observed joint."""
+JointNames = Annotated[NameList, _JointMarker()]
+"""Names of observed joints."""
 
 
 class TermParams(Spec):
     """Parameters of a term; a term without parameters is written `{}`."""
+
+    def named_joints(self) -> Iterator[tuple[KeyPath, str]]:
+        """Every observed joint that the parameters name, with the path of the key that names it."""
+        for name, info in type(self).model_fields.items():
+            if any(isinstance(item, _JointMarker) for item in info.metadata):
+                value = getattr(self, name)
+                if isinstance(value, str):
+                    yield (name,), value
+                else:
+                    yield from (((name, index), joint) for index, joint in enumerate(value))
 
 
 class ObservationParams(TermParams):

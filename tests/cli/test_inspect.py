@@ -36,7 +36,9 @@ def printed(capsys):
 def modules_after(code: str) -> set[str]:
     """Top-level modules that a fresh interpreter has after running some code."""
     report = "; import sys, json; print(json.dumps(sorted({name.partition('.')[0] for name in sys.modules})))"
-    done = subprocess.run([sys.executable, "-c", code + report], capture_output=True, text=True, cwd=ROOT, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", code + report], capture_output=True, text=True, cwd=ROOT, check=True
+    )
     return set(json.loads(done.stdout.splitlines()[-1]))
 
 
@@ -98,7 +100,9 @@ def test_what_show_prints_is_the_same_task(place, printed):
     text = printed("show", "tasks/mini_home_field.yaml")
     Path("shown.yaml").write_text(text)
     values = [line.partition("  # ")[0].rstrip() for line in text.splitlines()]
-    assert [line.partition("  # ")[0].rstrip() for line in printed("show", "shown.yaml").splitlines()] == values
+    assert [
+        line.partition("  # ")[0].rstrip() for line in printed("show", "shown.yaml").splitlines()
+    ] == values
 
 
 @pytest.mark.parametrize(
@@ -166,7 +170,9 @@ def test_the_schema_of_a_task_lists_every_term(printed):
     assert terms("observations", "actor") == terms("observations", "critic") == set(known.observations)
 
 
-@pytest.mark.parametrize("path", [p for paths in SHIPPED.values() for p in paths], ids=lambda p: f"{p.parent.name}-{p.name}")
+@pytest.mark.parametrize(
+    "path", [p for paths in SHIPPED.values() for p in paths], ids=lambda p: f"{p.parent.name}-{p.name}"
+)
 def test_the_first_line_of_a_shipped_file_points_editors_at_its_schema(path, printed):
     kind = next(kind for kind, paths in SHIPPED.items() if path in paths)
     match = re.fullmatch(r"# yaml-language-server: \$schema=(\S+)", path.read_text().splitlines()[0])
@@ -180,7 +186,9 @@ def test_the_schemas_in_the_package_are_those_that_the_command_prints(kind, prin
     assert json.loads(stored.read_text()) == json.loads(printed("schema", kind))
 
 
-@pytest.mark.parametrize("path", [p for paths in SHIPPED.values() for p in paths], ids=lambda p: f"{p.parent.name}-{p.name}")
+@pytest.mark.parametrize(
+    "path", [p for paths in SHIPPED.values() for p in paths], ids=lambda p: f"{p.parent.name}-{p.name}"
+)
 def test_a_shipped_file_satisfies_its_schema(path, printed):
     jsonschema = pytest.importorskip("jsonschema")
     import yaml
@@ -196,7 +204,7 @@ def test_terms_lists_every_term_with_its_unit_and_source(printed):
     lines = printed("terms").splitlines()
     for term in catalog().all():
         assert term.name in lines, term.name
-        start = lines.index(term.name)
+        start = lines.index(term.name, lines.index(f"{term.kind}s"))
         end = lines.index("", start)
         text = " ".join(line.strip() for line in lines[start:end])
         assert f"unit {term.units}; source {term.source}" in text
@@ -224,7 +232,9 @@ def test_list_names_tasks_methods_robots_and_tables_with_their_descriptions(plac
     text = printed("list")
     headings = [line for line in text.splitlines() if not line.startswith(" ")]
     assert headings == ["task:", "method:", "robot:", "representations:"]
-    assert re.search(r"^  tasks/mini_general.yaml +Mini kicker, ball and target anywhere in front$", text, re.MULTILINE)
+    assert re.search(
+        r"^  tasks/mini_general.yaml +Mini kicker, ball and target anywhere in front$", text, re.MULTILINE
+    )
     assert re.search(r"^  methods/mini/baseline.yaml +Plain PPO$", text, re.MULTILINE)
     assert re.search(r"^  assets/mini_kicker/robot.yaml$", text, re.MULTILINE)
 
@@ -232,7 +242,9 @@ def test_list_names_tasks_methods_robots_and_tables_with_their_descriptions(plac
 def test_list_goes_on_after_a_file_that_does_not_load(place, printed):
     Path("tasks/broken.yaml").write_text("a: [\n")
     text = printed("list")
-    assert re.search(r"^  tasks/broken.yaml +does not load: tasks/broken.yaml:2:1: not valid YAML", text, re.MULTILINE)
+    assert re.search(
+        r"^  tasks/broken.yaml +does not load: tasks/broken.yaml:2:1: not valid YAML", text, re.MULTILINE
+    )
     assert "methods/mini/baseline.yaml" in text
 
 

@@ -286,7 +286,7 @@ MALFORMED = {
         [TASK],
         (XML, 'range="-0.7 0.7"', 'limited="true" range="0.7 -0.7"'),
         (ROBOT, "\n¦model:"),
-        "model: MuJoCo cannot compile the scene of this model: Error: range[0] should be smaller than range[1]",
+        "model: MuJoCo cannot compile the scene of this model: Error: range[0] should be smaller ",
     ),
 }  # fmt: skip
 
@@ -330,7 +330,12 @@ def test_a_malformed_file_is_reported_with_its_place_and_the_rest_of_the_story(n
 
 
 def test_the_mini_files_are_fine_each_and_together(place, capsys):
-    patterns = ("tasks/mini_*.yaml", "methods/mini/*.yaml", "methods/*/mini_kicker.yaml", "assets/mini_kicker/*.yaml")
+    patterns = (
+        "tasks/mini_*.yaml",
+        "methods/mini/*.yaml",
+        "methods/*/mini_kicker.yaml",
+        "assets/mini_kicker/*.yaml",
+    )
     files = [str(path.relative_to(place)) for pattern in patterns for path in sorted(place.glob(pattern))]
     assert len(files) >= 8
     assert main(["validate", *files]) == 0
@@ -442,7 +447,9 @@ def test_an_override_that_no_file_takes_is_an_error(fails):
     ]
 
 
-@pytest.mark.parametrize("name", ["wrong term name", "joint driven on one side only", "field without a representation"])
+@pytest.mark.parametrize(
+    "name", ["wrong term name", "joint driven on one side only", "field without a representation"]
+)
 def test_a_run_of_a_malformed_file_leaves_nothing_behind(name, edit, fails, place):
     case = MALFORMED[name]
     edit(*case.fault)

@@ -28,16 +28,26 @@ def mini(experiment):
     return experiment("mini_general").task
 
 
+@pytest.fixture(scope="session")
+def sensing(mini):
+    """The scene of the same task with every sensor there is."""
+    from kickbench.scene.build import build_scene
+    from kickbench.scene.sensors import available_groups
+
+    return build_scene(mini.spec, mini.robot, available_groups(mini.robot.spec))
+
+
 @pytest.fixture
-def world(mini):
+def world(mini, sensing):
     """`world(name=value, ...)` is the state of one world; names not given are zero, the base is level.
 
     Names: `joints`, `joint_vel` (4 each), `ball`, `ball_vel`, `base`, `quat`, `base_vel`, `base_spin`, `left_foot`,
-    `right_foot`, `touches` (channels), `target`, `action`, `previous`, `step`, `contact_count`.
+    `right_foot`, `left_foot_vel`, `right_foot_vel`, `touches` (channels), `forces` (channel -> vector), `target`,
+    `action`, `previous`, `step`, `contact_count`, `air_time`.
     """
     from kickbench.mdp.state import EpisodeState, State, StateIndex
 
-    layout, model = mini.scene.layout, mini.scene.model
+    layout, model = sensing.layout, sensing.model
     frames = {
         "base": "base_pos",
         "quat": "base_quat",
@@ -45,23 +55,32 @@ def world(mini):
         "base_spin": "base_angvel",
         "left_foot": "left_foot_pos",
         "right_foot": "right_foot_pos",
+        "left_foot_vel": "left_foot_vel",
+        "right_foot_vel": "right_foot_vel",
     }
 
     def row(values) -> Tensor:
         return torch.tensor([values], dtype=torch.float32)
 
     def world(**given) -> State:
-        qpos, qvel = torch.zeros(1, model.nq, dtype=torch.float64), torch.zeros(1, model.nv, dtype=torch.float64)
+        qpos, qvel = (
+            torch.zeros(1, model.nq, dtype=torch.float64),
+            torch.zeros(1, model.nv, dtype=torch.float64),
+        )
         sensors = torch.zeros(1, model.nsensordata, dtype=torch.float64)
         ball, rolling = layout.ball_qpos, layout.ball_qvel
         qpos[:, layout.joint_qpos] = torch.tensor(given.pop("joints", [0.0] * 4), dtype=torch.float64)
         qvel[:, layout.joint_qvel] = torch.tensor(given.pop("joint_vel", [0.0] * 4), dtype=torch.float64)
         qpos[:, ball : ball + 3] = torch.tensor(given.pop("ball", (0.0, 0.0, 0.0)), dtype=torch.float64)
-        qvel[:, rolling : rolling + 3] = torch.tensor(given.pop("ball_vel", (0.0, 0.0, 0.0)), dtype=torch.float64)
+        qvel[:, rolling : rolling + 3] = torch.tensor(
+            given.pop("ball_vel", (0.0, 0.0, 0.0)), dtype=torch.float64
+        )
         given.setdefault("quat", LEVEL)
         for name, channel in frames.items():
             if name in given:
                 sensors[:, layout.frames[channel]] = torch.tensor(given.pop(name), dtype=torch.float64)
+        for channel, force in given.pop("forces", {}).items():
+            sensors[:, layout.forces[channel]] = torch.tensor(force, dtype=torch.float64)
         for channel in given.pop("touches", ()):
             sensors[:, layout.contacts[channel]] = 1.0
         episode = EpisodeState(
@@ -70,6 +89,7 @@ def world(mini):
             target=row(given.pop("target", (0.0, 0.0))),
             action=row(given.pop("action", [0.0] * 7)),
             previous_action=row(given.pop("previous", [0.0] * 7)),
+            air_time=row(given.pop("air_time", (0.0, 0.0))),
         )
         assert not given, f"unknown names: {given}"
         engine = FakeEngine(qpos, qvel, sensors, torch.zeros(1, dtype=torch.bool))
@@ -83,10 +103,11 @@ def term(world):
     """`term(name, params, **state)` is a term's value in a state by hand, as numbers."""
     from kickbench.mdp.catalog import catalog
 
-    table = {term.name: term for term in catalog().all() if term.kind != "randomization"}
+    table = {(term.kind, term.name): term for term in catalog().all()}
 
-    def value(name: str, params: dict | None = None, **state):
-        found = table[name]
+    def value(name: str, params: dict | None = None, *, kind: str | None = None, **state):
+        kinds = [kind] if kind else ["observation", "reward", "termination"]
+        found = next(table[k, name] for k in kinds if (k, name) in table)
         weight = {"weight": 1.0} if found.kind == "reward" else {}
         result = found.function(world(**state), found.params(**weight, **(params or {})))
         assert result.shape[0] == 1

@@ -225,3 +225,23 @@ def test_the_shared_model_is_not_changed_by_the_kinematic_twin(task):
     before = copy.copy(task.scene.model).opt.disableflags
     make_engine(task, 2)
     assert task.scene.model.opt.disableflags == before
+
+
+def test_a_push_acts_on_its_body_in_its_world_until_changed():
+    from kickbench.physics.cpu import CpuEngine
+
+    xml = """<mujoco><option timestep="0.002" gravity="0 0 0"/><worldbody>
+      <body name="a"><freejoint/><geom size=".1" mass="2"/></body>
+      <body name="b" pos="1 0 0"><freejoint/><geom size=".1" mass="4"/></body></worldbody></mujoco>"""
+    model = mujoco.MjModel.from_xml_string(xml)
+    engine = CpuEngine(model, 2, 10, pushed_body=model.body("b").id)
+    engine.push(torch.tensor([[0.0, 8.0, 0.0], [0.0, 0.0, 0.0]]))
+    for _ in range(5):
+        engine.step(torch.zeros(2, 0))
+    np.testing.assert_allclose(engine.qvel[0, 6:9], [0.0, 8.0 / 4.0 * 0.1, 0.0], atol=1e-9)
+    assert (engine.qvel[0, :6] == 0).all()
+    assert (engine.qvel[1] == 0).all()
+    engine.push(torch.zeros(2, 3))
+    before = engine.qvel.clone()
+    engine.step(torch.zeros(2, 0))
+    torch.testing.assert_close(engine.qvel, before)

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
+from itertools import pairwise
 
 import mujoco
 import numpy as np
@@ -98,9 +99,9 @@ def test_the_ball_decides_its_contacts_with_floor_and_feet(mini):
 
 
 def test_the_floor_has_the_tasks_friction(build):
-    assert build(NASTY, ROBOT, "floor.friction=[0.7, 0.01, 0.002]").model.geom("floor").friction == pytest.approx(
-        [0.7, 0.01, 0.002]
-    )
+    assert build(NASTY, ROBOT, "floor.friction=[0.7, 0.01, 0.002]").model.geom(
+        "floor"
+    ).friction == pytest.approx([0.7, 0.01, 0.002])
 
 
 def test_the_target_touches_nothing(mini):
@@ -231,7 +232,8 @@ def test_a_zero_action_holds_the_default_pose(scene):
 
 def test_foot_geoms_are_those_named_else_all_of_the_body(build):
     mjcf = NASTY.replace(
-        '<geom name="right_palm"', '<geom name="extra" type="sphere" size="0.01" mass="0.1"/><geom name="right_palm"'
+        '<geom name="right_palm"',
+        '<geom name="extra" type="sphere" size="0.01" mass="0.1"/><geom name="right_palm"',
     )
     feet = "feet: {left: {body: left_arm, geoms: [left_palm]}, right: {body: right_arm}}\n"
     scene = build(mjcf, ROBOT + feet)
@@ -278,7 +280,9 @@ def test_a_base_drive_pushes_along_the_axis_of_the_base(scene, heading):
     data.qpos[3:7] = [np.cos(heading / 2), 0, 0, np.sin(heading / 2)]
     data.ctrl[model.actuator("push").id] = 0.5
     mujoco.mj_forward(model, data)
-    assert data.qfrc_actuator[:3] == pytest.approx(25 * np.array([np.cos(heading), np.sin(heading), 0]), abs=1e-9)
+    assert data.qfrc_actuator[:3] == pytest.approx(
+        25 * np.array([np.cos(heading), np.sin(heading), 0]), abs=1e-9
+    )
     ahead = 0.5 * np.array([np.cos(heading), np.sin(heading), 0])
     data.qvel[:3] = ahead
     mujoco.mj_forward(model, data)
@@ -320,7 +324,7 @@ def test_a_rolling_ball_loses_energy_all_the_time(mini):
     way, energies = roll(mini, 0.0)
     kinetic, potential = 0.5 * 0.1 * (1 + 2 / 3), 0.1 * 9.81 * 0.08
     steps = [kinetic + potential, *energies]
-    assert all(later < earlier for earlier, later in zip(steps, steps[1:], strict=False))
+    assert all(later < earlier for earlier, later in pairwise(steps))
     assert 0.1 < way[0] < 1.0, "neither stuck nor frictionless"
 
 

@@ -30,7 +30,11 @@ def test_a_robot_file_that_fits_its_model_has_no_problem(build):
 @pytest.mark.parametrize(
     ("old", "new", "complaint"),
     [
-        ("base: trunk", "base: tronk", "2:1: base: the robot's model has no body 'tronk' (did you mean 'trunk'?)"),
+        (
+            "base: trunk",
+            "base: tronk",
+            "2:1: base: the robot's model has no body 'tronk' (did you mean 'trunk'?)",
+        ),
         (
             "{left_knee: 0.1}",
             "{left_kne: 0.1}",
@@ -59,7 +63,15 @@ def test_a_robot_file_that_fits_its_model_has_no_problem(build):
         ),
         ("trivial: [slide], ", "", "8:1: symmetry: the symmetry table lacks joint slide"),
     ],
-    ids=["base", "default pose", "actuator", "foot body", "foot geom", "symmetry", "joint without a symmetry"],
+    ids=[
+        "base",
+        "default pose",
+        "actuator",
+        "foot body",
+        "foot geom",
+        "symmetry",
+        "joint without a symmetry",
+    ],
 )
 def test_a_name_that_the_model_lacks_is_reported_where_it_stands(complaints, old, new, complaint):
     assert f"robot.yaml:{complaint}" in complaints(MJCF, ROBOT.replace(old, new, 1))
@@ -71,7 +83,11 @@ def test_all_joints_without_a_symmetry_are_named(complaints):
 
 
 def test_every_problem_is_reported(complaints):
-    robot = ROBOT.replace("base: trunk", "base: x").replace("joint: left_knee", "joint: y").replace("[left_foot]", "[z]")
+    robot = (
+        ROBOT.replace("base: trunk", "base: x")
+        .replace("joint: left_knee", "joint: y")
+        .replace("[left_foot]", "[z]")
+    )
     assert [line.split(": ")[1] for line in complaints(MJCF, robot)] == [
         "base",
         "feet.left.geoms.0",
@@ -104,7 +120,9 @@ def test_a_joint_is_driven_once(complaints):
 
 
 def test_a_driven_joint_has_a_driven_mirror_image(complaints):
-    robot = ROBOT.replace("  right: {kind: velocity, joint: right_knee", "  right: {kind: velocity, joint: slide")
+    robot = ROBOT.replace(
+        "  right: {kind: velocity, joint: right_knee", "  right: {kind: velocity, joint: slide"
+    )
     assert complaints(MJCF, robot) == [
         "robot.yaml:5:26: actuators.left.joint: the joint 'left_knee' is driven, "
         "but its mirror image 'right_knee' is not"
@@ -112,7 +130,9 @@ def test_a_driven_joint_has_a_driven_mirror_image(complaints):
 
 
 def test_a_ball_joint_is_refused(complaints):
-    mjcf = MJCF.replace('<joint name="slide" type="slide" axis="1 0 0"/>', '<joint name="slide" type="ball"/>')
+    mjcf = MJCF.replace(
+        '<joint name="slide" type="slide" axis="1 0 0"/>', '<joint name="slide" type="ball"/>'
+    )
     assert "model: the joint 'slide' is a ball joint; expected hinge, slide or free joints" in str(
         complaints(mjcf, ROBOT)
     )
@@ -135,6 +155,10 @@ def test_a_model_that_is_no_mjcf_is_refused_in_one_line(complaints):
 
 
 def test_a_model_that_does_not_compile_is_refused_in_one_line(complaints):
-    (complaint,) = complaints(MJCF.replace('name="left_foot" size="0.1" mass="1"', 'name="left_foot" size="0.1" mass="0"'), ROBOT)
-    assert complaint.startswith("robot.yaml:1:1: model: MuJoCo cannot compile the scene of this model: Error: mass")
+    (complaint,) = complaints(
+        MJCF.replace('name="left_foot" size="0.1" mass="1"', 'name="left_foot" size="0.1" mass="0"'), ROBOT
+    )
+    assert complaint.startswith(
+        "robot.yaml:1:1: model: MuJoCo cannot compile the scene of this model: Error: mass"
+    )
     assert "\n" not in complaint

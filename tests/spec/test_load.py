@@ -103,7 +103,9 @@ def test_a_document_knows_where_each_value_was_written(folder):
 def test_an_override_reaches_into_lists_and_mappings(folder):
     Path("table.yaml").write_text(TABLE)
     Path("method.yaml").write_text(METHOD)
-    method = load_method("method.yaml", ["network.actor_hidden.0=6", "symmetry.tied_std=true", "description=x y"])
+    method = load_method(
+        "method.yaml", ["network.actor_hidden.0=6", "symmetry.tied_std=true", "description=x y"]
+    )
     assert method.spec.network.actor_hidden == (6,)
     assert method.spec.symmetry.tied_std
     assert method.spec.description == "x y"
@@ -111,9 +113,9 @@ def test_an_override_reaches_into_lists_and_mappings(folder):
 
 def test_the_last_override_wins(folder):
     Path("table.yaml").write_text(TABLE)
-    assert load(RepresentationSpec, "table.yaml", ["fields.ball=sign", "fields.ball=regular"]).spec.fields == {
-        "ball": "regular"
-    }
+    assert load(
+        RepresentationSpec, "table.yaml", ["fields.ball=sign", "fields.ball=regular"]
+    ).spec.fields == {"ball": "regular"}
 
 
 @pytest.mark.parametrize(
@@ -124,7 +126,10 @@ def test_the_last_override_wins(folder):
         ("fields..ball=sign", "expected key.path=value (for example rewards.fall.weight=-2)"),
         ("extends=a.yaml", "extends: `extends` cannot be set: it is read from files only"),
         ("fields.ball.x=1", "fields.ball.x: 'fields.ball' is the string 'trivial' and has no key 'x'"),
-        ("field.ball=sign", "field: unknown key 'field'; expected one of: fields, actions (did you mean 'fields'?)"),
+        (
+            "field.ball=sign",
+            "field: unknown key 'field'; expected one of: fields, actions (did you mean 'fields'?)",
+        ),
     ],
 )
 def test_a_bad_override_is_named_as_typed(folder, override, message):
@@ -149,4 +154,6 @@ def test_an_override_that_neither_task_nor_method_has_names_the_nearest_key():
     assert messages(split_overrides, ["algoritm.gamma=0.9"]) == [
         "--set algoritm.gamma=0.9: neither a task nor a method has a key 'algoritm' (did you mean 'algorithm'?)"
     ]
-    assert messages(split_overrides, ["zzz=1"]) == ["--set zzz=1: neither a task nor a method has a key 'zzz'"]
+    assert messages(split_overrides, ["zzz=1"]) == [
+        "--set zzz=1: neither a task nor a method has a key 'zzz'"
+    ]

@@ -1,6 +1,6 @@
 import pytest
 
-from kickbench.spec.method import MethodSpec
+from kickbench.spec.method import MethodSpec, SymmetrySpec
 
 METHOD = """\
 algorithm: {iterations: 10, num_envs: 4, learning_rate: 1e-3}
@@ -15,7 +15,8 @@ def test_what_is_not_written_has_the_values_of_the_thesis(read):
     assert (algorithm.steps_per_env, algorithm.epochs, algorithm.mini_batches) == (24, 5, 4)
     assert (algorithm.desired_kl, algorithm.schedule) == (0.01, "adaptive")
     assert (method.network.activation, method.network.initial_std) == ("elu", 1.0)
-    assert not (method.symmetry.augmentation or method.symmetry.tied_std)
+    assert method.symmetry == SymmetrySpec()
+    assert not method.symmetry.augmentation
 
 
 def test_a_plain_network_may_have_odd_widths(read):

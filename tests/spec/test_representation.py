@@ -1,5 +1,5 @@
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kickbench.spec.representation import NAMES, Product, RepresentationSpec, Sum, parse_expression
@@ -57,7 +57,10 @@ def test_products_bind_tighter_than_sums_and_parentheses_nest(text, expression):
         ("()", f"unknown representation ')'; expected one of: {FOUR}"),
         ("3 x trivial", f"unknown representation '3'; expected one of: {FOUR}"),
         ("Sign", f"unknown representation 'Sign'; expected one of: {FOUR} (did you mean 'sign'?)"),
-        ("regular + reglar", f"unknown representation 'reglar'; expected one of: {FOUR} (did you mean 'regular'?)"),
+        (
+            "regular + reglar",
+            f"unknown representation 'reglar'; expected one of: {FOUR} (did you mean 'regular'?)",
+        ),
         (
             "regular-sign",
             "expected '+' or 'x' before '-' in 'regular-sign'",
@@ -65,7 +68,7 @@ def test_products_bind_tighter_than_sums_and_parentheses_nest(text, expression):
     ],
 )
 def test_what_is_no_expression_says_what_was_expected(text, message):
-    with pytest.raises(ValueError) as error:  # noqa: PT011: the whole message is compared below
+    with pytest.raises(ValueError) as error:  # noqa: PT011 - the whole message is compared below
         parse_expression(text)
     assert str(error.value) == message
 
@@ -87,6 +90,7 @@ _EXPRESSIONS = st.recursive(
 )
 
 
+@settings(deadline=None)
 @given(_EXPRESSIONS)
 def test_an_expression_survives_being_written_and_parsed(expression):
     assert parse_expression(_written(expression)) == expression

@@ -50,7 +50,9 @@ def test_what_is_not_written_has_its_default(read):
 
 
 def test_a_foot_without_geoms_and_offset_is_its_body(read):
-    robot = read(RobotSpec, ROBOT + "feet: {left: {body: a}, right: {body: b, geoms: [g], offset: [0, 0, -1]}}\n")
+    robot = read(
+        RobotSpec, ROBOT + "feet: {left: {body: a}, right: {body: b, geoms: [g], offset: [0, 0, -1]}}\n"
+    )
     assert (robot.feet.left.geoms, robot.feet.left.offset) == ((), (0.0, 0.0, 0.0))
     assert (robot.feet.right.geoms, robot.feet.right.offset) == (("g",), (0.0, 0.0, -1.0))
 
@@ -159,7 +161,11 @@ def test_a_robot_without_actuators_is_an_error(complaints):
 
 def test_all_problems_of_a_robot_are_reported_in_the_order_of_its_lines(complaints):
     text = ROBOT.replace("robot.xml", "robt.xml").replace("kp: 20.0, ", "").replace("[neck_pitch]", "[waist]")
-    assert [line.split(": ")[1] for line in complaints(RobotSpec, text)] == ["model", "actuators.knee", "symmetry"]
+    assert [line.split(": ")[1] for line in complaints(RobotSpec, text)] == [
+        "model",
+        "actuators.knee",
+        "symmetry",
+    ]
 
 
 def test_a_missing_model_names_the_nearest_file(complaints):

@@ -17,7 +17,9 @@ SHIPPED = sorted(p for folder in ("tasks", "methods", "assets") for p in (ROOT /
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_committed_schema_is_that_of_the_model(kind):
     path = ROOT / "kickbench/spec/schemas" / f"{kind}.schema.json"
-    assert json.loads(path.read_text()) == json.loads(json.dumps(json_schema(model_of(kind)))), "run `make schemas`"
+    assert json.loads(path.read_text()) == json.loads(json.dumps(json_schema(model_of(kind)))), (
+        "run `make schemas`"
+    )
 
 
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda p: str(p.relative_to(ROOT)))

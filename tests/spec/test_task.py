@@ -58,7 +58,9 @@ def test_the_control_interval_is_a_whole_multiple_of_the_time_step(wrong, interv
 def test_observation_fields_keep_the_order_of_the_file(task):
     actor = task().observations.actor.active(ObservationParams)
     assert list(actor) == ["joint_vel", "base_lin_vel", "joint_pos"]
-    swapped = TASK.replace("{joint_vel: {}, base_lin_vel: {noise: 0.1}", "{base_lin_vel: {noise: 0.1}, joint_vel: {}")
+    swapped = TASK.replace(
+        "{joint_vel: {}, base_lin_vel: {noise: 0.1}", "{base_lin_vel: {noise: 0.1}, joint_vel: {}"
+    )
     assert list(task(swapped).observations.actor.active(ObservationParams)) == [
         "base_lin_vel",
         "joint_vel",
@@ -68,7 +70,9 @@ def test_observation_fields_keep_the_order_of_the_file(task):
 
 def test_null_switches_off_what_the_base_task_has(task, tmp_path):
     (tmp_path / "base.yaml").write_text(TASK)
-    spec = task("extends: base.yaml\nrewards: {action_rate: null}\nobservations: {actor: {joint_vel: null}}\n")
+    spec = task(
+        "extends: base.yaml\nrewards: {action_rate: null}\nobservations: {actor: {joint_vel: null}}\n"
+    )
     assert list(spec.rewards.active(TermParams)) == ["target_distance"]
     assert list(spec.observations.actor.active(TermParams)) == ["base_lin_vel", "joint_pos"]
 
@@ -121,7 +125,10 @@ def test_a_region_may_be_a_point(task):
         ("ball.radius=0.1m", "expected a number, found the string '0.1m'"),
         ("simulation.iterations=2.5", "expected a whole number, found the number 2.5"),
         ("episode.contact_window=-1", "expected a number of at least 0, found the number -1"),
-        ("evaluation.mirrored=on", "expected true or false, found the string 'on' (write true without quotes)"),
+        (
+            "evaluation.mirrored=on",
+            "expected true or false, found the string 'on' (write true without quotes)",
+        ),
         ("evaluation.episodes=0", "expected a number greater than 0, found the number 0"),
         ("terminations.target_hit.radius=0", "expected a number greater than 0, found the number 0"),
         ("rewards.target_distance.sigma=-1", "expected a number greater than 0, found the number -1"),
@@ -139,7 +146,8 @@ def test_friction_is_not_negative(wrong):
 
 
 @pytest.mark.parametrize(
-    "key", ["robot", "simulation", "episode", "sampling", "observations", "rewards", "terminations", "evaluation"]
+    "key",
+    ["robot", "simulation", "episode", "sampling", "observations", "rewards", "terminations", "evaluation"],
 )
 def test_the_parts_of_a_task_are_required(wrong, key):
     text = re.sub(rf"^{key}:.*\n(  .*\n)*", "", TASK, flags=re.MULTILINE)

@@ -50,7 +50,10 @@ def test_an_override_appends_a_term_or_switches_one_off(read):
 
 def test_active_terms_have_their_parameters(read):
     rewards = read(Holder, "rewards: {speed: {weight: -2, limit: 3}, effort: {weight: 0.5}}\n").rewards
-    assert rewards.active(RewardParams) == {"speed": Speed(weight=-2.0, limit=3.0), "effort": RewardParams(weight=0.5)}
+    assert rewards.active(RewardParams) == {
+        "speed": Speed(weight=-2.0, limit=3.0),
+        "effort": RewardParams(weight=0.5),
+    }
 
 
 def test_options_of_a_reward_table_are_no_terms(read):
@@ -61,7 +64,9 @@ def test_options_of_a_reward_table_are_no_terms(read):
 
 
 def test_a_reward_needs_a_weight(complaints):
-    what = "missing key 'weight' (Factor of the term; penalties have positive magnitudes and negative weights.)"
+    what = (
+        "missing key 'weight' (Factor of the term; penalties have positive magnitudes and negative weights.)"
+    )
     assert complaints(Holder, "rewards:\n  effort: {}\n") == [f"a.yaml:2:3: rewards.effort.weight: {what}"]
 
 
@@ -107,5 +112,7 @@ def test_an_unknown_term_names_the_nearest_one(complaints, table, wrong, guess):
     found = [line for line in complaints(task_model(), text) if wrong in line]
     (line,) = found
     row, column = len(keys) + 1, 2 * len(keys) + 1
-    assert line.startswith(f"a.yaml:{row}:{column}: {table}.{wrong}: unknown key '{wrong}'; expected one of: ")
+    assert line.startswith(
+        f"a.yaml:{row}:{column}: {table}.{wrong}: unknown key '{wrong}'; expected one of: "
+    )
     assert line.endswith(f"(did you mean '{guess}'?)")

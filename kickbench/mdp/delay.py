@@ -1,0 +1,77 @@
+"""The action delay: commands reach the servos late (thesis 3.1)."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+
+class ActionDelay:
+    """Per-world latency of control targets, in physics substeps.
+
+    Every control step each world draws a lag L, uniform over the whole substeps in the range; with the hold
+    probability the previous command stays for one substep more. The command of control step t then takes effect
+    L substeps after it was issued. A newer command is never replaced by an older one: where the lag has grown,
+    the servos keep what they have.
+
+    With 4 substeps a control step and L = 6, the command issued at substep 0 takes effect at substep 6, so the
+    servos see (command of step t - 2, t - 2, t - 1, t - 1) during control step t.
+    """
+
+    def __init__(
+        self,
+        delay: tuple[float, float],
+        hold_probability: float,
+        timestep: float,
+        decimation: int,
+        default_target: Tensor,
+        num_worlds: int,
+        generator: torch.Generator,
+    ) -> None:
+        """Fills the buffer with the default target.
+
+        Args:
+            delay: Smallest and largest delay, s.
+            hold_probability: Probability of one more substep of delay.
+            timestep: Physics time step, s.
+            decimation: Substeps per control step.
+            default_target: Target of a zero action [nu].
+            num_worlds: Number of worlds B.
+            generator: Source of the lags.
+        """
+        self._low, self._high = (round(bound / timestep) for bound in delay)
+        self._hold, self._decimation = hold_probability, decimation
+        self._generator = generator
+        self._default = default_target
+        depth = math.ceil((self._high + 1) / decimation) + 1
+        self._history = default_target.repeat(num_worlds, depth, 1)
+        device = default_target.device
+        # Age, in control steps, of the newest command that has taken effect.
+        self._newest = torch.zeros(num_worlds, dtype=torch.int64, device=device)
+        self._substep = torch.arange(decimation, device=device)
+
+    def reset(self, mask: Tensor) -> None:
+        """Forgets the commands of the worlds in `mask` [B]: their servos hold the default target."""
+        self._history = torch.where(mask[:, None, None], self._default, self._history)
+        self._newest = torch.where(mask, self._history.shape[1] - 1, self._newest)
+
+    def __call__(self, targets: Tensor) -> Tensor:
+        """Takes the new targets [B, nu] and returns what the servos see in every substep [B, decimation, nu]."""
+        self._history = torch.cat([targets.unsqueeze(1), self._history[:, :-1]], dim=1)
+        depth = self._history.shape[1]
+        older = (self._newest + 1).clamp(max=depth - 1).unsqueeze(1)
+        wait = self._draw_lags().unsqueeze(1) - self._substep
+        age = torch.div(wait.clamp(min=0) + self._decimation - 1, self._decimation, rounding_mode="floor")
+        age = torch.minimum(age, older).cummin(dim=1).values
+        self._newest = age[:, -1]
+        rows = age.unsqueeze(2).expand(-1, -1, targets.shape[1])
+        return self._history.gather(1, rows)
+
+    def _draw_lags(self) -> Tensor:
+        worlds, device = len(self._newest), self._newest.device
+        span = self._high - self._low + 1
+        unit = torch.rand(2, worlds, generator=self._generator, device=device)
+        lag = self._low + (unit[0] * span).floor().long().clamp(max=span - 1)
+        return lag + (unit[1] < self._hold)

@@ -1,0 +1,166 @@
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from kickbench.mdp.catalog import catalog
+from kickbench.mdp.starts import Starts, StartSampler, with_foot_friction
+from kickbench.spec.task import BallSampling, BallSpec, SamplingSpec, TargetSampling
+from kickbench.symmetry.torch_ops import Mirror
+
+FRICTION = catalog().randomizations["foot_friction"]
+
+
+def region(x=(0.2, 0.5), y=(-0.1, 0.3), distance=(1.0, 2.0), angle=(-0.5, 0.8)) -> SamplingSpec:
+    return SamplingSpec(ball=BallSampling(x=x, y=y), target=TargetSampling(distance=distance, angle=angle))
+
+
+@pytest.fixture
+def sample(mini):
+    def sample(
+        sampling=None, count: int = 500, seed: int = 0, randomizers=(), radius: float = 0.08
+    ) -> Starts:
+        generator = torch.Generator().manual_seed(seed)
+        layout, nv = mini.scene.layout, mini.scene.model.nv
+        sampler = StartSampler(
+            layout, sampling or region(), BallSpec(radius=radius), randomizers, nv, generator
+        )
+        return sampler.sample(count)
+
+    return sample
+
+
+@pytest.fixture
+def mirror(experiment):
+    symmetry = experiment("mini_general").symmetry
+    return lambda starts: starts.mirrored(Mirror(symmetry.qpos), Mirror(symmetry.qvel))
+
+
+def ball(starts: Starts, mini) -> np.ndarray:
+    first = mini.scene.layout.ball_qpos
+    return starts.qpos[:, first : first + 3].numpy()
+
+
+def assert_fills(values: np.ndarray, low: float, high: float) -> None:
+    """Inside the interval, and near both of its ends and its middle."""
+    assert low <= values.min() < low + 0.05 * (high - low)
+    assert high - 0.05 * (high - low) < values.max() <= high
+    assert values.mean() == pytest.approx((low + high) / 2, abs=0.05 * (high - low))
+
+
+def test_balls_fill_their_region_and_rest_on_the_floor(sample, mini):
+    x, y, z = ball(sample(radius=0.11), mini).T
+    assert_fills(x, 0.2, 0.5)
+    assert_fills(y, -0.1, 0.3)
+    assert z == pytest.approx(np.full(500, 0.11))
+
+
+def test_targets_fill_their_region_and_positive_angles_are_to_the_left(sample):
+    x, y = sample().target.numpy().T
+    assert_fills(np.hypot(x, y), 1.0, 2.0)
+    assert_fills(np.arctan2(y, x), -0.5, 0.8)
+    (left,) = sample(region(distance=(2.0, 2.0), angle=(math.pi / 2, math.pi / 2)), 1).target.tolist()
+    assert left == pytest.approx([0.0, 2.0])
+
+
+def test_a_point_is_a_region(sample, mini):
+    starts = sample(region(x=(0.3, 0.3), y=(-0.2, -0.2), distance=(1.5, 1.5), angle=(0.0, 0.0)), 3)
+    assert ball(starts, mini)[:, :2] == pytest.approx(np.array([[0.3, -0.2]] * 3))
+    assert starts.target.numpy() == pytest.approx(np.array([[1.5, 0.0]] * 3))
+
+
+def test_position_distance_and_angle_are_drawn_independently(sample, mini):
+    starts = sample(count=2000)
+    x, y = starts.target.numpy().T
+    columns = [*ball(starts, mini)[:, :2].T, np.hypot(x, y), np.arctan2(y, x)]
+    correlation = np.corrcoef(columns) - np.eye(4)
+    assert np.abs(correlation).max() < 0.08
+
+
+def test_the_robot_starts_at_rest_in_its_default_pose(sample, mini):
+    starts, layout = sample(count=4), mini.scene.layout
+    robot = [i for i in range(mini.scene.model.nq) if not layout.ball_qpos <= i < layout.ball_qpos + 3]
+    assert starts.qpos[:, robot].numpy() == pytest.approx(np.tile(layout.default_qpos[robot], (4, 1)))
+    assert not starts.qvel.any()
+
+
+def test_a_seed_names_the_starts(sample):
+    assert torch.equal(sample(seed=3).qpos, sample(seed=3).qpos)
+    assert torch.equal(sample(seed=3).target, sample(seed=3).target)
+    assert not torch.equal(sample(seed=3).qpos, sample(seed=4).qpos)
+
+
+def test_starts_are_float64_so_that_mirror_images_are_exact(sample):
+    starts = sample(count=2)
+    assert {starts.qpos.dtype, starts.qvel.dtype, starts.target.dtype} == {torch.float64}
+
+
+def test_friction_is_as_compiled_without_randomisation(sample):
+    assert sample(count=2).foot_friction is None
+
+
+def test_friction_is_drawn_for_each_foot_and_episode(sample):
+    params = FRICTION.params(range=(0.3, 1.2))
+    starts = sample(randomizers=(lambda starts, draw: FRICTION.function(starts, params, draw),))
+    left, right = starts.foot_friction.numpy().T
+    assert_fills(left, 0.3, 1.2)
+    assert_fills(right, 0.3, 1.2)
+    assert abs(np.corrcoef(left, right)[0, 1]) < 0.15
+
+
+def test_friction_does_not_change_where_balls_and_targets_are(sample):
+    params = FRICTION.params(range=(0.3, 1.2))
+    rough = sample(randomizers=(lambda starts, draw: FRICTION.function(starts, params, draw),))
+    assert torch.equal(rough.qpos, sample().qpos)
+
+
+@pytest.fixture
+def moving(sample) -> Starts:
+    """Starts with everything off centre and in motion, and unequal friction."""
+    starts, generator = sample(count=20), torch.Generator().manual_seed(1)
+
+    def noise(like: torch.Tensor) -> torch.Tensor:
+        return torch.rand(like.shape, generator=generator, dtype=torch.float64) - 0.5
+
+    moved = Starts(
+        starts.qpos + noise(starts.qpos), starts.qvel + noise(starts.qvel), starts.target, starts.joints
+    )
+    return with_foot_friction(moved, 1.0 + noise(starts.target))
+
+
+def test_mirroring_twice_gives_the_start_back_bit_for_bit(moving, mirror):
+    back = mirror(mirror(moving))
+    for name in ("qpos", "qvel", "target", "foot_friction"):
+        assert torch.equal(getattr(back, name), getattr(moving, name)), name
+        assert not torch.equal(getattr(mirror(moving), name), getattr(moving, name)), name
+
+
+def test_the_mirror_image_has_ball_and_target_on_the_other_side(moving, mirror, mini):
+    image = mirror(moving)
+    assert ball(image, mini) == pytest.approx(ball(moving, mini) * [1, -1, 1])
+    assert image.target.numpy() == pytest.approx(moving.target.numpy() * [1, -1])
+
+
+def test_the_mirror_image_swaps_the_friction_of_the_feet(moving, mirror):
+    assert torch.equal(mirror(moving).foot_friction, moving.foot_friction[:, [1, 0]])
+
+
+def test_the_mirror_image_swaps_the_legs(moving, mirror, mini):
+    image, layout = mirror(moving), mini.scene.layout
+    at = dict(zip(layout.joint_names, layout.joint_qpos, strict=True))
+    assert torch.equal(image.qpos[:, at["left_hip_pitch"]], moving.qpos[:, at["right_hip_pitch"]])
+    assert torch.equal(image.qpos[:, at["left_hip_yaw"]], -moving.qpos[:, at["right_hip_yaw"]])
+
+
+def test_rows_can_be_taken_in_any_order(moving):
+    taken = moving.take(torch.tensor([3, 0, 3]))
+    assert len(taken) == 3
+    for name in ("qpos", "qvel", "target", "foot_friction"):
+        assert torch.equal(getattr(taken, name)[0], getattr(moving, name)[3])
+        assert torch.equal(getattr(taken, name)[1], getattr(moving, name)[0])
+    assert moving.take(torch.tensor([1])).foot_friction.shape == (1, 2)
+
+
+def test_rows_without_friction_stay_without(sample):
+    assert sample(count=3).take(torch.tensor([2])).foot_friction is None
