@@ -21,6 +21,7 @@ from kickbench.results.metrics import Metrics, summarise_sides, write_metrics
 from kickbench.results.provenance import collect_provenance
 from kickbench.results.specs import write_specs
 from kickbench.results.store import RunDirectory
+from kickbench.spec.method import MethodSpec
 from kickbench.train.checkpoint import load_policy, save_policy
 from kickbench.train.progress import standard_progress
 from kickbench.train.trainer import Trainer, TrainingResult
@@ -72,18 +73,27 @@ class RunOutcome:
     metrics: Metrics | None
 
 
-def prepare_torch(device: str, threads: int | None) -> int:
-    """Sets torch's threads and returns their number.
+_WIDE = 256
+"""Hidden width from which on torch gains from more than one thread; narrower layers only wait for each other."""
+
+
+def check_device(device: str) -> None:
+    """Checks that the device is available.
 
     Raises:
-        KickbenchError: The device is not available.
+        KickbenchError: It is not.
     """
     if device != "cpu":
         raise KickbenchError(
             f"--device {device}: this version of kickbench has a CPU engine only; use --device cpu"
         )
+
+
+def set_threads(method: MethodSpec, threads: int | None) -> int:
+    """Sets torch's threads to suit the network and returns the number of physics threads."""
     count = threads or usable_cores()
-    torch.set_num_threads(count)
+    widest = max(*method.network.actor_hidden, *method.network.critic_hidden)
+    torch.set_num_threads(count if widest >= _WIDE else 1)
     return count
 
 
@@ -94,8 +104,9 @@ def run(request: RunRequest) -> RunOutcome:
         SpecError: A specification is wrong; nothing has been written.
         KickbenchError: The run directory holds a finished run, or training diverged.
     """
-    threads = prepare_torch(request.device, request.threads)
+    check_device(request.device)
     experiment = load_experiment(request.task, request.method, request.all_overrides())
+    threads = set_threads(experiment.method.spec, request.threads)
     default = Path("runs", experiment.task.name, experiment.method.name, f"seed{request.seed}")
     directory = RunDirectory(request.out or default)
     directory.prepare(request.force)
@@ -189,9 +200,9 @@ def reevaluate(
     """Evaluates the policy of a finished run again; the run itself is left as it is."""
     from kickbench.results.metrics import load_metrics
 
-    count = prepare_torch("cpu", threads)
     recorded = load_metrics(RunDirectory(path).metrics)
     experiment, policy = load_run(path)
+    count = set_threads(experiment.method.spec, threads)
     sides = evaluate(experiment, policy, episodes=episodes, seed=seed, threads=count)
     evaluation = summarise_sides(sides, experiment.task.spec.evaluation.success_radius)
     return recorded.model_copy(update={"evaluation": evaluation}), sides

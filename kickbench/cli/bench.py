@@ -7,6 +7,8 @@ import json
 from dataclasses import asdict
 from pathlib import Path
 
+import torch
+
 from kickbench.bench.measure import (
     StepFigures,
     UpdateFigures,
@@ -16,8 +18,8 @@ from kickbench.bench.measure import (
 )
 from kickbench.mdp.catalog import task_model
 from kickbench.mdp.compile import compile_task
+from kickbench.physics.cpu import usable_cores
 from kickbench.results.provenance import device_name, package_versions
-from kickbench.runner import prepare_torch
 from kickbench.spec.load import load_task
 
 _METHODS = ("baseline", "augmentation", "equivariant")
@@ -26,7 +28,8 @@ _WIDTHS = ((128, 64), (512, 256, 128))
 
 def bench(arguments: argparse.Namespace) -> int:
     """`kickbench bench`."""
-    threads = prepare_torch("cpu", arguments.threads)
+    threads = arguments.threads or usable_cores()
+    torch.set_num_threads(threads)
     task = compile_task(load_task(task_model(), arguments.task))
     step = measure_step(task, arguments.num_envs, arguments.rounds, threads)
     folder = arguments.methods

@@ -206,9 +206,14 @@ def _add_actuators(scene: mujoco.MjSpec, robot: RobotSpec) -> None:
 
 def _set_servo(actuator: mujoco.MjsActuator, spec: ActuatorSpec) -> None:
     stiffness = spec.kp or 0.0
+    # A motor's back-EMF: tau = clip(kp (u - q) - (kd - slope) dq, +-effort) - slope dq. Until the servo saturates
+    # this is its own law, and then effort (1 - dq / velocity_limit). MuJoCo applies `damping` outside the clip. It
+    # would read a positive velocity coefficient as a damping ratio, so a servo damps no less than its back-EMF.
+    slope = spec.effort / spec.velocity_limit if spec.velocity_limit else 0.0
+    actuator.damping[0] = slope
     actuator.gaintype, actuator.biastype = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_AFFINE
     actuator.gainprm[0] = stiffness if spec.kind == "position" else spec.kd
-    actuator.biasprm[0:3] = [0.0, -stiffness, -spec.kd]
+    actuator.biasprm[0:3] = [0.0, -stiffness, min(slope - spec.kd, 0.0)]
     actuator.forcelimited, actuator.forcerange = True, [-spec.effort, spec.effort]
     if spec.limits is not None:
         actuator.ctrllimited, actuator.ctrlrange = True, spec.limits

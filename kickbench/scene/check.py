@@ -22,8 +22,9 @@ def check_robot(robot: Loaded[RobotSpec], model: mujoco.MjSpec) -> list[Problem]
     check = _Checker(robot, model)
     check.bodies()
     check.joints()
-    check.drives()
     check.symmetry()
+    if not check.problems:  # a misspelt joint would seem to lack a drive
+        check.drives()
     return check.problems
 
 

@@ -27,6 +27,10 @@ class ActuatorSpec(Spec):
     """Damping, N m s/rad (N s/m on a slide or a force axis)."""
     effort: PositiveFloat
     """Largest torque or force, N m or N."""
+    velocity_limit: PositiveFloat | None = None
+    """No-load speed of a position servo, rad/s or m/s: the largest torque falls linearly from `effort` at rest to 0
+    there, as a motor's does. Below it the servo's law is unchanged, save that its damping is at least
+    effort / velocity_limit. Without it, the largest torque does not depend on speed."""
     scale: PositiveFloat
     """Action scale: target = default + scale * action, rad, m, rad/s or m/s."""
     limits: Range | None = None
@@ -40,6 +44,8 @@ class ActuatorSpec(Spec):
             raise ValueError("a position servo needs `kp` and `joint`")
         if self.kind == "velocity" and self.kp is not None:
             raise ValueError("a velocity servo has no `kp`")
+        if self.velocity_limit is not None and self.kind != "position":
+            raise ValueError("only a position servo has a `velocity_limit`")
         if self.limits is not None and self.limits[0] == self.limits[1]:
             raise ValueError("`limits` are two numbers, the lower one first")
         return self

@@ -173,22 +173,6 @@ def test_the_schema_of_a_task_lists_every_term(printed):
 @pytest.mark.parametrize(
     "path", [p for paths in SHIPPED.values() for p in paths], ids=lambda p: f"{p.parent.name}-{p.name}"
 )
-def test_the_first_line_of_a_shipped_file_points_editors_at_its_schema(path, printed):
-    kind = next(kind for kind, paths in SHIPPED.items() if path in paths)
-    match = re.fullmatch(r"# yaml-language-server: \$schema=(\S+)", path.read_text().splitlines()[0])
-    assert match, path.read_text().splitlines()[0]
-    target = (path.parent / match[1]).resolve()
-    assert target == ROOT / "kickbench" / "spec" / "schemas" / f"{kind}.schema.json"
-
-
-def test_the_schemas_in_the_package_are_those_that_the_command_prints(kind, printed):
-    stored = ROOT / "kickbench" / "spec" / "schemas" / f"{kind}.schema.json"
-    assert json.loads(stored.read_text()) == json.loads(printed("schema", kind))
-
-
-@pytest.mark.parametrize(
-    "path", [p for paths in SHIPPED.values() for p in paths], ids=lambda p: f"{p.parent.name}-{p.name}"
-)
 def test_a_shipped_file_satisfies_its_schema(path, printed):
     jsonschema = pytest.importorskip("jsonschema")
     import yaml
@@ -203,7 +187,6 @@ def test_a_shipped_file_satisfies_its_schema(path, printed):
 def test_terms_lists_every_term_with_its_unit_and_source(printed):
     lines = printed("terms").splitlines()
     for term in catalog().all():
-        assert term.name in lines, term.name
         start = lines.index(term.name, lines.index(f"{term.kind}s"))
         end = lines.index("", start)
         text = " ".join(line.strip() for line in lines[start:end])

@@ -254,7 +254,8 @@ MALFORMED = {
         [TASK],
         (TASK, "x: [0.25, 0.55]", "x: [0.25, 0.55"),
         (TASK, "\n    ¦y: [-0.30"),
-        "not valid YAML: expected ',' or ']', but got '<scalar>' (while parsing a flow sequence) (is a bracket not closed?)",
+        "not valid YAML: expected ',' or ']', but got '<scalar>' (while parsing a flow sequence) "
+        "(is a bracket not closed?)",
     ),
     "tab": Case(
         [TASK],
@@ -326,6 +327,7 @@ def test_a_malformed_file_is_reported_with_its_place_and_the_rest_of_the_story(n
     edit(*case.fault)
     expected = f"{place_of(*case.where)}: {case.message}"
     printed = fails("validate", *case.files)
+    assert len(printed) <= 2, "a fault that is reported in many ways is reported badly"
     assert any(line.startswith(expected) for line in printed), "\n".join([expected, *printed])
 
 

@@ -1,4 +1,4 @@
-"""States by hand: a fake engine in the mini kicker's own layout."""
+"""States by hand: a fake engine in the mini kicker's own layout, with every sensor there is."""
 
 from __future__ import annotations
 

@@ -6,40 +6,56 @@ import pytest
 
 from kickbench.mdp.catalog import task_model
 from kickbench.scene.build import build_scene
-from kickbench.scene.sensors import ALWAYS, FOOT_GROUPS, available_groups, plan_sensors
+from kickbench.scene.sensors import ALWAYS, FOOT_GROUPS, available_groups
 from kickbench.spec.load import load, load_task
-from kickbench.spec.robot import ActuatorSpec, FeetSpec, FootSpec, JointSymmetrySpec, RobotSpec
+from kickbench.spec.robot import RobotSpec
 
 ROOT = Path(__file__).parents[2]
-ACTUATOR = ActuatorSpec(kind="velocity", base_axis="x", kd=1.0, effort=1.0, scale=1.0)
-FEET = FeetSpec(left=FootSpec(body="l", geoms=("a", "b")), right=FootSpec(body="r"))
+
+MJCF = """
+<mujoco><worldbody><body name="trunk" pos="0 0 0.5">
+  <joint name="slide" type="slide"/><geom name="hull" size="0.1" mass="1"/>
+  <body name="l" pos="0 0.2 -0.4"><geom name="a" size="0.1" mass="1"/><geom name="b" size="0.1" mass="1"/></body>
+  <body name="r" pos="0 -0.2 -0.4"><geom name="c" size="0.1" mass="1"/><geom name="d" size="0.1" mass="1"/></body>
+</body></worldbody></mujoco>
+"""
+ROBOT = (
+    "model: robot.xml\nbase: trunk\nactuators: {d: {kind: velocity, base_axis: z, kd: 1, effort: 1, scale: 1}}\n"
+    "symmetry: {trivial: [slide]}\n"
+)
+FEET = "feet: {left: {body: l, geoms: [a, b]}, right: {body: r}}\n"
 
 
-def robot(feet: FeetSpec | None) -> RobotSpec:
-    symmetry = JointSymmetrySpec()
-    return RobotSpec(model="x.xml", base="trunk", actuators={"d": ACTUATOR}, feet=feet, symmetry=symmetry)
+@pytest.fixture
+def channels(build):
+    """`channels(robot, *groups)` names the sensors of a scene that asks for some groups."""
 
+    def channels(robot: str, *groups: str) -> list[str]:
+        task = load_task(task_model(), ROOT / "tasks" / "mini_general.yaml").spec
+        Path("robot.xml").write_text(MJCF)
+        Path("robot.yaml").write_text(robot)
+        model = build_scene(task, load(RobotSpec, "robot.yaml"), frozenset(groups)).model
+        return [model.sensor(i).name for i in range(model.nsensor)]
 
-def channels(feet: FeetSpec | None, *groups: str) -> list[str]:
-    return [
-        plan.name
-        for plan in plan_sensors(robot(feet), "trunk", ("left_shank", "right_shank"), frozenset(groups))
-    ]
+    return channels
 
 
 ALWAYS_THERE = ["base_pos.0", "base_quat.0", "base_linvel.0", "base_angvel.0", "robot_ball.0"]
 
 
-def test_a_robot_without_feet_offers_no_foot_sensor():
-    assert not available_groups(robot(None)) & set(FOOT_GROUPS)
-    assert available_groups(robot(FEET)) == available_groups(robot(None)) | set(FOOT_GROUPS)
-    assert set(ALWAYS) <= available_groups(robot(None))
+def test_a_robot_without_feet_offers_no_foot_sensor(build):
+    build(MJCF, ROBOT)
+    bare = load(RobotSpec, "robot.yaml").spec
+    build(MJCF, ROBOT + FEET)
+    footed = load(RobotSpec, "robot.yaml").spec
+    assert available_groups(footed) == available_groups(bare) | set(FOOT_GROUPS)
+    assert not available_groups(bare) & set(FOOT_GROUPS)
+    assert set(ALWAYS) <= available_groups(bare)
 
 
-def test_only_wanted_sensors_are_planned():
-    assert channels(FEET, *ALWAYS) == ALWAYS_THERE
-    assert channels(None, *ALWAYS, "body_floor") == [*ALWAYS_THERE, "body_floor.0", "body_floor.1"]
-    assert channels(FEET, "foot_frame")[5:] == [
+def test_only_wanted_sensors_are_there(channels):
+    assert channels(ROBOT + FEET) == ALWAYS_THERE
+    assert channels(ROBOT + FEET, "foot_frame")[5:] == [
         "left_foot_pos.0",
         "left_foot_vel.0",
         "right_foot_pos.0",
@@ -47,8 +63,12 @@ def test_only_wanted_sensors_are_planned():
     ]
 
 
-def test_a_foot_has_one_contact_sensor_a_geom_or_one_for_its_body():
-    assert channels(FEET, "foot_ball")[5:] == ["left_foot_ball.0", "left_foot_ball.1", "right_foot_ball.0"]
+def test_a_foot_has_one_contact_sensor_a_geom_or_one_for_its_body(channels):
+    assert channels(ROBOT + FEET, "foot_ball")[5:] == [
+        "left_foot_ball.0",
+        "left_foot_ball.1",
+        "right_foot_ball.0",
+    ]
 
 
 @pytest.fixture(scope="module")
