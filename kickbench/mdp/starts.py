@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from kickbench.scene.layout import SceneLayout
-from kickbench.spec.task import BallSpec, SamplingSpec
+from kickbench.spec.task import BallSampling, BallSpec, SamplingSpec
 from kickbench.symmetry.torch_ops import Mirror
 
 Draw = Callable[..., Tensor]
@@ -50,6 +50,9 @@ class Starts:
         return Starts(qpos(self.qpos), qvel(self.qvel), target, self.joints, friction)
 
 
+_TRIES = 16
+"""Candidates for a ball's start; with half of the region blocked, one start in 65,536 would still overlap."""
+
 Randomizer = Callable[[Starts, Draw], Starts]
 """A randomisation term with its parameters bound."""
 
@@ -79,6 +82,7 @@ class StartSampler:
         self._sampling, self._ball = sampling, ball
         self._place, self._nv = layout.ball_qpos, nv
         self._default = torch.as_tensor(layout.default_qpos, device=generator.device)
+        self._obstacles = torch.as_tensor(layout.obstacles, device=generator.device)
         self._joints = torch.as_tensor(layout.joint_qpos, device=generator.device)
         self._randomizers = randomizers
         self.generator = generator
@@ -88,13 +92,39 @@ class StartSampler:
         unit = torch.rand(shape, generator=self.generator, dtype=torch.float64, device=self.generator.device)
         return low + (high - low) * unit
 
+    def _draw_ball(self, count: int, region: BallSampling) -> Tensor:
+        """Ball positions [count, 2] from the region; those that overlap the robot are drawn again.
+
+        A fixed number of candidates a start, of which the first free one is taken: no loop depends on the draws.
+        """
+        tries = _TRIES if self._overlaps_region(region) else 1
+        x, y = self.draw(*region.x, tries, count), self.draw(*region.y, tries, count)
+        free = ~self.overlaps(x, y)
+        first = free.int().argmax(dim=0, keepdim=True)
+        return torch.stack([x.gather(0, first)[0], y.gather(0, first)[0]], dim=1)
+
+    def overlaps(self, x: Tensor, y: Tensor) -> Tensor:
+        """Whether a ball on the floor at (x, y) would overlap the robot in its default pose, bool of their shape."""
+        low_x, high_x, low_y, high_y = self._obstacles.unbind(dim=1)
+        x, y = x.unsqueeze(-1), y.unsqueeze(-1)
+        dx = torch.maximum(low_x - x, x - high_x).clamp(min=0.0)
+        dy = torch.maximum(low_y - y, y - high_y).clamp(min=0.0)
+        return (dx.square() + dy.square() < self._ball.radius**2).any(dim=-1)
+
+    def _overlaps_region(self, region: BallSampling) -> bool:
+        """Whether any place in the region may overlap: a region that is clear costs no second draw."""
+        radius = self._ball.radius
+        low_x, high_x, low_y, high_y = self._obstacles.unbind(dim=1)
+        apart_x = (low_x - radius > region.x[1]) | (high_x + radius < region.x[0])
+        apart_y = (low_y - radius > region.y[1]) | (high_y + radius < region.y[0])
+        return bool((~(apart_x | apart_y)).any())
+
     def sample(self, count: int) -> Starts:
         """Draws `count` independent starts."""
         ball, target = self._sampling.ball, self._sampling.target
         qpos = self._default.repeat(count, 1)
-        position = [self.draw(*ball.x, count), self.draw(*ball.y, count)]
-        position.append(torch.full_like(position[0], self._ball.radius))
-        qpos[:, self._place : self._place + 3] = torch.stack(position, dim=1)
+        qpos[:, self._place : self._place + 2] = self._draw_ball(count, ball)
+        qpos[:, self._place + 2] = self._ball.radius
         distance, angle = self.draw(*target.distance, count), self.draw(*target.angle, count)
         goal = torch.stack([distance * angle.cos(), distance * angle.sin()], dim=1)
         starts = Starts(qpos, qpos.new_zeros(count, self._nv), goal, self._joints)

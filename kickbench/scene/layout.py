@@ -38,6 +38,8 @@ class SceneLayout:
         forces: Contact channel -> places of the net forces [parts, 3], where the channel reports them.
         foot_geoms: Geoms of the left and of the right foot.
         base_body: Body id of the base.
+        obstacles: What a ball on the floor could overlap in the default pose: ground rectangles of the robot's
+            low colliding geoms [K, 4], each x low, x high, y low, y high, m.
     """
 
     coordinates: tuple[Coordinate, ...]
@@ -56,6 +58,7 @@ class SceneLayout:
     forces: Mapping[str, Indices]
     foot_geoms: tuple[Indices, ...]
     base_body: int
+    obstacles: np.ndarray
 
 
 def read_layout(model: mujoco.MjModel, robot: RobotSpec, plans: Sequence[SensorPlan]) -> SceneLayout:
@@ -84,6 +87,7 @@ def read_layout(model: mujoco.MjModel, robot: RobotSpec, plans: Sequence[SensorP
         forces=forces,
         foot_geoms=tuple(_foot_geoms(model, robot, side) for side in SIDES) if robot.feet else (),
         base_body=model.body(ROBOT + robot.base).id,
+        obstacles=_obstacles(model, default),
     )
 
 
@@ -142,3 +146,24 @@ def _sensor_maps(
             force.setdefault(plan.channel, []).append(np.arange(first + 1, first + 4))
     contacts = {name: np.array(places) for name, places in found.items()}
     return frames, contacts, {name: np.stack(places) for name, places in force.items()}
+
+
+def _obstacles(model: mujoco.MjModel, qpos: np.ndarray) -> np.ndarray:
+    """Ground rectangles of the robot's colliding geoms that reach below the top of the ball."""
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_kinematics(model, data)
+    top = 2.0 * model.geom("ball").size[0]
+    boxes = []
+    for geom in range(model.ngeom):
+        collides = model.geom_contype[geom] or model.geom_conaffinity[geom]
+        if not collides or not model.geom(geom).name.startswith(ROBOT):
+            continue
+        # The axis-aligned box of a rotated box: centre and half sizes through the absolute rotation.
+        rotation = data.geom_xmat[geom].reshape(3, 3)
+        centre = data.geom_xpos[geom] + rotation @ model.geom_aabb[geom, :3]
+        half = np.abs(rotation) @ model.geom_aabb[geom, 3:]
+        if centre[2] - half[2] < top:
+            low, high = centre - half, centre + half
+            boxes.append((low[0], high[0], low[1], high[1]))
+    return np.array(boxes).reshape(-1, 4)
