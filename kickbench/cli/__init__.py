@@ -119,6 +119,9 @@ def _add_bench(verbs: argparse._SubParsersAction) -> None:
     verb.add_argument(
         "--num-envs", type=_positive, default=512, help="worlds of the environment step (default: 512)"
     )
+    verb.add_argument(
+        "--update-envs", type=_positive, default=256, help="environments an update learns from (default: 256)"
+    )
     verb.add_argument("--rounds", type=_positive, default=15, help="interleaved repetitions (default: 15)")
     verb.add_argument("--json", action="store_true", help="print the figures as JSON")
     _add_threads(verb)

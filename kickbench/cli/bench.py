@@ -37,6 +37,7 @@ def bench(arguments: argparse.Namespace) -> int:
     for hidden in _WIDTHS:
         widths = ",".join(map(str, hidden))
         overrides = [f"network.{role}_hidden=[{widths}]" for role in ("actor", "critic")]
+        overrides.append(f"algorithm.num_envs={arguments.update_envs}")
         paths = {name: Path(folder, f"{name}.yaml") for name in _METHODS}
         updates.append(measure_update(update_experiments(arguments.task, paths, overrides), arguments.rounds))
     if arguments.json:

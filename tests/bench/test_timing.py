@@ -31,7 +31,9 @@ def test_bench_reports_steps_and_updates_of_all_methods(capsys, monkeypatch):
     assert main(["bench", "--num-envs", "8", "--rounds", "1", "--threads", "1", "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
     step = report["step"]
-    assert step["share"] == pytest.approx(step["env_steps_per_second"] / step["raw_steps_per_second"], rel=1e-6)
+    assert step["share"] == pytest.approx(
+        step["env_steps_per_second"] / step["raw_steps_per_second"], rel=1e-6
+    )
     assert [tuple(figures["hidden"]) for figures in report["updates"]] == [(128, 64), (512, 256, 128)]
     for figures in report["updates"]:
         assert set(figures["ratio"]) == {"baseline", "augmentation", "equivariant"}

@@ -8,7 +8,9 @@ import torch
 from kickbench.mdp.delay import ActionDelay
 
 
-def make_delay(low: float, high: float, hold: float = 0.0, worlds: int = 1, decimation: int = 4) -> ActionDelay:
+def make_delay(
+    low: float, high: float, hold: float = 0.0, worlds: int = 1, decimation: int = 4
+) -> ActionDelay:
     """A buffer at 5 ms whose default target is 0."""
     generator = torch.Generator().manual_seed(0)
     delay = ActionDelay((low, high), hold, 0.005, decimation, torch.zeros(1), worlds, generator)
