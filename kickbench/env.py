@@ -16,9 +16,12 @@ from kickbench.mdp.delay import ActionDelay
 from kickbench.mdp.episode import EpisodeRecord, Outcome, Totals
 from kickbench.mdp.pushes import Pushes
 from kickbench.mdp.randomizations import Setting
-from kickbench.mdp.starts import Starts, StartSampler
+from kickbench.mdp.starts import StartPool, Starts, StartSampler
 from kickbench.mdp.state import EpisodeState, State, StateIndex
 from kickbench.physics.engine import Engine
+
+_POOLED = 16
+"""Episodes a world whose starts are drawn at a time."""
 
 StartSource = Callable[[Tensor], Starts]
 """Given the worlds that reset [B] bool, returns a start for every world; other rows are not read."""
@@ -65,7 +68,7 @@ class KickEnv(VecEnv):
             task.scene.model.nv,
             self.generator,
         )
-        self._starts = starts or (lambda mask: self.sampler.sample(self.num_envs))
+        self._starts = starts or StartPool(self.sampler, _POOLED * self.num_envs)
         self._noise = noise
         self._prepare_constants()
         made = {bound.term.stage: self._make_process(bound) for bound in task.processes}
@@ -88,6 +91,9 @@ class KickEnv(VecEnv):
         self._truncates = torch.tensor(
             [bound.term.truncates for bound in task.terminations], device=self.device
         )
+        # Groups share most of their fields, which are evaluated once; only noise and clipping are a group's own.
+        every = [field for fields in task.groups.values() for field in fields]
+        self._observed = {field.key: field.bound for field in every}
         self._senses_floor = "left_foot_floor" in layout.contacts
         self._foot_geoms = tuple(tuple(int(g) for g in geoms) for geoms in layout.foot_geoms)
 
@@ -198,14 +204,14 @@ class KickEnv(VecEnv):
 
     def _observe(self) -> TensorDict:
         state = self.state()
-        groups = {name: self._group(state, fields) for name, fields in self.task.groups.items()}
+        exact = {key: bound(state) for key, bound in self._observed.items()}
+        groups = {name: self._group(exact, fields) for name, fields in self.task.groups.items()}
         return TensorDict(groups, batch_size=[self.num_envs], device=self.device)
 
-    def _group(self, state: State, fields: tuple[Field, ...]) -> Tensor:
-        return torch.cat([self._field(state, field) for field in fields], dim=1)
+    def _group(self, exact: dict[str, Tensor], fields: tuple[Field, ...]) -> Tensor:
+        return torch.cat([self._disturbed(exact[field.key], field) for field in fields], dim=1)
 
-    def _field(self, state: State, field: Field) -> Tensor:
-        value = field.bound(state)
+    def _disturbed(self, value: Tensor, field: Field) -> Tensor:
         if self._noise and field.params.noise > 0.0:
             unit = torch.rand(value.shape, generator=self.generator, device=self.device)
             value = value + field.params.noise * (2.0 * unit - 1.0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 from torch import Tensor
@@ -58,6 +59,11 @@ class Field:
     def name(self) -> str:
         """The field's name."""
         return self.bound.name
+
+    @cached_property
+    def key(self) -> str:
+        """What the exact value depends on: the term and its parameters, but for noise and clipping."""
+        return f"{self.name} {self.params.model_dump(exclude={'noise', 'clip'})}"
 
 
 @dataclass(frozen=True)

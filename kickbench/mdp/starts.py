@@ -136,3 +136,26 @@ class StartSampler:
 def with_foot_friction(starts: Starts, values: Tensor) -> Starts:
     """The same starts with the given foot friction [N, 2]."""
     return replace(starts, foot_friction=values)
+
+
+class StartPool:
+    """Hands out sampled starts one by one; sampling many at once costs as little as sampling a few."""
+
+    def __init__(self, sampler: StartSampler, size: int) -> None:
+        """Draws the first starts.
+
+        Args:
+            sampler: Where they come from.
+            size: Starts drawn at a time; at least the number of worlds.
+        """
+        self._sampler, self._size = sampler, size
+        self._starts, self._used = sampler.sample(size), 0
+
+    def __call__(self, mask: Tensor) -> Starts:
+        """The next starts for the worlds in `mask` [B]; rows of other worlds hold one that means nothing."""
+        needed = int(mask.sum())
+        if self._used + needed > self._size:
+            self._starts, self._used = self._sampler.sample(self._size), 0
+        rows = (self._used + mask.cumsum(dim=0) - 1).clamp(min=0)
+        self._used += needed
+        return self._starts.take(rows)

@@ -8,7 +8,7 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
-from kickbench.mdp.rotation import rotate_inverse
+from kickbench.mdp.rotation import rotation_matrix
 from kickbench.physics.engine import Engine
 from kickbench.scene.layout import SceneLayout
 from kickbench.scene.sensors import SIDES
@@ -124,8 +124,13 @@ class State:
         return self.in_base_frame(self._frame("base_angvel"))
 
     def in_base_frame(self, vector: Tensor) -> Tensor:
-        """Rotates world vectors [B, 3] into the base frame."""
-        return rotate_inverse(self.base_quat, vector)
+        """Rotates world vectors [B, 3] into the base frame: R^T v."""
+        return torch.bmm(vector.unsqueeze(1), self.base_rotation).squeeze(1)
+
+    @cached_property
+    def base_rotation(self) -> Tensor:
+        """Rotation from the base frame to the world [B, 3, 3]."""
+        return rotation_matrix(self.base_quat)
 
     @cached_property
     def projected_gravity(self) -> Tensor:

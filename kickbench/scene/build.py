@@ -38,8 +38,8 @@ class Scene:
     """A compiled scene.
 
     Attributes:
-        spec: The editable scene, for viewers and for exporting MJCF.
-        model: The compiled model.
+        spec: The editable scene with all that is only to look at, for viewers and for exporting MJCF.
+        model: The compiled model for physics: geoms that touch nothing are left out, their mass is not.
         layout: Where everything is in it, by name.
     """
 
@@ -95,8 +95,10 @@ def build_scene(task: TaskSpec, robot: Loaded[RobotSpec], needs: frozenset[Senso
     plans = plan_sensors(robot.spec, root, body_geoms, needs | frozenset(ALWAYS))
     for plan in plans:
         plan.add_to(scene)
+    physics = scene.copy()
+    physics.compiler.discardvisual = True
     try:
-        model = scene.compile()
+        model = physics.compile()
     except ValueError as error:
         raise _model_error(robot, "compile the scene of this model", error) from None
     return Scene(scene, model, read_layout(model, robot.spec, plans))

@@ -105,10 +105,20 @@ def test_the_floor_has_the_tasks_friction(build):
 
 
 def test_the_target_touches_nothing(mini):
-    target = mini.model.geom("target")
+    assert mini.model.body("target").mocapid == [0]
+    target = mini.spec.compile().geom("target")
     assert (target.contype, target.conaffinity) == (0, 0)
     assert target.size[0] == pytest.approx(0.35)
-    assert mini.model.body("target").mocapid == [0]
+
+
+def test_physics_leaves_out_what_touches_nothing_but_keeps_its_mass(mini):
+    physics, looks = mini.model, mini.spec.compile()
+    assert physics.ngeom < looks.ngeom
+    assert all(physics.geom_contype | physics.geom_conaffinity)
+    for body in ("robot/trunk", "robot/left_leg", "ball"):
+        assert physics.body(body).mass == pytest.approx(looks.body(body).mass)
+        assert physics.body(body).inertia == pytest.approx(looks.body(body).inertia)
+        assert physics.body(body).ipos == pytest.approx(looks.body(body).ipos)
 
 
 # Options
@@ -233,7 +243,7 @@ def test_a_zero_action_holds_the_default_pose(scene):
 def test_foot_geoms_are_those_named_else_all_of_the_body(build):
     mjcf = NASTY.replace(
         '<geom name="right_palm"',
-        '<geom name="extra" type="sphere" size="0.01" mass="0.1"/><geom name="right_palm"',
+        '<geom name="extra" type="sphere" size="0.01" mass="0.1" contype="1"/><geom name="right_palm"',
     )
     feet = "feet: {left: {body: left_arm, geoms: [left_palm]}, right: {body: right_arm}}\n"
     scene = build(mjcf, ROBOT + feet)
