@@ -21,9 +21,9 @@ from kickbench.results.metrics import Metrics, summarise_sides, write_metrics
 from kickbench.results.provenance import collect_provenance
 from kickbench.results.specs import write_specs
 from kickbench.results.store import RunDirectory
-from kickbench.spec.method import MethodSpec
 from kickbench.train.checkpoint import load_policy, save_policy
 from kickbench.train.progress import standard_progress
+from kickbench.train.threads import update_threads
 from kickbench.train.trainer import Trainer, TrainingResult
 
 
@@ -73,10 +73,6 @@ class RunOutcome:
     metrics: Metrics | None
 
 
-_WIDE = 256
-"""Hidden width from which on torch gains from more than one thread; narrower layers only wait for each other."""
-
-
 def check_device(device: str) -> None:
     """Checks that the device is available.
 
@@ -89,14 +85,6 @@ def check_device(device: str) -> None:
         )
 
 
-def set_threads(method: MethodSpec, threads: int | None) -> int:
-    """Sets torch's threads to suit the network and returns the number of physics threads."""
-    count = threads or usable_cores()
-    widest = max(*method.network.actor_hidden, *method.network.critic_hidden)
-    torch.set_num_threads(count if widest >= _WIDE else 1)
-    return count
-
-
 def run(request: RunRequest) -> RunOutcome:
     """Trains, evaluates and writes a run.
 
@@ -106,7 +94,7 @@ def run(request: RunRequest) -> RunOutcome:
     """
     check_device(request.device)
     experiment = load_experiment(request.task, request.method, request.all_overrides())
-    threads = set_threads(experiment.method.spec, request.threads)
+    threads = request.threads or usable_cores()
     default = Path("runs", experiment.task.name, experiment.method.name, f"seed{request.seed}")
     directory = RunDirectory(request.out or default)
     directory.prepare(request.force)
@@ -148,7 +136,8 @@ def make_trainer(experiment: Experiment, directory: RunDirectory, seed: int, thr
     env = KickEnv(experiment.task, engine, seed)
     title = f"{experiment.task.name} / {experiment.method.name} / seed {seed}"
     progress = standard_progress(directory.progress, directory.tensorboard, title)
-    return Trainer(experiment, env, progress, directory.checkpoint)
+    update = update_threads(experiment.method.spec, threads)
+    return Trainer(experiment, env, progress, directory.checkpoint, update)
 
 
 def evaluate(
@@ -202,7 +191,6 @@ def reevaluate(
 
     recorded = load_metrics(RunDirectory(path).metrics)
     experiment, policy = load_run(path)
-    count = set_threads(experiment.method.spec, threads)
-    sides = evaluate(experiment, policy, episodes=episodes, seed=seed, threads=count)
+    sides = evaluate(experiment, policy, episodes=episodes, seed=seed, threads=threads)
     evaluation = summarise_sides(sides, experiment.task.spec.evaluation.success_radius)
     return recorded.model_copy(update={"evaluation": evaluation}), sides

@@ -7,8 +7,6 @@ import json
 from dataclasses import asdict
 from pathlib import Path
 
-import torch
-
 from kickbench.bench.measure import (
     StepFigures,
     UpdateFigures,
@@ -21,6 +19,7 @@ from kickbench.mdp.compile import compile_task
 from kickbench.physics.cpu import usable_cores
 from kickbench.results.provenance import device_name, package_versions
 from kickbench.spec.load import load_task
+from kickbench.train.threads import torch_threads, update_threads
 
 _METHODS = ("baseline", "augmentation", "equivariant")
 _WIDTHS = ((128, 64), (512, 256, 128))
@@ -29,9 +28,9 @@ _WIDTHS = ((128, 64), (512, 256, 128))
 def bench(arguments: argparse.Namespace) -> int:
     """`kickbench bench`."""
     threads = arguments.threads or usable_cores()
-    torch.set_num_threads(threads)
     task = compile_task(load_task(task_model(), arguments.task))
-    step = measure_step(task, arguments.num_envs, arguments.rounds, threads)
+    with torch_threads(1):
+        step = measure_step(task, arguments.num_envs, arguments.rounds, threads)
     folder = arguments.methods
     updates = []
     for hidden in _WIDTHS:
@@ -39,7 +38,9 @@ def bench(arguments: argparse.Namespace) -> int:
         overrides = [f"network.{role}_hidden=[{widths}]" for role in ("actor", "critic")]
         overrides.append(f"algorithm.num_envs={arguments.update_envs}")
         paths = {name: Path(folder, f"{name}.yaml") for name in _METHODS}
-        updates.append(measure_update(update_experiments(arguments.task, paths, overrides), arguments.rounds))
+        experiments = update_experiments(arguments.task, paths, overrides)
+        with torch_threads(update_threads(experiments["baseline"].method.spec, threads)):
+            updates.append(measure_update(experiments, arguments.rounds))
     if arguments.json:
         report = {"task": task.name, "device": device_name("cpu"), "versions": package_versions()}
         print(json.dumps({**report, "step": asdict(step), "updates": [asdict(u) for u in updates]}, indent=2))

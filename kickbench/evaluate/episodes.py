@@ -21,6 +21,7 @@ from kickbench.mdp.episode import FOOT_NAMES
 from kickbench.mdp.starts import Starts, StartSampler
 from kickbench.results.episodes import EpisodeTable
 from kickbench.symmetry.torch_ops import Mirror
+from kickbench.train.threads import torch_threads
 
 Policy = Callable[[TensorDict], Tensor]
 """Observations {group: [B, width]} -> actions [B, nu]."""
@@ -91,7 +92,7 @@ def run_episodes(
         task, engine, seed, noise=protocol.observation_noise, pushes=protocol.pushes, starts=schedule
     )
     ended: list[dict[str, np.ndarray]] = []
-    with torch.inference_mode():
+    with torch.inference_mode(), torch_threads(1):
         while not schedule.finished:
             running, before = schedule.running.clone(), env.state().ball_pos[:, :2].clone()
             env.step(policy(env.get_observations()))

@@ -15,6 +15,7 @@ from kickbench.experiment import Experiment
 from kickbench.train.checkpoint import save_checkpoint
 from kickbench.train.ppo import BoundedPPO, build_ppo
 from kickbench.train.progress import IterationRecord, Progress
+from kickbench.train.threads import torch_threads
 
 
 @dataclass(frozen=True)
@@ -43,6 +44,7 @@ class Trainer:
         env: KickEnv,
         progress: Progress,
         checkpoint: Path,
+        update_threads: int = 1,
         checkpoint_every: int = 50,
     ) -> None:
         """Builds the networks; seed torch before.
@@ -52,11 +54,13 @@ class Trainer:
             env: Environments, already seeded.
             progress: Told after every iteration.
             checkpoint: File that holds everything needed to go on; rewritten now and then and at the end.
+            update_threads: Threads of torch during updates; collecting takes one.
             checkpoint_every: Iterations between two checkpoints.
         """
         self.experiment, self.env, self.progress = experiment, env, progress
         self.ppo: BoundedPPO = build_ppo(experiment, env.get_observations(), torch.device(env.device))
         self.iteration = 0
+        self._update_threads = update_threads
         self._checkpoint, self._every = checkpoint, checkpoint_every
         self._steps_per_iteration = experiment.method.spec.algorithm.steps_per_env * env.num_envs
 
@@ -96,9 +100,11 @@ class Trainer:
 
     def _iterate(self) -> None:
         start = time.perf_counter()
-        self._collect()
+        with torch_threads(1):
+            self._collect()
         collected = time.perf_counter()
-        losses = self.ppo.update()
+        with torch_threads(self._update_threads):
+            losses = self.ppo.update()
         updated = time.perf_counter()
         self.iteration += 1
         record = self._record(losses, collected - start, updated - collected)

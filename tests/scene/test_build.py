@@ -121,6 +121,13 @@ def test_physics_leaves_out_what_touches_nothing_but_keeps_its_mass(mini):
         assert physics.body(body).ipos == pytest.approx(looks.body(body).ipos)
 
 
+def test_what_is_only_to_look_at_still_has_its_mass(mini):
+    drawn = mini.spec.copy().compile()
+    assert mini.model.body_mass == pytest.approx(drawn.body_mass)
+    assert mini.model.body_inertia == pytest.approx(drawn.body_inertia)
+    assert mini.model.body("robot/trunk").mass == pytest.approx([4.001])
+
+
 # Options
 
 
