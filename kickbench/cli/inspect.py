@@ -15,7 +15,7 @@ from kickbench.speccheck import KINDS, check_files, kind_of, model_of
 
 
 def validate(arguments: argparse.Namespace) -> int:
-    """`kickbench validate FILE...`: every file, every task with every method, every error."""
+    """`kickbench validate FILE...`: every file, a single task with every method, every error."""
     problems: list[Problem] = []
     for report in check_files(arguments.files, arguments.overrides):
         problems += report.problems
@@ -34,7 +34,7 @@ def show(arguments: argparse.Namespace) -> int:
 
     kind = kind_of(load_document(arguments.file, arguments.overrides))
     loaded = load(model_of(kind), arguments.file, arguments.overrides)
-    print(explain(loaded.spec, loaded.document))
+    print(explain(loaded.spec, loaded.document).rstrip("\n"))
     return 0
 
 
