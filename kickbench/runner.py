@@ -18,7 +18,7 @@ from kickbench.nets.build import build_actor
 from kickbench.physics.cpu import usable_cores
 from kickbench.results.episodes import EpisodeSides, write_episodes
 from kickbench.results.metrics import Metrics, summarise_sides, write_metrics
-from kickbench.results.provenance import collect_provenance
+from kickbench.results.provenance import code_state, collect_provenance
 from kickbench.results.specs import write_specs
 from kickbench.results.store import RunDirectory
 from kickbench.train.checkpoint import load_policy, save_policy
@@ -99,7 +99,7 @@ def run(request: RunRequest) -> RunOutcome:
     directory = RunDirectory(request.out or default)
     directory.prepare(request.force)
     write_specs(directory, experiment)
-    started = datetime.now(UTC)
+    started, code = datetime.now(UTC), code_state()
     trainer = make_trainer(experiment, directory, request.seed, threads)
     training = trainer.train(experiment.method.spec.algorithm.iterations)
     if training.interrupted:
@@ -123,6 +123,7 @@ def run(request: RunRequest) -> RunOutcome:
             num_threads=threads,
             device=request.device,
             argv=request.command,
+            code=code,
         ),
     )
     write_metrics(directory.metrics, metrics)

@@ -32,8 +32,8 @@ def test_the_baseline_loses_on_the_mirrored_side_and_the_equivariant_policy_does
         success[method] = (evaluation.in_distribution.success_rate, evaluation.mirrored.success_rate)
         print(f"{method}: in distribution {success[method][0]:.1%}, mirrored {success[method][1]:.1%}")
     home, away = success["baseline"]
-    assert home > 0.35, "the baseline has learned the task"
-    assert home - away >= 0.15, "and has not learned its mirror image"
+    assert home > 0.25, "the baseline has learned the task"
+    assert home - away >= 0.10, "and has not learned its mirror image"
     home, away = success["equivariant"]
-    assert home > 0.35, "the equivariant policy has learned the task"
+    assert home > 0.25, "the equivariant policy has learned the task"
     assert abs(home - away) <= 0.005, "and its mirror image with it"

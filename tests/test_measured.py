@@ -16,7 +16,9 @@ RUNS = sorted(path.parent for path in MEASURED.rglob("metrics.json"))
 
 
 def home_field(method: str) -> list[Metrics]:
-    return [load_metrics(path) for path in sorted((MEASURED / "mini_home_field" / method).glob("*/metrics.json"))]
+    return [
+        load_metrics(path) for path in sorted((MEASURED / "mini_home_field" / method).glob("*/metrics.json"))
+    ]
 
 
 def mean_gap(method: str) -> float:

@@ -157,6 +157,11 @@ def check_task(task: LoadedTask[Any]) -> None:
                 what = f"'{name}' needs the sensors {', '.join(lacking)}, which the scene lacks"
                 why = f"the robot {task.robot.document.file.name} names no `feet`"
                 problems.append(document.problem((*path, name), what, why))
+    limits = [name for name, term in terms.terminations.items() if term.truncates]
+    endings = spec.terminations.active(TermParams)
+    if endings and not set(limits) & set(endings):
+        what = "no time limit is on: an episode might never end"
+        problems.append(document.problem(("terminations",), what, f"add {' or '.join(limits)}"))
     if problems:
         raise SpecError(problems)
 

@@ -15,7 +15,7 @@ from kickbench.mdp.delay import ActionDelay as DelayBuffer
 from kickbench.mdp.pushes import Pushes as PushSchedule
 from kickbench.mdp.starts import Draw, Starts, with_foot_friction
 from kickbench.mdp.term import randomization
-from kickbench.spec.base import Fraction, PositiveFloat, Range
+from kickbench.spec.base import Fraction, NonNegativeRange, PositiveFloat
 from kickbench.spec.terms import RandomizationParams
 
 
@@ -41,7 +41,7 @@ class Setting:
 class FootFriction(RandomizationParams):
     """Parameters of `foot_friction`."""
 
-    range: Range
+    range: NonNegativeRange
     """Range of the sliding friction coefficient."""
 
 
@@ -70,7 +70,7 @@ def joint_position(starts: Starts, params: JointPosition, draw: Draw) -> Starts:
 class ActionDelay(RandomizationParams):
     """Parameters of `action_delay`."""
 
-    delay: Range
+    delay: NonNegativeRange
     """Delay between a command and its effect, s; whole physics steps are drawn from it."""
     hold_probability: Fraction = 0.0
     """Probability that the previous command is held for one physics step more."""
@@ -93,11 +93,11 @@ def action_delay(params: ActionDelay, setting: Setting) -> DelayBuffer:
 class Pushes(RandomizationParams):
     """Parameters of `pushes`."""
 
-    interval: Range
+    interval: NonNegativeRange
     """Time between two pushes, s."""
     duration: PositiveFloat
     """Length of a push, s."""
-    force: Range
+    force: NonNegativeRange
     """Magnitude of the force, N."""
 
 

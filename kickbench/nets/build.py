@@ -9,6 +9,7 @@ from rsl_rl.models import MLPModel
 from rsl_rl.modules import GaussianDistribution
 from tensordict import TensorDict
 
+from kickbench.nets.distribution import TiedGaussianDistribution
 from kickbench.nets.models import EquivariantModel, SymmetricNormMLPModel
 from kickbench.spec.method import MethodSpec
 from kickbench.symmetry.field_table import FieldTable
@@ -26,11 +27,13 @@ def build_actor(method: MethodSpec, fields: FieldTable, actions: Representation)
         fields: Field table of the actor's observations.
         actions: Representation of the action vector.
     """
-    distribution = {
+    distribution: dict[str, Any] = {
         "class_name": GaussianDistribution,
         "init_std": method.network.initial_std,
         "std_type": method.network.std_type,
     }
+    if method.symmetry.tied_std:
+        distribution |= {"class_name": TiedGaussianDistribution, "representation": actions}
     return _build(method, "actor", fields, actions, method.network.actor_hidden, distribution)
 
 
@@ -57,7 +60,6 @@ def _build(
     symmetric = {"input_representation": fields.representation, "output_representation": output}
     if method.network.type == "equivariant":
         return EquivariantModel(sample, GROUPS, role, output.dim, **symmetric, **common)
-    tie_std = method.symmetry.tied_std and distribution is not None
     if method.symmetry.symmetric_normalization:
-        return SymmetricNormMLPModel(sample, GROUPS, role, output.dim, tie_std=tie_std, **symmetric, **common)
+        return SymmetricNormMLPModel(sample, GROUPS, role, output.dim, **symmetric, **common)
     return MLPModel(sample, GROUPS, role, output.dim, **common)

@@ -16,6 +16,8 @@ from torch import Tensor
 _FULL = mujoco.mjtState.mjSTATE_FULLPHYSICS
 _CTRL = mujoco.mjtState.mjSTATE_CTRL
 _WRENCH = mujoco.mjtState.mjSTATE_XFRC_APPLIED
+_HUGE = 1e6
+"""Positions (m, rad) and velocities (m/s, rad/s) from here on are an explosion, though finite."""
 _Bit = mujoco.mjtDisableBit
 _KINEMATICS_ONLY = (
     _Bit.mjDSBL_CONSTRAINT | _Bit.mjDSBL_CONTACT | _Bit.mjDSBL_ACTUATION | _Bit.mjDSBL_GRAVITY
@@ -126,7 +128,8 @@ class CpuEngine:
         """Finds rollouts that MuJoCo cut short with a warning (their clock is late) or that are not finite."""
         expected = self.decimation * self.model.opt.timestep
         late = np.abs(self._state[:, 0] - expected) > 0.5 * self.model.opt.timestep
-        self.failed = torch.from_numpy(late | ~np.isfinite(self._state.sum(axis=1)))
+        # A warning in the last substep comes too late to cut the rollout short. NaN compares false as well.
+        self.failed = torch.from_numpy(late | ~(np.abs(self._state).max(axis=1) < _HUGE))
 
     def _sense_frames(self, rows: np.ndarray | None = None) -> None:
         """Evaluates all sensors in the current state, contacts excepted; `rows` are world indices."""

@@ -56,6 +56,7 @@ def collect_provenance(
     device: str = "cpu",
     argv: Sequence[str] = (),
     finished: datetime | None = None,
+    code: tuple[str | None, bool | None] | None = None,
 ) -> Provenance:
     """Look at this process and its machine.
 
@@ -67,12 +68,13 @@ def collect_provenance(
         device: torch device, `cpu` or `cuda[:k]`.
         argv: the command as `sys.argv` has it, program first.
         finished: end of the run, now if left out.
+        code: what `code_state` said when the code was loaded; now if left out.
 
     Returns:
         The record.
     """
     finished = finished or datetime.now(UTC)
-    commit, dirty = git_state(Path(__file__).resolve())
+    commit, dirty = code or code_state()
     return Provenance(
         versions=package_versions(),
         device=device_name(device),
@@ -87,6 +89,11 @@ def collect_provenance(
         env_steps=env_steps,
         command=portable_command(argv),
     )
+
+
+def code_state() -> tuple[str | None, bool | None]:
+    """Commit of kickbench's checkout and whether it has uncommitted changes; ask when a run starts."""
+    return git_state(Path(__file__).resolve())
 
 
 def package_versions() -> dict[str, str]:

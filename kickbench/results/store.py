@@ -103,8 +103,8 @@ class RunDirectory:
     def prepare(self, force: bool = False) -> None:
         """Make the folder ready for a run.
 
-        An unfinished run is left as it is, so that it can be resumed. With `force` the run starts anew: the
-        files that kickbench writes are removed, and nothing else.
+        A run starts anew: what an unfinished one has left is removed, a finished one only with `force`. Files
+        that kickbench did not write stay.
 
         Args:
             force: whether a run that is there, finished or not, is given up.
@@ -114,13 +114,18 @@ class RunDirectory:
         """
         if self.path.exists() and not self.path.is_dir():
             raise KickbenchError(f"{self.path}: expected a folder for the run, found a file")
-        if force:
-            self._remove_own_files()
-        elif self.is_finished:
-            raise KickbenchError(
-                f"{self.path}: holds a finished run; --force runs it again and overwrites it"
+        if self.metrics.exists() and not force:
+            state = (
+                "a finished run"
+                if self.is_finished
+                else "a run whose metrics.json is damaged or of another version"
             )
-        self.specs.mkdir(parents=True, exist_ok=True)
+            raise KickbenchError(f"{self.path}: holds {state}; --force runs it again and overwrites it")
+        self._remove_own_files()
+        try:
+            self.specs.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise KickbenchError(f"{self.path}: cannot make the run's folder: {error.strerror}") from None
 
     def _remove_own_files(self) -> None:
         # metrics.json goes first: a run that is half removed must not look finished.

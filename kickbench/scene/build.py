@@ -224,6 +224,8 @@ def _set_servo(actuator: mujoco.MjsActuator, spec: ActuatorSpec) -> None:
 def has_external_assets(path: str | Path) -> bool:
     """Whether an MJCF reads other files: meshes, textures, height fields or skins."""
     spec = mujoco.MjSpec.from_file(str(path))
+    if b"<include" in Path(path).read_bytes():
+        return True
     return any(
         item.file for items in (spec.meshes, spec.textures, spec.hfields, spec.skins) for item in items
     )

@@ -126,6 +126,16 @@ Range = Annotated[
 ]
 """An interval `[low, high]` with low < high, or one number `c`, which becomes `(c, c)`."""
 
+
+def _not_negative(value: tuple[float, float]) -> tuple[float, float]:
+    if value[0] < 0:
+        raise ValueError(f"expected numbers of at least 0, found {value[0]:g}")
+    return value
+
+
+NonNegativeRange = Annotated[Range, AfterValidator(_not_negative)]
+"""A `Range` of numbers of at least 0."""
+
 FileRef = Annotated[str, FileMarker()]
 """Path of a file, relative to the file that has it; made absolute and checked by `validate`."""
 

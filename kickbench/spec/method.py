@@ -16,6 +16,9 @@ from kickbench.spec.base import (
     Spec,
 )
 
+_RSL_RATES = (1e-5, 1e-2)
+"""Between these rsl_rl's adaptive schedule moves the learning rate."""
+
 
 class AlgorithmSpec(Spec):
     """PPO (Schulman et al. 2017) as rsl_rl implements it; values of the thesis in Table B.1."""
@@ -57,6 +60,13 @@ class AlgorithmSpec(Spec):
 
     @model_validator(mode="after")
     def _divides(self) -> AlgorithmSpec:
+        low, high = self.learning_rate_range
+        if low < _RSL_RATES[0] or high > _RSL_RATES[1]:
+            raise ValueError(
+                f"learning_rate_range lies within rsl_rl's own bounds, {_RSL_RATES[0]} to {_RSL_RATES[1]}"
+            )
+        if not low <= self.learning_rate <= high:
+            raise ValueError(f"learning_rate {self.learning_rate} is outside its range [{low}, {high}]")
         samples = self.num_envs * self.steps_per_env
         if samples < self.mini_batches:
             raise ValueError(f"{samples} samples cannot be split into {self.mini_batches} mini-batches")

@@ -10,6 +10,7 @@ from kickbench.spec.base import (
     FileRef,
     NonNegativeFloat,
     NonNegativeInt,
+    NonNegativeRange,
     PositiveFloat,
     PositiveInt,
     Range,
@@ -103,7 +104,7 @@ class BallSampling(Spec):
 class TargetSampling(Spec):
     """Where the target lies, in polar coordinates of the robot's start frame."""
 
-    distance: Range
+    distance: NonNegativeRange
     """Distance from the robot, m."""
     angle: Range
     """Angle from straight ahead, rad; left is positive."""
@@ -132,7 +133,7 @@ class EvaluationSpec(Spec):
 
     episodes: PositiveInt
     """Episodes a side."""
-    seed: NonNegativeInt = 20_000
+    seed: NonNegativeInt = Field(default=20_000, le=2**63 - 1)
     """Seed of the starts; all methods and training seeds meet the same episodes."""
     mirrored: bool
     """Also evaluate the exact mirror images of the starts."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from pathlib import Path
+from pickle import UnpicklingError
 from typing import Any
 
 import torch
@@ -47,7 +48,7 @@ def load_policy(path: Path, policy: MLPModel) -> None:
         policy.load_state_dict(content["actor_state_dict"])
     except FileNotFoundError:
         raise KickbenchError(f"{path}: no policy; did the run finish?") from None
-    except (RuntimeError, KeyError, EOFError, OSError, ValueError) as error:
+    except (RuntimeError, LookupError, TypeError, ValueError, EOFError, OSError, UnpicklingError) as error:
         raise KickbenchError(f"{path}: this policy cannot be loaded: {error}") from None
     policy.eval()
 

@@ -103,6 +103,10 @@ class Trainer:
         with torch_threads(1):
             self._collect()
         collected = time.perf_counter()
+        if not self.ppo.storage.returns.isfinite().all():
+            raise KickbenchError(
+                f"iteration {self.iteration}: observations, rewards or values are not finite"
+            )
         with torch_threads(self._update_threads):
             losses = self.ppo.update()
         updated = time.perf_counter()

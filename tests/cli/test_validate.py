@@ -483,7 +483,11 @@ def test_a_wrong_number_on_the_command_line_is_a_usage_error(capsys, count):
 def test_several_tasks_are_checked_one_by_one_since_methods_belong_to_a_robot(capsys):
     """The K1's tasks do not go with the mini kicker's methods; each file is fine all the same."""
     root = Path(__file__).parent.parent.parent
-    files = [root / "tasks/mini_general.yaml", root / "tasks/k1_general.yaml", root / "methods/mini/baseline.yaml"]
+    files = [
+        root / "tasks/mini_general.yaml",
+        root / "tasks/k1_general.yaml",
+        root / "methods/mini/baseline.yaml",
+    ]
     assert main(["validate", *map(str, files)]) == 0
     assert " with " not in capsys.readouterr().out
     assert main(["validate", *map(str, files[1:])]) == 2

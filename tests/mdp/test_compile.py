@@ -100,3 +100,8 @@ def test_a_task_without_any_term_of_a_kind_is_an_error(experiment, table, terms)
     (problem,) = error.value.problems
     assert problem.path == tuple(table.split("."))
     assert problem.message == "no term is on"
+
+
+def test_a_task_without_a_time_limit_is_an_error(experiment):
+    with pytest.raises(SpecError, match="no time limit is on"):
+        experiment("mini_general", "baseline", "terminations.time_out=null")

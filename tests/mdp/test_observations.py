@@ -116,5 +116,7 @@ def test_the_rotation_matrix_is_that_of_mujoco():
     expected = np.zeros((50, 3))
     for row, quaternion, vector in zip(expected, quaternions, vectors, strict=True):
         mujoco.mju_rotVecQuat(row, vector, quaternion)
-    found = (rotation_matrix(torch.from_numpy(quaternions)) @ torch.from_numpy(vectors).unsqueeze(2)).squeeze(2)
+    found = (rotation_matrix(torch.from_numpy(quaternions)) @ torch.from_numpy(vectors).unsqueeze(2)).squeeze(
+        2
+    )
     assert found.numpy() == pytest.approx(expected, abs=1e-12)

@@ -245,3 +245,13 @@ def test_a_push_acts_on_its_body_in_its_world_until_changed():
     before = engine.qvel.clone()
     engine.step(torch.zeros(2, 0))
     torch.testing.assert_close(engine.qvel, before)
+
+
+def test_an_explosion_in_the_last_substep_is_seen_though_its_numbers_are_finite(task):
+    engine = make_engine(task, WORLDS)
+    qpos, qvel = random_states(task, WORLDS)
+    engine.reset(everywhere(), qpos, qvel)
+    engine.step(random_targets(task, WORLDS))
+    engine._state[3, 1 + task.scene.model.nq] = 1e37
+    engine._find_failures()
+    assert engine.failed.tolist() == [world == 3 for world in range(WORLDS)]

@@ -102,10 +102,22 @@ def test_force_removes_what_kickbench_wrote_and_nothing_else(tmp_path: Path) -> 
     assert run.specs.is_dir()
 
 
-def test_an_unfinished_run_is_kept_so_that_it_can_go_on(tmp_path: Path) -> None:
-    run = make_run(tmp_path / "run", metrics="{")
+def test_what_an_unfinished_run_has_left_makes_room_for_a_new_one(tmp_path: Path) -> None:
+    run = make_run(tmp_path / "run", metrics="{}")
+    run.metrics.unlink()
+    (run.path / "notes.txt").write_text("mine")
     run.prepare()
+    assert not run.checkpoint.exists()
+    assert (run.path / "notes.txt").read_text() == "mine"
+
+
+def test_a_run_with_damaged_metrics_is_not_overwritten_without_force(tmp_path: Path) -> None:
+    run = make_run(tmp_path / "run", metrics="{")
+    with pytest.raises(KickbenchError, match=r"damaged.*--force"):
+        run.prepare()
     assert run.checkpoint.read_text() == "x"
+    run.prepare(force=True)
+    assert not run.checkpoint.exists()
 
 
 def test_a_new_run_gets_its_folders(tmp_path: Path) -> None:
