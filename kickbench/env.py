@@ -161,17 +161,16 @@ class KickEnv(VecEnv):
         raw = torch.where(self.engine.failed.unsqueeze(1), 0.0, raw)
         weighted = raw * self._weights
         rewards = weighted.sum(dim=1)
-        self.record.by_reward_raw += raw
-        self.record.by_reward += weighted
-        self.record.returned += rewards
+        record = self.record
+        record.by_reward_raw = record.by_reward_raw + raw
+        record.by_reward = record.by_reward + weighted
+        record.returned = record.returned + rewards
         return rewards
 
     def _conclude(self, state: State, terminated: Tensor, failed: Tensor, done: Tensor) -> None:
         radius = self.task.spec.evaluation.success_radius
         success = done & ~failed & (state.target_distance < radius) & state.ball_stopped & state.ball_touched
-        record = replace(
-            self.record, **{name: getattr(self.record, name).clone() for name in vars(self.record)}
-        )
+        record = replace(self.record)
         ball, steps = state.ball_pos[:, :2], self.episode.step
         self.outcome = Outcome(done, failed, terminated, success, ball, state.target_distance, steps, record)
         totals, finished = self.totals, done.float()

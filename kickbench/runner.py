@@ -15,6 +15,7 @@ from kickbench.errors import KickbenchError
 from kickbench.evaluate.episodes import Policy, draw_starts, mirror_starts, run_episodes
 from kickbench.experiment import Experiment, load_experiment
 from kickbench.nets.build import build_actor
+from kickbench.nets.threads import update_threads
 from kickbench.physics.cpu import usable_cores
 from kickbench.results.episodes import EpisodeSides, write_episodes
 from kickbench.results.metrics import Metrics, summarise_sides, write_metrics
@@ -23,7 +24,6 @@ from kickbench.results.specs import write_specs
 from kickbench.results.store import RunDirectory
 from kickbench.train.checkpoint import load_policy, save_policy
 from kickbench.train.progress import standard_progress
-from kickbench.train.threads import update_threads
 from kickbench.train.trainer import Trainer, TrainingResult
 
 

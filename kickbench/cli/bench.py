@@ -16,10 +16,10 @@ from kickbench.bench.measure import (
 )
 from kickbench.mdp.catalog import task_model
 from kickbench.mdp.compile import compile_task
+from kickbench.nets.threads import torch_threads, update_threads
 from kickbench.physics.cpu import usable_cores
 from kickbench.results.provenance import device_name, package_versions
 from kickbench.spec.load import load_task
-from kickbench.train.threads import torch_threads, update_threads
 
 _METHODS = ("baseline", "augmentation", "equivariant")
 _WIDTHS = ((128, 64), (512, 256, 128))

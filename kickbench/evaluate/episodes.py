@@ -19,9 +19,9 @@ from kickbench.experiment import Experiment
 from kickbench.mdp.compile import CompiledTask
 from kickbench.mdp.episode import FOOT_NAMES
 from kickbench.mdp.starts import Starts, StartSampler
+from kickbench.nets.threads import torch_threads
 from kickbench.results.episodes import EpisodeTable
 from kickbench.symmetry.torch_ops import Mirror
-from kickbench.train.threads import torch_threads
 
 Policy = Callable[[TensorDict], Tensor]
 """Observations {group: [B, width]} -> actions [B, nu]."""

@@ -18,6 +18,8 @@ FOOT_NAMES = ("none", "left", "right", "other")
 class EpisodeRecord:
     """What is recorded of the running episode; one row a world.
 
+    Its tensors are replaced, never written to, so a shallow copy keeps what was recorded.
+
     Attributes:
         returned: Sum of rewards [B].
         by_reward: Weighted sum of every reward term [B, R].
@@ -47,7 +49,8 @@ class EpisodeRecord:
         for field in fields(self):
             empty = -1 if field.name == "kick_step" else 0
             value = getattr(self, field.name)
-            value.masked_fill_(mask if value.dim() == 1 else mask.unsqueeze(1), empty)
+            cleared = value.masked_fill(mask if value.dim() == 1 else mask.unsqueeze(1), empty)
+            setattr(self, field.name, cleared)
 
     def note_touch(self, state: State, has_feet: bool) -> None:
         """Remembers step and foot of the first touch, and the ball's peak speed."""

@@ -56,7 +56,11 @@ class StateIndex:
         self.default_joint_pos = default[self.joint_qpos]
         self.ball_qpos, self.ball_qvel = layout.ball_qpos, layout.ball_qvel
         self.frames = {name: slice(int(c[0]), int(c[-1]) + 1) for name, c in layout.frames.items()}
-        self.contacts = {name: torch.as_tensor(c, device=device) for name, c in layout.contacts.items()}
+        # Most channels have one sensor; a plain column costs no gather.
+        self.contacts = {
+            name: int(c[0]) if len(c) == 1 else torch.as_tensor(c, device=device)
+            for name, c in layout.contacts.items()
+        }
         self.forces = {name: torch.as_tensor(c, device=device) for name, c in layout.forces.items()}
         low, high = torch.as_tensor(layout.joint_range, dtype=torch.float32, device=device).unbind(dim=1)
         self.joint_range_middle = torch.where(low.isfinite(), (low + high) / 2, 0.0)
@@ -92,7 +96,10 @@ class State:
         return self._sensors[:, self._index.frames[channel]]
 
     def _touches(self, channel: str) -> Tensor:
-        return (self._sensors[:, self._index.contacts[channel]] > 0.0).any(dim=1)
+        places = self._index.contacts[channel]
+        if isinstance(places, int):
+            return self._sensors[:, places] > 0.0
+        return (self._sensors[:, places] > 0.0).any(dim=1)
 
     def _force(self, channel: str) -> Tensor:
         # MuJoCo reports the force of the foot on the other body.

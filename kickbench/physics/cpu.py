@@ -81,6 +81,7 @@ class CpuEngine:
         self._push = None if pushed_body is None else slice(first, first + 3)
         self._twin = copy.copy(model)
         self._twin.opt.disableflags |= int(_KINEMATICS_ONLY)
+        self._twins = [self._twin] * num_worlds
         self._data = [mujoco.MjData(model) for _ in range(self.num_threads)]
         self._pool = mujoco.rollout.Rollout(nthread=self.num_threads if self.num_threads > 1 else 0)
         self._allocate(mujoco.mj_stateSize(model, _FULL))
@@ -145,7 +146,7 @@ class CpuEngine:
     def _twin_rollout(
         self, start: np.ndarray, control: np.ndarray, end: np.ndarray, sensed: np.ndarray
     ) -> None:
-        models = [self._twin] * len(start)
+        models = self._twins if len(start) == self.num_worlds else [self._twin] * len(start)
         self._pool.rollout(
             models, self._data, start, control, control_spec=self._spec, skip_checks=True, nstep=1,
             state=end, sensordata=sensed,

@@ -12,10 +12,10 @@ from torch import Tensor
 from kickbench.env import KickEnv
 from kickbench.errors import KickbenchError
 from kickbench.experiment import Experiment
+from kickbench.nets.threads import torch_threads
 from kickbench.train.checkpoint import save_checkpoint
 from kickbench.train.ppo import BoundedPPO, build_ppo
 from kickbench.train.progress import IterationRecord, Progress
-from kickbench.train.threads import torch_threads
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from kickbench.train.threads import torch_threads, update_threads
+from kickbench.nets.threads import torch_threads, update_threads
 
 
 def test_wide_networks_update_on_all_cores_and_narrow_ones_on_one(experiment):
