@@ -29,6 +29,7 @@ ROOMS = (
     ("train",),
     ("bench",),
     ("runner",),
+    ("view",),
     ("cli",),
     ("__main__",),
 )
@@ -111,6 +112,8 @@ def allowed_libraries(path: Path) -> set[str]:
         return set()
     if room in ("physics", "bench"):
         return HEAVY - {"rsl_rl"}
+    if room == "view":
+        return {"torch", "mujoco"}
     if room == "scene":
         return {"mujoco"}
     return {"torch"} if room == "mdp" else HEAVY - {"mujoco", "mujoco_warp", "warp"}

@@ -47,6 +47,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_eval(verbs)
     _add_inspection(verbs)
     _add_bench(verbs)
+    _add_view(verbs)
     return parser
 
 
@@ -96,6 +97,13 @@ def _add_inspection(verbs: argparse._SubParsersAction) -> None:
     _add_set(verb)
     verb = _add_verb(verbs, "show", f"{module}:show", "print a resolved spec and where each value came from")
     verb.add_argument("file", type=Path, metavar="FILE", help="task, method, robot or representations")
+    verb.add_argument(
+        "--plot",
+        type=Path,
+        metavar="FILE",
+        action=_Plot,
+        help="draw a task's sampling regions from above instead (.png, .svg)",
+    )
     _add_set(verb)
     verb = _add_verb(verbs, "schema", f"{module}:schema", "print the JSON Schema of a kind of file")
     verb.add_argument("kind", choices=("task", "method", "robot", "representations"))
@@ -127,6 +135,32 @@ def _add_bench(verbs: argparse._SubParsersAction) -> None:
     _add_threads(verb)
 
 
+def _add_view(verbs: argparse._SubParsersAction) -> None:
+    verb = _add_verb(verbs, "render", "kickbench.cli.view:render", "draw starts of a task, or film episodes")
+    verb.add_argument("task", type=Path, metavar="TASK", help="task YAML")
+    verb.add_argument("--policy", type=Path, metavar="RUN", help="run directory (default: zero action)")
+    verb.add_argument(
+        "--out",
+        type=Path,
+        metavar="FILE",
+        help=".png: a sheet of starts; .gif or .mp4: episodes (default: <task>.png)",
+    )
+    verb.add_argument("--starts", type=_positive, metavar="N", help="starts on a sheet (default: 9)")
+    verb.add_argument("--episodes", type=_positive, metavar="N", help="episodes of a film (default: 3)")
+    verb.add_argument("--seed", type=_natural, help="seed of the starts (default: the task's)")
+    verb.add_argument(
+        "--size", type=_size, metavar="WxH", help="pixels of a picture (default: 400x300, films 640x480)"
+    )
+    _add_set(verb)
+
+
+class _Plot(argparse.Action):
+    """`show --plot` is another verb: it draws instead of printing."""
+
+    def __call__(self, parser, namespace, values, option_string=None) -> None:
+        namespace.plot, namespace.verb = values, "kickbench.cli.view:plot"
+
+
 def _add_set(verb: argparse.ArgumentParser) -> None:
     verb.add_argument(
         "--set",
@@ -147,7 +181,17 @@ def _positive(text: str) -> int:
 
 
 def _natural(text: str) -> int:
-    return _whole_number(text, 0)
+    value = _whole_number(text, 0)
+    if value >= 2**63:
+        raise argparse.ArgumentTypeError(f"expected a number below 2^63, found {text}")
+    return value
+
+
+def _size(text: str) -> tuple[int, int]:
+    sides = text.lower().split("x")
+    if len(sides) != 2 or not all(side.isdecimal() and 64 <= int(side) <= 4096 for side in sides):
+        raise argparse.ArgumentTypeError(f"expected WIDTHxHEIGHT, each from 64 to 4096, found {text!r}")
+    return int(sides[0]), int(sides[1])
 
 
 def _whole_number(text: str, least: int) -> int:

@@ -1,0 +1,117 @@
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from kickbench.cli import main
+
+ROOT = Path(__file__).parents[2]
+TASK = str(ROOT / "tasks" / "mini_home_field.yaml")
+
+
+@pytest.fixture(autouse=True)
+def place(tmp_path, monkeypatch):
+    """An empty working directory."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_render_draws_a_sheet_named_after_the_task(opengl, place, capsys):
+    assert main(["render", TASK, "--starts", "2", "--size", "96x72"]) == 0
+    assert capsys.readouterr().out == "mini_home_field.png\n"
+    image = Image.open("mini_home_field.png")
+    assert image.width > 2 * 96
+    assert np.asarray(image).std() > 10
+
+
+def test_the_same_seed_draws_the_same_sheet_and_another_one_another(opengl):
+    for name, seed in (("a", "1"), ("b", "1"), ("c", "2")):
+        assert (
+            main(["render", TASK, "--starts", "1", "--size", "96x72", "--seed", seed, "--out", f"{name}.png"])
+            == 0
+        )
+    a, b, c = (Path(f"{name}.png").read_bytes() for name in "abc")
+    assert a == b != c
+
+
+def test_render_films_a_short_episode(opengl):
+    short = ["--set", "episode.max_steps=6", "--episodes", "1", "--size", "96x72"]
+    assert main(["render", TASK, "--out", "a.gif", *short]) == 0
+    assert Image.open("a.gif").n_frames >= 3
+    assert main(["render", TASK, "--out", "a.mp4", *short]) == 0
+    assert Path("a.mp4").read_bytes()[4:8] == b"ftyp"
+
+
+def test_show_plots_instead_of_printing(capsys):
+    assert main(["show", TASK, "--plot", "a.svg", "--set", "sampling.ball.x=[0.3, 0.4]"]) == 0
+    assert capsys.readouterr().out == "a.svg\n"
+    assert Path("a.svg").read_text().startswith("<?xml")
+
+
+ERRORS = {
+    "unknown kind of picture": (
+        ["render", TASK, "--out", "a.jpg"],
+        "a.jpg: pictures are .png, .gif or .mp4",
+    ),
+    "policy for a sheet": (["render", TASK, "--policy", "runs/x"], "--policy: a .png shows starts"),
+    "episodes for a sheet": (["render", TASK, "--episodes", "2"], "--episodes: a .png shows starts"),
+    "starts for a film": (
+        ["render", TASK, "--out", "a.gif", "--starts", "2"],
+        "--starts: a .gif shows episodes",
+    ),
+    "no such run": (
+        ["render", TASK, "--out", "a.gif", "--policy", "runs/x"],
+        "runs/x: not a run directory (it has no task.yaml)",
+    ),
+    "odd sides": (
+        ["render", TASK, "--out", "a.mp4", "--size", "101x80"],
+        "an .mp4 has even sides; found 101x80",
+    ),
+    "no such task": (["render", "x.yaml"], "x.yaml: no such file: 'x.yaml'"),
+    "sheet that fills the memory": (
+        ["render", TASK, "--starts", "1000", "--size", "1000x1000"],
+        "1000 starts of 1000x1000 pixels make a sheet of more than 100 megapixels",
+    ),
+    "plot of a method": (
+        ["show", str(ROOT / "methods/mini/baseline.yaml"), "--plot", "a.png"],
+        f"--plot draws the sampling regions of a task; {ROOT}/methods/mini/baseline.yaml is a method file",
+    ),
+    "plot of another kind": (
+        ["show", TASK, "--plot", "a.gif"],
+        "a.gif: sampling regions are drawn as .png or .svg",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", ERRORS)
+def test_a_wrong_command_is_answered_in_one_line_and_writes_nothing(name, place, capsys):
+    argv, message = ERRORS[name]
+    assert main(argv) == 2
+    assert capsys.readouterr().err == f"{message}\n"
+    assert not list(place.iterdir())
+
+
+@pytest.mark.parametrize("size", ["100", "100x", "10x10", "100x9999", "axb"])
+def test_a_wrong_size_is_a_usage_error(capsys, size):
+    with pytest.raises(SystemExit) as stop:
+        main(["render", TASK, "--size", size])
+    assert stop.value.code == 2
+    assert f"--size: expected WIDTHxHEIGHT, each from 64 to 4096, found '{size}'" in capsys.readouterr().err
+
+
+def test_a_wrong_opengl_platform_is_an_error_without_a_traceback():
+    done = subprocess.run(
+        [sys.executable, "-m", "kickbench", "render", TASK],
+        env={**os.environ, "MUJOCO_GL": "nonsense", "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 2
+    assert done.stderr.startswith("no OpenGL to draw with (MUJOCO_GL=nonsense: ")
+    assert "Traceback" not in done.stderr
