@@ -72,7 +72,7 @@ def test_help_lists_every_verb(capsys):
         main(["--help"])
     assert stop.value.code == 0
     text = capsys.readouterr().out
-    for verb in ("run", "eval", "validate", "show", "schema", "terms", "list", "table", "bench"):
+    for verb in ("run", "eval", "validate", "show", "schema", "terms", "list", "table", "bench", "render"):
         assert re.search(rf"^ +{verb} +\S", text, re.MULTILINE), verb
 
 
