@@ -11,8 +11,9 @@ from rsl_rl.env import VecEnv
 from tensordict import TensorDict
 from torch import Tensor
 
-from kickbench.mdp.compile import Bound, CompiledTask, Field
+from kickbench.mdp.compile import Bound, CompiledTask
 from kickbench.mdp.delay import ActionDelay
+from kickbench.mdp.disturbance import Disturbance
 from kickbench.mdp.episode import EpisodeRecord, Outcome, Totals
 from kickbench.mdp.pushes import Pushes
 from kickbench.mdp.randomizations import Setting
@@ -94,6 +95,9 @@ class KickEnv(VecEnv):
         # Groups share most of their fields, which are evaluated once; only noise and clipping are a group's own.
         every = [field for fields in task.groups.values() for field in fields]
         self._observed = {field.key: field.bound for field in every}
+        self._disturbances = {
+            name: Disturbance(fields, self.device, noise=self._noise) for name, fields in task.groups.items()
+        }
         self._senses_floor = "left_foot_floor" in layout.contacts
         self._foot_geoms = tuple(tuple(int(g) for g in geoms) for geoms in layout.foot_geoms)
 
@@ -204,17 +208,11 @@ class KickEnv(VecEnv):
     def _observe(self) -> TensorDict:
         state = self.state()
         exact = {key: bound(state) for key, bound in self._observed.items()}
-        groups = {name: self._group(exact, fields) for name, fields in self.task.groups.items()}
+        groups = {}
+        for name, fields in self.task.groups.items():
+            value = torch.cat([exact[field.key] for field in fields], dim=1)
+            groups[name] = self._disturbances[name](value, self.generator)
         return TensorDict(groups, batch_size=[self.num_envs], device=self.device)
-
-    def _group(self, exact: dict[str, Tensor], fields: tuple[Field, ...]) -> Tensor:
-        return torch.cat([self._disturbed(exact[field.key], field) for field in fields], dim=1)
-
-    def _disturbed(self, value: Tensor, field: Field) -> Tensor:
-        if self._noise and field.params.noise > 0.0:
-            unit = torch.rand(value.shape, generator=self.generator, device=self.device)
-            value = value + field.params.noise * (2.0 * unit - 1.0)
-        return value if field.params.clip is None else value.clamp(*field.params.clip)
 
 
 def make_engine(
@@ -224,8 +222,7 @@ def make_engine(
     from kickbench.physics.cpu import CpuEngine
 
     layout = task.scene.layout
-    counts = [int(place) for places in layout.contacts.values() for place in places]
     forces = [int(place) for places in layout.forces.values() for place in places.flatten()]
     decimation = task.spec.simulation.decimation
     pushed = layout.base_body if any(b.term.stage == "push" for b in task.processes) else None
-    return CpuEngine(task.scene.model, num_envs, decimation, counts, forces, pushed, num_threads)
+    return CpuEngine(task.scene.model, num_envs, decimation, forces, pushed, num_threads)

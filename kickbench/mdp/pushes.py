@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import torch
 from torch import Tensor
@@ -34,7 +35,7 @@ class Pushes:
             num_worlds: Number of worlds B.
             generator: Source of all draws.
         """
-        self._interval = tuple(bound / control_interval for bound in interval)
+        self._interval = (interval[0] / control_interval, interval[1] / control_interval)
         self._steps = max(1, round(duration / control_interval))
         self._range, self._generator = force, generator
         device = generator.device
@@ -45,23 +46,27 @@ class Pushes:
 
     def reset(self, mask: Tensor) -> None:
         """Draws a new first interval in the worlds in `mask` [B]; a push that acts there ends."""
-        self._wait = torch.where(mask, self._draw_waits(), self._wait)
+        self._wait = torch.where(mask, _whole(next(self._draw(self._interval))), self._wait)
 
     def __call__(self) -> Tensor:
         """Advances the schedule by one control step and returns the force of that step, world frame [B, 2], N."""
+        wait, magnitude, angle = self._draw(self._interval, self._range, _TURN)
         self._wait = self._wait - 1
-        self._force = torch.where((self._wait == -1).unsqueeze(1), self._draw_forces(), self._force)
-        acting = (self._wait < 0) & (self._wait >= -self._steps)
-        self._wait = torch.where(self._wait <= -self._steps, self._draw_waits(), self._wait)
+        force = torch.stack([magnitude * angle.cos(), magnitude * angle.sin()], dim=1)
+        self._force = torch.where((self._wait == -1).unsqueeze(1), force, self._force)
+        acting = self._wait < 0
+        self._wait = torch.where(self._wait <= -self._steps, _whole(wait), self._wait)
         return self._force * acting.unsqueeze(1)
 
-    def _uniform(self, low: float, high: float) -> Tensor:
-        unit = torch.rand(len(self._wait), generator=self._generator, device=self._wait.device)
-        return low + (high - low) * unit
+    def _draw(self, *ranges: tuple[float, float]) -> Iterator[Tensor]:
+        """Uniform numbers, one row of [B] a range."""
+        device = self._wait.device
+        unit = torch.rand(len(ranges), len(self._wait), generator=self._generator, device=device)
+        return (low + (high - low) * row for (low, high), row in zip(ranges, unit.unbind(), strict=True))
 
-    def _draw_waits(self) -> Tensor:
-        return self._uniform(*self._interval).round().long().clamp(min=1)
 
-    def _draw_forces(self) -> Tensor:
-        magnitude, angle = self._uniform(*self._range), self._uniform(0.0, 2.0 * math.pi)
-        return torch.stack([magnitude * angle.cos(), magnitude * angle.sin()], dim=1)
+_TURN = (0.0, 2.0 * math.pi)
+
+
+def _whole(steps: Tensor) -> Tensor:
+    return steps.round().long().clamp(min=1)

@@ -8,7 +8,6 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
-from kickbench.mdp.rotation import rotation_matrix
 from kickbench.physics.engine import Engine
 from kickbench.scene.layout import SceneLayout
 from kickbench.scene.sensors import SIDES
@@ -68,7 +67,6 @@ class StateIndex:
         self._joints = {name: column for column, name in enumerate(layout.joint_names)}
         self._columns: dict[tuple[str, ...], Tensor] = {}
         self._device = device
-        self.gravity = torch.tensor([[0.0, 0.0, -1.0]], device=device)
 
     def columns_of(self, names: tuple[str, ...]) -> Tensor:
         """Columns of observed joints in a joint vector; made once a list of names."""
@@ -97,9 +95,12 @@ class State:
 
     def _touches(self, channel: str) -> Tensor:
         places = self._index.contacts[channel]
-        if isinstance(places, int):
-            return self._sensors[:, places] > 0.0
-        return (self._sensors[:, places] > 0.0).any(dim=1)
+        found = self._positive[:, places]
+        return found if isinstance(places, int) else found.any(dim=1)
+
+    @cached_property
+    def _positive(self) -> Tensor:
+        return self._sensors > 0.0
 
     def _force(self, channel: str) -> Tensor:
         # MuJoCo reports the force of the foot on the other body.
@@ -111,9 +112,9 @@ class State:
         return self._frame("base_pos")
 
     @cached_property
-    def base_quat(self) -> Tensor:
-        """Base orientation, w first [B, 4]."""
-        return self._frame("base_quat")
+    def base_axes(self) -> Tensor:
+        """The base's x, y and z axis, one a row [B, 3, 3]: R^T, for R v_base = v_world."""
+        return self._frame("base_axes").view(-1, 3, 3)
 
     @cached_property
     def base_lin_vel_world(self) -> Tensor:
@@ -132,17 +133,12 @@ class State:
 
     def in_base_frame(self, vector: Tensor) -> Tensor:
         """Rotates world vectors [B, 3] into the base frame: R^T v."""
-        return torch.bmm(vector.unsqueeze(1), self.base_rotation).squeeze(1)
-
-    @cached_property
-    def base_rotation(self) -> Tensor:
-        """Rotation from the base frame to the world [B, 3, 3]."""
-        return rotation_matrix(self.base_quat)
+        return torch.bmm(self.base_axes, vector.unsqueeze(2)).squeeze(2)
 
     @cached_property
     def projected_gravity(self) -> Tensor:
         """Direction of gravity in the base frame [B, 3], unit length."""
-        return self.in_base_frame(self._index.gravity.expand_as(self.base_pos))
+        return -self.base_axes[:, :, 2]
 
     @cached_property
     def tilt(self) -> Tensor:

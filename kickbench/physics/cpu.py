@@ -13,16 +13,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from kickbench.physics.skeleton import Skeleton
+
 _FULL = mujoco.mjtState.mjSTATE_FULLPHYSICS
 _CTRL = mujoco.mjtState.mjSTATE_CTRL
 _WRENCH = mujoco.mjtState.mjSTATE_XFRC_APPLIED
 _HUGE = 1e6
 """Positions (m, rad) and velocities (m/s, rad/s) from here on are an explosion, though finite."""
-_Bit = mujoco.mjtDisableBit
-_KINEMATICS_ONLY = (
-    _Bit.mjDSBL_CONSTRAINT | _Bit.mjDSBL_CONTACT | _Bit.mjDSBL_ACTUATION | _Bit.mjDSBL_GRAVITY
-    | _Bit.mjDSBL_SPRING | _Bit.mjDSBL_DAMPER | _Bit.mjDSBL_EULERDAMP
-)  # fmt: skip
+_PACKED = 8
+"""Worlds in one skeleton: `rollout` takes some 2 us to look at a model, more than a skeleton's step."""
 
 
 def usable_cores() -> int:
@@ -40,9 +39,9 @@ class CpuEngine:
     mirroring rely on.
 
     MuJoCo evaluates sensors before it integrates, so the sensors of the last substep are one substep old.
-    Instead of a full final forward pass, a twin of the model without contacts, constraints and forces takes
-    one step from the final state, which evaluates its frame sensors there at a fraction of the cost. Contacts
-    are latched over the substeps and need no such pass.
+    Instead of a full final forward pass, a skeleton of the model takes one step from the final state, which
+    evaluates the frame sensors there at a fraction of the cost. Contacts are latched over the substeps and need
+    no such pass.
     """
 
     def __init__(
@@ -50,7 +49,6 @@ class CpuEngine:
         model: mujoco.MjModel,
         num_worlds: int,
         decimation: int,
-        contact_counts: Sequence[int] = (),
         contact_forces: Sequence[int] = (),
         pushed_body: int | None = None,
         num_threads: int | None = None,
@@ -61,8 +59,8 @@ class CpuEngine:
             model: Compiled model, shared by all worlds until `set_friction` makes copies.
             num_worlds: Number of worlds B.
             decimation: Physics substeps per control step.
-            contact_counts: Places in sensordata that are latched by their maximum.
-            contact_forces: Places in sensordata that are averaged over the substeps.
+            contact_forces: Places of contact sensors in sensordata that are averaged over the substeps; the others
+                are latched by their maximum.
             pushed_body: Id of the body that `push` acts on; None: nothing can be pushed.
             num_threads: Threads; default: the cores this process may use.
         """
@@ -70,19 +68,19 @@ class CpuEngine:
         self.num_worlds, self.decimation = num_worlds, decimation
         self.num_threads = num_threads or usable_cores()
         self.device = torch.device("cpu")
-        self._counts = np.asarray(contact_counts, dtype=np.int64)
         self._forces = np.asarray(contact_forces, dtype=np.int64)
-        self._contacts = np.concatenate([self._counts, self._forces])
         self._models = [model] * num_worlds
         self._shared = True
         # External forces travel with the controls; a task without pushes does not pay for them.
         self._spec = int(_CTRL if pushed_body is None else _CTRL | _WRENCH)
         first = model.nu + 6 * (pushed_body or 0)
         self._push = None if pushed_body is None else slice(first, first + 3)
-        self._twin = copy.copy(model)
-        self._twin.opt.disableflags |= int(_KINEMATICS_ONLY)
-        self._twins = [self._twin] * num_worlds
+        self._skeleton = Skeleton(model, _PACKED)
+        # Everything that is no frame is a contact; as a slice, where it is one, it is reduced much faster.
+        self._contacts = _as_slice(np.setdiff1d(np.arange(model.nsensordata), self._skeleton.places))
+        self._everywhere = np.arange(num_worlds)
         self._data = [mujoco.MjData(model) for _ in range(self.num_threads)]
+        self._data_of_bones = [mujoco.MjData(self._skeleton.model) for _ in range(self.num_threads)]
         self._pool = mujoco.rollout.Rollout(nthread=self.num_threads if self.num_threads > 1 else 0)
         self._allocate(mujoco.mj_stateSize(model, _FULL))
         self._set_all(model.qpos0)
@@ -94,9 +92,6 @@ class CpuEngine:
         width = mujoco.mj_stateSize(model, self._spec)
         self._control = np.zeros((worlds, steps, width))
         self._sensed = np.zeros((worlds, steps, model.nsensordata))
-        self._twin_state = np.zeros((worlds, 1, nstate))
-        self._twin_sensed = np.zeros((worlds, 1, model.nsensordata))
-        self._twin_control = np.zeros((worlds, 1, width))
         self._sensors = np.zeros((worlds, model.nsensordata))
         # Full physics state: time, qpos, qvel, act, ...
         self.qpos = torch.from_numpy(self._state)[:, 1 : 1 + model.nq]
@@ -120,8 +115,12 @@ class CpuEngine:
         )  # fmt: skip
         self._state[:] = self._trajectory[:, -1]
         self._find_failures()
-        self._sense_frames()
-        self._sensors[:, self._counts] = self._sensed[:, :, self._counts].max(axis=1)
+        self._latch_contacts()
+        self._sense_frames(self._everywhere)
+
+    def _latch_contacts(self) -> None:
+        """Counts keep their maximum over the substeps, forces their mean."""
+        self._sensors[:, self._contacts] = self._sensed[:, :, self._contacts].max(axis=1)
         if self._forces.size:
             self._sensors[:, self._forces] = self._sensed[:, :, self._forces].mean(axis=1)
 
@@ -132,25 +131,21 @@ class CpuEngine:
         # A warning in the last substep comes too late to cut the rollout short. NaN compares false as well.
         self.failed = torch.from_numpy(late | ~(np.abs(self._state).max(axis=1) < _HUGE))
 
-    def _sense_frames(self, rows: np.ndarray | None = None) -> None:
-        """Evaluates all sensors in the current state, contacts excepted; `rows` are world indices."""
-        if rows is None:
-            self._twin_rollout(self._state, self._twin_control, self._twin_state, self._twin_sensed)
-            np.copyto(self._sensors, self._twin_sensed[:, 0])
-            return
-        state = np.ascontiguousarray(self._state[rows])
-        sensed = np.zeros((len(rows), 1, self.model.nsensordata))
-        self._twin_rollout(state, self._twin_control[rows], np.zeros((len(rows), 1, state.shape[1])), sensed)
-        self._sensors[rows] = sensed[:, 0]
-
-    def _twin_rollout(
-        self, start: np.ndarray, control: np.ndarray, end: np.ndarray, sensed: np.ndarray
-    ) -> None:
-        models = self._twins if len(start) == self.num_worlds else [self._twin] * len(start)
+    def _sense_frames(self, rows: np.ndarray) -> None:
+        """Evaluates the frame sensors in the current states of some worlds; `rows` are their indices."""
+        bones, model = self._skeleton, self.model
+        packs = -(-len(rows) // bones.copies)
+        # The last pack is filled up with worlds that are evaluated twice.
+        state = self._state[np.resize(rows, packs * bones.copies)]
+        qpos = state[:, 1 + bones.qpos].reshape(packs, -1)
+        qvel = state[:, 1 + model.nq + bones.qvel].reshape(packs, -1)
+        start = np.concatenate([np.zeros((packs, 1)), qpos, qvel], axis=1)
+        sensed = np.empty((packs, 1, bones.model.nsensordata))
         self._pool.rollout(
-            models, self._data, start, control, control_spec=self._spec, skip_checks=True, nstep=1,
-            state=end, sensordata=sensed,
+            [bones.model] * packs, self._data_of_bones, start, np.zeros((packs, 1, 0)), skip_checks=True,
+            nstep=1, state=np.empty((packs, 1, start.shape[1])), sensordata=sensed,
         )  # fmt: skip
+        self._sensors[np.ix_(rows, bones.places)] = sensed.reshape(packs * bones.copies, -1)[: len(rows)]
 
     def reset(self, mask: Tensor, qpos: Tensor, qvel: Tensor) -> None:
         """See `Engine.reset`."""
@@ -161,8 +156,8 @@ class CpuEngine:
         self._state[rows] = 0.0
         self._state[rows, 1 : 1 + model.nq] = qpos.numpy()[rows]
         self._state[rows, 1 + model.nq : 1 + model.nq + model.nv] = qvel.numpy()[rows]
+        self._sensors[rows] = 0.0
         self._sense_frames(rows)
-        self._sensors[np.ix_(rows, self._contacts)] = 0.0
         self.failed[rows] = False
 
     def push(self, force: Tensor) -> None:
@@ -192,3 +187,10 @@ class CpuEngine:
     def close(self) -> None:
         """Ends the thread pool."""
         self._pool.close()
+
+
+def _as_slice(places: np.ndarray) -> slice | np.ndarray:
+    """The same places as a slice, where they are consecutive."""
+    if len(places) and places[-1] - places[0] + 1 == len(places):
+        return slice(int(places[0]), int(places[-1]) + 1)
+    return places

@@ -33,7 +33,7 @@ class SceneLayout:
         default_qpos: The whole model in its default pose, ball at the origin [nq].
         default_target: Control target of a zero action [nu].
         action_scale: Factor of an action [nu].
-        frames: Frame channel -> places in sensordata, for channels without contact.
+        frames: Frame channel -> consecutive places in sensordata, for channels without contact.
         contacts: Contact channel -> places of the `found` counts.
         forces: Contact channel -> places of the net forces [parts, 3], where the channel reports them.
         foot_geoms: Geoms of the left and of the right foot.
@@ -132,20 +132,21 @@ def _foot_geoms(model: mujoco.MjModel, robot: RobotSpec, side: str) -> Indices:
 def _sensor_maps(
     model: mujoco.MjModel, plans: Sequence[SensorPlan]
 ) -> tuple[dict[str, Indices], dict[str, Indices], dict[str, Indices]]:
-    frames: dict[str, Indices] = {}
+    frames: dict[str, list[int]] = {}
     found: dict[str, list[int]] = {}
     force: dict[str, list[np.ndarray]] = {}
     for plan in plans:
         sensor = model.sensor(plan.name)
         first = int(sensor.adr[0])
         if not plan.is_contact:
-            frames[plan.channel] = np.arange(first, first + int(sensor.dim[0]))
+            frames.setdefault(plan.channel, []).extend(range(first, first + int(sensor.dim[0])))
             continue
         found.setdefault(plan.channel, []).append(first)
         if plan.force:
             force.setdefault(plan.channel, []).append(np.arange(first + 1, first + 4))
     contacts = {name: np.array(places) for name, places in found.items()}
-    return frames, contacts, {name: np.stack(places) for name, places in force.items()}
+    places_of_frames = {name: np.array(places) for name, places in frames.items()}
+    return places_of_frames, contacts, {name: np.stack(places) for name, places in force.items()}
 
 
 def _obstacles(model: mujoco.MjModel, qpos: np.ndarray) -> np.ndarray:

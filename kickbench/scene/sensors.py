@@ -91,19 +91,22 @@ def plan_sensors(
     if robot.feet:
         for side in SIDES:
             plans += _foot(side, getattr(robot.feet, side), groups)
-    return plans
+    # Frames first, contacts after them: each kind is one slice of sensordata.
+    return sorted(plans, key=lambda plan: plan.is_contact)
 
 
 def _base(body: str) -> list[SensorPlan]:
-    kinds = {
-        "base_pos": mujoco.mjtSensor.mjSENS_FRAMEPOS,
-        "base_quat": mujoco.mjtSensor.mjSENS_FRAMEQUAT,
-        "base_linvel": mujoco.mjtSensor.mjSENS_FRAMELINVEL,
-        "base_angvel": mujoco.mjtSensor.mjSENS_FRAMEANGVEL,
-    }
-    return [
-        SensorPlan(name, 0, kind, mujoco.mjtObj.mjOBJ_XBODY, ROBOT + body) for name, kind in kinds.items()
-    ]
+    kinds = (
+        ("base_pos", 0, mujoco.mjtSensor.mjSENS_FRAMEPOS),
+        # The three axes are the rotation matrix, which a quaternion would first have to be turned into.
+        ("base_axes", 0, mujoco.mjtSensor.mjSENS_FRAMEXAXIS),
+        ("base_axes", 1, mujoco.mjtSensor.mjSENS_FRAMEYAXIS),
+        ("base_axes", 2, mujoco.mjtSensor.mjSENS_FRAMEZAXIS),
+        ("base_linvel", 0, mujoco.mjtSensor.mjSENS_FRAMELINVEL),
+        ("base_angvel", 0, mujoco.mjtSensor.mjSENS_FRAMEANGVEL),
+    )
+    frame = mujoco.mjtObj.mjOBJ_XBODY
+    return [SensorPlan(name, part, kind, frame, ROBOT + body) for name, part, kind in kinds]
 
 
 def _foot(side: str, foot: FootSpec, groups: frozenset[SensorGroup]) -> Iterator[SensorPlan]:

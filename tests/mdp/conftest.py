@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import mujoco
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
@@ -50,7 +52,7 @@ def world(mini, sensing):
     layout, model = sensing.layout, sensing.model
     frames = {
         "base": "base_pos",
-        "quat": "base_quat",
+        "axes": "base_axes",
         "base_vel": "base_linvel",
         "base_spin": "base_angvel",
         "left_foot": "left_foot_pos",
@@ -58,6 +60,11 @@ def world(mini, sensing):
         "left_foot_vel": "left_foot_vel",
         "right_foot_vel": "right_foot_vel",
     }
+
+    def axes(quaternion) -> list[float]:
+        rotation = np.zeros(9)
+        mujoco.mju_quat2Mat(rotation, np.array(quaternion))
+        return rotation.reshape(3, 3).T.ravel().tolist()
 
     def row(values) -> Tensor:
         return torch.tensor([values], dtype=torch.float32)
@@ -75,7 +82,7 @@ def world(mini, sensing):
         qvel[:, rolling : rolling + 3] = torch.tensor(
             given.pop("ball_vel", (0.0, 0.0, 0.0)), dtype=torch.float64
         )
-        given.setdefault("quat", LEVEL)
+        given["axes"] = axes(given.pop("quat", LEVEL))
         for name, channel in frames.items():
             if name in given:
                 sensors[:, layout.frames[channel]] = torch.tensor(given.pop(name), dtype=torch.float64)

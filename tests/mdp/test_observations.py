@@ -3,14 +3,11 @@
 import dataclasses
 import math
 
-import mujoco
-import numpy as np
 import pytest
 import torch
 
 from kickbench.mdp.catalog import catalog
 from kickbench.mdp.compile import field_size
-from kickbench.mdp.rotation import rotation_matrix
 from kickbench.mdp.state import StateIndex
 
 LEFT_TURN = (math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))
@@ -107,16 +104,3 @@ def test_every_field_is_as_long_as_its_term_says(name, term, mini):
 def test_every_field_is_float32(name, world):
     found = catalog().observations[name]
     assert found.function(world(), found.params()).dtype == torch.float32
-
-
-def test_the_rotation_matrix_is_that_of_mujoco():
-    rng = np.random.default_rng(0)
-    quaternions, vectors = rng.normal(size=(50, 4)), rng.normal(size=(50, 3))
-    quaternions /= np.linalg.norm(quaternions, axis=1, keepdims=True)
-    expected = np.zeros((50, 3))
-    for row, quaternion, vector in zip(expected, quaternions, vectors, strict=True):
-        mujoco.mju_rotVecQuat(row, vector, quaternion)
-    found = (rotation_matrix(torch.from_numpy(quaternions)) @ torch.from_numpy(vectors).unsqueeze(2)).squeeze(
-        2
-    )
-    assert found.numpy() == pytest.approx(expected, abs=1e-12)

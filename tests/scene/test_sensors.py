@@ -40,7 +40,15 @@ def channels(build):
     return channels
 
 
-ALWAYS_THERE = ["base_pos.0", "base_quat.0", "base_linvel.0", "base_angvel.0", "robot_ball.0"]
+ALWAYS_THERE = [
+    "base_pos.0",
+    "base_axes.0",
+    "base_axes.1",
+    "base_axes.2",
+    "base_linvel.0",
+    "base_angvel.0",
+    "robot_ball.0",
+]
 
 
 def test_a_robot_without_feet_offers_no_foot_sensor(build):
@@ -55,16 +63,18 @@ def test_a_robot_without_feet_offers_no_foot_sensor(build):
 
 def test_only_wanted_sensors_are_there(channels):
     assert channels(ROBOT + FEET) == ALWAYS_THERE
-    assert channels(ROBOT + FEET, "foot_frame")[5:] == [
+    assert channels(ROBOT + FEET, "foot_frame") == [
+        *ALWAYS_THERE[:-1],
         "left_foot_pos.0",
         "left_foot_vel.0",
         "right_foot_pos.0",
         "right_foot_vel.0",
+        "robot_ball.0",
     ]
 
 
 def test_a_foot_has_one_contact_sensor_a_geom_or_one_for_its_body(channels):
-    assert channels(ROBOT + FEET, "foot_ball")[5:] == [
+    assert channels(ROBOT + FEET, "foot_ball")[len(ALWAYS_THERE) :] == [
         "left_foot_ball.0",
         "left_foot_ball.1",
         "right_foot_ball.0",
@@ -119,7 +129,7 @@ def test_frame_sensors_report_base_and_soles(scene):
     sensed, _ = sense(scene, base_x=0.4, base_y=-0.2, base_yaw=np.pi / 2, left_hip_pitch=0.3)
     frames = scene.layout.frames
     assert sensed[frames["base_pos"]] == pytest.approx([0.4, -0.2, 0.42])
-    assert sensed[frames["base_quat"]] == pytest.approx([np.sqrt(0.5), 0, 0, np.sqrt(0.5)])
+    assert sensed[frames["base_axes"]] == pytest.approx([0, 1, 0, -1, 0, 0, 0, 0, 1], abs=1e-9)
     assert sensed[frames["right_foot_pos"]] == pytest.approx([0.4 + 0.10, -0.2 + 0.02, 0.02])
     forward, down = 0.02 * np.cos(0.3) + 0.40 * np.sin(0.3), 0.40 * np.cos(0.3) - 0.02 * np.sin(0.3)
     assert sensed[frames["left_foot_pos"]] == pytest.approx([0.4 - 0.10, -0.2 + forward, 0.42 - down])
