@@ -77,7 +77,7 @@ class KickEnv(VecEnv):
         self._pushes: Pushes | None = made.get("push") if pushes else None
         self.episode = EpisodeState.zeros(self.num_envs, self.num_actions, self.device)
         self.record = EpisodeRecord.empty(self.num_envs, len(task.rewards), self.device)
-        self.totals = Totals.zeros(len(task.terminations), len(task.rewards), self.device)
+        self.totals = Totals.zeros(len(task.terminations), self._weights)
         self.outcome: Outcome | None = None
         self.reset()
 
@@ -89,9 +89,8 @@ class KickEnv(VecEnv):
         scale = task.spec.simulation.control_interval if task.spec.rewards.scale_by_dt else 1.0
         weights = [weight * scale for _, weight in task.rewards]
         self._weights = torch.tensor(weights, device=self.device)
-        self._truncates = torch.tensor(
-            [bound.term.truncates for bound in task.terminations], device=self.device
-        )
+        concludes = [not bound.term.truncates for bound in task.terminations]
+        self._concludes = torch.tensor(concludes, device=self.device)
         # Groups share most of their fields, which are evaluated once; only noise and clipping are a group's own.
         every = [field for fields in task.groups.values() for field in fields]
         self._observed = {field.key: field.bound for field in every}
@@ -130,10 +129,12 @@ class KickEnv(VecEnv):
         state = self.state()
         self._count(state)
         rewards = self._reward(state)
-        terminated = torch.stack([bound(state) for bound in self.task.terminations], dim=1)
         failed = self.engine.failed.clone()
-        done = terminated.any(dim=1) | failed
-        timed_out = done & ~failed & ~(terminated & ~self._truncates).any(dim=1)
+        terminated = torch.stack([bound(state) for bound in self.task.terminations], dim=1)
+        terminated = terminated & ~failed.unsqueeze(1)
+        ended = terminated.any(dim=1)
+        done = ended | failed
+        timed_out = ended & ~(terminated & self._concludes).any(dim=1)
         self._conclude(state, terminated, failed, done)
         self._reset(done)
         return self._observations, rewards, done, {"time_outs": timed_out}
@@ -163,29 +164,17 @@ class KickEnv(VecEnv):
         raw = torch.stack([bound(state) for bound, _ in self.task.rewards], dim=1)
         # The numbers of a failed world mean nothing: it earns nothing in its last step.
         raw = torch.where(self.engine.failed.unsqueeze(1), 0.0, raw)
-        weighted = raw * self._weights
-        rewards = weighted.sum(dim=1)
-        record = self.record
-        record.by_reward_raw = record.by_reward_raw + raw
-        record.by_reward = record.by_reward + weighted
-        record.returned = record.returned + rewards
-        return rewards
+        self.record.by_reward_raw = self.record.by_reward_raw + raw
+        return raw @ self._weights
 
     def _conclude(self, state: State, terminated: Tensor, failed: Tensor, done: Tensor) -> None:
         radius = self.task.spec.evaluation.success_radius
         success = done & ~failed & (state.target_distance < radius) & state.ball_stopped & state.ball_touched
         record = replace(self.record)
         ball, steps = state.ball_pos[:, :2], self.episode.step
-        self.outcome = Outcome(done, failed, terminated, success, ball, state.target_distance, steps, record)
-        totals, finished = self.totals, done.float()
-        totals.episodes += finished.sum()
-        totals.steps += (steps * finished).sum()
-        totals.returned += (record.returned * finished).sum()
-        totals.successes += success.sum()
-        totals.failures += failed.sum()
-        totals.by_termination += (terminated & (done & ~failed).unsqueeze(1)).sum(dim=0)
-        totals.by_reward += finished @ record.by_reward
-        totals.by_reward_raw += finished @ record.by_reward_raw
+        distance, weights = state.target_distance, self._weights
+        self.outcome = Outcome(done, failed, terminated, success, ball, distance, steps, record, weights)
+        self.totals.add(self.outcome)
 
     def _reset(self, mask: Tensor) -> None:
         starts = self._starts(mask)

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from kickbench.env import KickEnv, make_engine
-from kickbench.mdp.episode import LEFT, NO_FOOT, RIGHT
+from kickbench.mdp.episode import BOTH, LEFT, NO_FOOT, OTHER, RIGHT
 from kickbench.symmetry.torch_ops import Mirror
 
 
@@ -63,8 +63,7 @@ def test_the_reward_of_the_final_step_is_paid_and_episode_sums_are_the_sums_of_s
     for k in range(250):
         _, rewards, done, _ = env.step(random_actions(env, k))
         sums += rewards
-        torch.testing.assert_close(env.outcome.record.returned, sums, rtol=1e-4, atol=1e-4)
-        torch.testing.assert_close(env.outcome.record.by_reward.sum(dim=1), sums, rtol=1e-4, atol=1e-4)
+        torch.testing.assert_close(env.outcome.rewards.sum(dim=1), sums, rtol=1e-4, atol=1e-4)
         sums[done] = 0.0
         checked += int(done.sum())
     assert checked > 20
@@ -102,7 +101,9 @@ def test_the_foot_that_touches_first_is_remembered(experiment):
         state = env.state()
         env._count(state)
         left, right = state.foot_ball_contact.unbind(1)
-        code = torch.where(left & ~right, LEFT, torch.where(right & ~left, RIGHT, 3))
+        code = torch.where(
+            left & ~right, LEFT, torch.where(right & ~left, RIGHT, torch.where(left, BOTH, OTHER))
+        )
         first = torch.where((first < 0) & state.ball_contact, code, first)
         assert torch.equal(env.record.kick_foot, torch.where(first < 0, NO_FOOT, first))
     assert {LEFT, RIGHT} <= set(first.tolist())
@@ -118,9 +119,9 @@ def test_a_world_with_bad_numbers_ends_without_reward_is_counted_and_starts_anew
     assert torch.isfinite(observations["critic"]).all()
     assert torch.isfinite(rewards).all()
     totals = env.totals.take()
-    assert totals["failures"] == 1
-    assert totals["episodes"] == 1
-    assert all(torch.isfinite(value).all() for value in totals.values())
+    assert totals.failures == 1
+    assert totals.episodes == 1
+    assert all(torch.isfinite(value).all() for value in vars(totals).values())
 
 
 def test_totals_count_every_ended_episode_once(experiment):
@@ -130,9 +131,9 @@ def test_totals_count_every_ended_episode_once(experiment):
         *_, done, _ = env.step(random_actions(env, k))
         episodes += int(done.sum())
     totals = env.totals.take()
-    assert totals["episodes"] == episodes > 0
-    assert totals["by_termination"].sum() >= episodes, "two terminations may fire at once"
-    assert env.totals.take()["episodes"] == 0, "reading sets them back"
+    assert totals.episodes == episodes > 0
+    assert totals.terminations.sum() >= episodes, "two terminations may fire at once"
+    assert env.totals.take().episodes == 0, "reading sets them back"
 
 
 def test_observation_noise_is_uniform_of_the_width_in_yaml_and_can_be_switched_off(experiment):

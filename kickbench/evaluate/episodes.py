@@ -122,7 +122,7 @@ def _ended(env: KickEnv, running: Tensor, before: Tensor) -> dict[str, np.ndarra
         "success": outcome.success,
         "ending": ending,
         "steps": outcome.steps,
-        "returned": record.returned,
+        "returned": outcome.rewards.sum(dim=1),
         "kick_foot": record.kick_foot,
         "kick_step": record.kick_step,
         "peak_ball_speed": record.peak_ball_speed,

@@ -9,9 +9,10 @@ from torch import Tensor
 
 from kickbench.mdp.state import State
 
-NO_FOOT, LEFT, RIGHT, OTHER = 0, 1, 2, 3
-"""Codes of what touched the ball first; both feet at once, or another part of the robot, is OTHER."""
-FOOT_NAMES = ("none", "left", "right", "other")
+NO_FOOT, LEFT, RIGHT, BOTH, OTHER = 0, 1, 2, 3, 4
+"""Codes of what touched the ball first: the sum of the feet that did, or OTHER, a part that is no foot."""
+FOOT_NAMES = ("none", "left", "right", "other", "other")
+"""Names of the codes in tables of episodes; both feet at once count as other."""
 
 
 @dataclass
@@ -21,16 +22,12 @@ class EpisodeRecord:
     Its tensors are replaced, never written to, so a shallow copy keeps what was recorded.
 
     Attributes:
-        returned: Sum of rewards [B].
-        by_reward: Weighted sum of every reward term [B, R].
         by_reward_raw: Unweighted sum of every reward term [B, R].
         kick_foot: What touched the ball first [B], codes of this module.
         kick_step: Control step of the first touch, -1 before [B].
         peak_ball_speed: Largest horizontal ball speed so far [B], m/s.
     """
 
-    returned: Tensor
-    by_reward: Tensor
     by_reward_raw: Tensor
     kick_foot: Tensor
     kick_step: Tensor
@@ -40,9 +37,8 @@ class EpisodeRecord:
     def empty(worlds: int, rewards: int, device: torch.device) -> EpisodeRecord:
         """Records of episodes that have not begun."""
         table = torch.zeros(worlds, rewards, device=device)
-        number = torch.zeros(worlds, device=device)
         foot = torch.zeros(worlds, dtype=torch.int64, device=device)
-        return EpisodeRecord(number, table, table.clone(), foot, foot - 1, number.clone())
+        return EpisodeRecord(table, foot, foot - 1, torch.zeros(worlds, device=device))
 
     def clear(self, mask: Tensor) -> None:
         """Starts new records in the worlds in `mask` [B]."""
@@ -57,10 +53,10 @@ class EpisodeRecord:
         first = state.ball_contact & (self.kick_step < 0)
         if has_feet:
             left, right = state.foot_ball_contact.unbind(dim=1)
-            code = LEFT * (left & ~right) + RIGHT * (right & ~left) + OTHER * (left == right)
+            code = left + RIGHT * right
+            self.kick_foot = torch.where(first, torch.where(code > 0, code, OTHER), self.kick_foot)
         else:
-            code = torch.full_like(self.kick_foot, OTHER)
-        self.kick_foot = torch.where(first, code, self.kick_foot)
+            self.kick_foot = torch.where(first, OTHER, self.kick_foot)
         self.kick_step = torch.where(first, state.episode.step, self.kick_step)
         horizontal = state.ball_lin_vel[:, :2].norm(dim=1)
         self.peak_ball_speed = torch.maximum(self.peak_ball_speed, horizontal.nan_to_num())
@@ -71,38 +67,65 @@ class Totals:
     """Sums over the episodes finished since the last reading.
 
     Attributes:
-        episodes: Number of episodes.
         steps: Their control steps.
-        returned: Their returns.
+        endings: How many ended in each way [3 + T]: any, with success, because their numbers were not finite, by
+            each termination.
+        by_reward_raw: Unweighted sums of each reward term [R].
+        weights: Weight of each reward term [R].
+    """
+
+    steps: Tensor
+    endings: Tensor
+    by_reward_raw: Tensor
+    weights: Tensor
+
+    @staticmethod
+    def zeros(terminations: int, weights: Tensor) -> Totals:
+        """Nothing counted yet."""
+        endings = torch.zeros(3 + terminations, device=weights.device)
+        return Totals(torch.zeros((), device=weights.device), endings, torch.zeros_like(weights), weights)
+
+    def add(self, outcome: Outcome) -> None:
+        """Adds the worlds that are done."""
+        done = outcome.done.float()
+        kinds = torch.stack([outcome.done, outcome.success, outcome.failed], dim=1)
+        self.endings += done @ torch.cat([kinds, outcome.terminated], dim=1).float()
+        self.steps += done @ outcome.steps.float()
+        self.by_reward_raw += done @ outcome.record.by_reward_raw
+
+    def take(self) -> FinishedEpisodes:
+        """Returns all sums and sets them to zero."""
+        raw, endings = self.by_reward_raw.clone(), self.endings.clone()
+        episodes, successes, failures = endings[:3].unbind()
+        finished = FinishedEpisodes(
+            episodes, successes, failures, self.steps.clone(), endings[3:], raw * self.weights, raw
+        )
+        for sums in (self.steps, self.endings, self.by_reward_raw):
+            sums.zero_()
+        return finished
+
+
+@dataclass(frozen=True)
+class FinishedEpisodes:
+    """What `Totals` has counted.
+
+    Attributes:
+        episodes: Number of episodes.
         successes: Those that ended with the ball at rest in the success radius.
         failures: Worlds reset because their numbers were not finite.
-        by_termination: Episodes ended by each termination [T].
-        by_reward: Weighted sums of each reward term [R].
-        by_reward_raw: Unweighted sums of each reward term [R].
+        steps: Control steps of all.
+        terminations: Episodes ended by each termination [T].
+        rewards: Weighted sums of each reward term [R]; together they are the sum of the returns.
+        raw_rewards: Unweighted sums of each reward term [R].
     """
 
     episodes: Tensor
-    steps: Tensor
-    returned: Tensor
     successes: Tensor
     failures: Tensor
-    by_termination: Tensor
-    by_reward: Tensor
-    by_reward_raw: Tensor
-
-    @staticmethod
-    def zeros(terminations: int, rewards: int, device: torch.device) -> Totals:
-        """Nothing counted yet."""
-        scalars = [torch.zeros((), device=device) for _ in range(5)]
-        tables = [torch.zeros(n, device=device) for n in (terminations, rewards, rewards)]
-        return Totals(*scalars, *tables)
-
-    def take(self) -> dict[str, Tensor]:
-        """Returns copies of all sums and sets them to zero."""
-        taken = {field.name: getattr(self, field.name).clone() for field in fields(self)}
-        for field in fields(self):
-            getattr(self, field.name).zero_()
-        return taken
+    steps: Tensor
+    terminations: Tensor
+    rewards: Tensor
+    raw_rewards: Tensor
 
 
 @dataclass(frozen=True)
@@ -112,12 +135,13 @@ class Outcome:
     Attributes:
         done: The episode ended [B] bool.
         failed: It ended because its numbers were not finite [B] bool.
-        terminated: Which terminations fired [B, T] bool.
+        terminated: Which terminations fired [B, T] bool; none in a world that failed.
         success: The ball is at rest within the success radius, after a kick [B] bool.
         ball: Ball position [B, 2], m.
         distance: Ball to target [B], m.
         steps: Length of the episode so far [B].
         record: The episode's record.
+        weights: Weight of each reward term [R].
     """
 
     done: Tensor
@@ -128,3 +152,9 @@ class Outcome:
     distance: Tensor
     steps: Tensor
     record: EpisodeRecord
+    weights: Tensor
+
+    @property
+    def rewards(self) -> Tensor:
+        """Weighted sum of every reward term so far [B, R]; together they are the return."""
+        return self.record.by_reward_raw * self.weights

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import torch
 from torch import Tensor
 
 from kickbench.mdp.state import State
@@ -31,13 +30,13 @@ def projected_gravity(state: State, params: ObservationParams) -> Tensor:
 @observation(3, "m", "Table 3.2")
 def ball_position(state: State, params: ObservationParams) -> Tensor:
     """Ball relative to the base, in the base frame."""
-    return state.in_base_frame(state.ball_pos - state.base_pos)
+    return state.ball_from_base
 
 
 @observation(3, "m", "Table 3.2; frame: digest")
 def target_position(state: State, params: ObservationParams) -> Tensor:
     """Target relative to the base, in the base frame, like the ball's."""
-    return state.in_base_frame(state.target_pos - state.base_pos)
+    return state.target_from_base
 
 
 @observation("joints", "rad", "Table 3.2")
@@ -61,7 +60,7 @@ def previous_action(state: State, params: ObservationParams) -> Tensor:
 @observation(3, "m/s", "Table 3.2, critic only")
 def ball_velocity(state: State, params: ObservationParams) -> Tensor:
     """Velocity of the ball in the base frame."""
-    return state.in_base_frame(state.ball_lin_vel)
+    return state.ball_lin_vel_in_base
 
 
 @observation(1, "true/false", "not in the thesis: whether c_t > 0")
@@ -79,8 +78,7 @@ def foot_ball_contact(state: State, params: ObservationParams) -> Tensor:
 @observation(6, "m", "not in the thesis: kinematics of the feet", needs=("foot_frame",))
 def foot_position(state: State, params: ObservationParams) -> Tensor:
     """Centres of the left and the right sole relative to the base, in the base frame: left xyz, right xyz."""
-    feet = (state.foot_pos - state.base_pos.unsqueeze(1)).unbind(dim=1)
-    return torch.cat([state.in_base_frame(foot) for foot in feet], dim=1)
+    return state.in_base_frame(state.foot_pos - state.base_pos.unsqueeze(1)).flatten(1)
 
 
 @observation(2, "m", "Table 3.2, critic only", needs=("foot_frame",))
@@ -104,5 +102,4 @@ def foot_contact(state: State, params: ObservationParams) -> Tensor:
 @observation(6, "N", "Table 3.2, critic only; Table 3.4 corrected: digest", needs=("foot_floor",))
 def foot_contact_forces(state: State, params: ObservationParams) -> Tensor:
     """Mean force of the floor on each foot over the last control step, base frame: left xyz, right xyz."""
-    sides = state.foot_floor_force.unbind(dim=1)
-    return torch.cat([state.in_base_frame(force) for force in sides], dim=1)
+    return state.in_base_frame(state.foot_floor_force).flatten(1)

@@ -121,19 +121,43 @@ class State:
         """Base linear velocity in the world frame [B, 3], m/s."""
         return self._frame("base_linvel")
 
+    def in_base_frame(self, vectors: Tensor) -> Tensor:
+        """Rotates world vectors [B, k, 3] into the base frame: R^T v."""
+        return torch.bmm(vectors, self.base_axes.transpose(1, 2))
+
     @cached_property
+    def _seen_from_base(self) -> tuple[Tensor, ...]:
+        """Every single vector that terms read in the base frame: one product is much cheaper than one each."""
+        linear, angular = self.base_lin_vel_world, self._frame("base_angvel")
+        ball, target = self.ball_pos - self.base_pos, self.target_pos - self.base_pos
+        return self.in_base_frame(
+            torch.stack([linear, angular, ball, target, self.ball_lin_vel], dim=1)
+        ).unbind(1)
+
+    @property
     def base_lin_vel(self) -> Tensor:
         """Base linear velocity in the base frame [B, 3], m/s."""
-        return self.in_base_frame(self.base_lin_vel_world)
+        return self._seen_from_base[0]
 
-    @cached_property
+    @property
     def base_ang_vel(self) -> Tensor:
         """Base angular velocity in the base frame [B, 3], rad/s."""
-        return self.in_base_frame(self._frame("base_angvel"))
+        return self._seen_from_base[1]
 
-    def in_base_frame(self, vector: Tensor) -> Tensor:
-        """Rotates world vectors [B, 3] into the base frame: R^T v."""
-        return torch.bmm(self.base_axes, vector.unsqueeze(2)).squeeze(2)
+    @property
+    def ball_from_base(self) -> Tensor:
+        """Ball relative to the base, in the base frame [B, 3], m."""
+        return self._seen_from_base[2]
+
+    @property
+    def target_from_base(self) -> Tensor:
+        """Target relative to the base, in the base frame [B, 3], m."""
+        return self._seen_from_base[3]
+
+    @property
+    def ball_lin_vel_in_base(self) -> Tensor:
+        """Ball velocity in the base frame [B, 3], m/s."""
+        return self._seen_from_base[4]
 
     @cached_property
     def projected_gravity(self) -> Tensor:

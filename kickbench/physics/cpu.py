@@ -19,7 +19,7 @@ _FULL = mujoco.mjtState.mjSTATE_FULLPHYSICS
 _CTRL = mujoco.mjtState.mjSTATE_CTRL
 _WRENCH = mujoco.mjtState.mjSTATE_XFRC_APPLIED
 _HUGE = 1e6
-"""Positions (m, rad) and velocities (m/s, rad/s) from here on are an explosion, though finite."""
+"""A state whose norm (m, rad, m/s, rad/s) reaches this is an explosion, though finite."""
 _PACKED = 8
 """Worlds in one skeleton: `rollout` takes some 2 us to look at a model, more than a skeleton's step."""
 
@@ -68,17 +68,20 @@ class CpuEngine:
         self.num_worlds, self.decimation = num_worlds, decimation
         self.num_threads = num_threads or usable_cores()
         self.device = torch.device("cpu")
-        self._forces = np.asarray(contact_forces, dtype=np.int64)
+        self._forces = torch.tensor(contact_forces, dtype=torch.int64)
         self._models = [model] * num_worlds
         self._shared = True
         # External forces travel with the controls; a task without pushes does not pay for them.
         self._spec = int(_CTRL if pushed_body is None else _CTRL | _WRENCH)
         first = model.nu + 6 * (pushed_body or 0)
         self._push = None if pushed_body is None else slice(first, first + 3)
-        self._skeleton = Skeleton(model, _PACKED)
-        # Everything that is no frame is a contact; as a slice, where it is one, it is reduced much faster.
-        self._contacts = _as_slice(np.setdiff1d(np.arange(model.nsensordata), self._skeleton.places))
-        self._everywhere = np.arange(num_worlds)
+        self._skeleton = bones = Skeleton(model, _PACKED)
+        if not np.array_equal(bones.places, np.arange(len(bones.places))):
+            raise ValueError("the model's frame sensors must come before its contact sensors")
+        # Slices are read and written much faster than lists of places.
+        self._frames = slice(0, len(bones.places))
+        self._contacts = slice(len(bones.places), model.nsensordata)
+        self._bone_qpos, self._bone_qvel = _as_slice(1 + bones.qpos), _as_slice(1 + model.nq + bones.qvel)
         self._data = [mujoco.MjData(model) for _ in range(self.num_threads)]
         self._data_of_bones = [mujoco.MjData(self._skeleton.model) for _ in range(self.num_threads)]
         self._pool = mujoco.rollout.Rollout(nthread=self.num_threads if self.num_threads > 1 else 0)
@@ -116,36 +119,39 @@ class CpuEngine:
         self._state[:] = self._trajectory[:, -1]
         self._find_failures()
         self._latch_contacts()
-        self._sense_frames(self._everywhere)
+        self._sense_frames(slice(None))
 
     def _latch_contacts(self) -> None:
         """Counts keep their maximum over the substeps, forces their mean."""
-        self._sensors[:, self._contacts] = self._sensed[:, :, self._contacts].max(axis=1)
-        if self._forces.size:
-            self._sensors[:, self._forces] = self._sensed[:, :, self._forces].mean(axis=1)
+        substeps = torch.from_numpy(self._sensed)
+        torch.amax(substeps[:, :, self._contacts], 1, out=self.sensors[:, self._contacts])
+        if len(self._forces):
+            self.sensors[:, self._forces] = substeps[:, :, self._forces].mean(dim=1)
 
     def _find_failures(self) -> None:
         """Finds rollouts that MuJoCo cut short with a warning (their clock is late) or that are not finite."""
         expected = self.decimation * self.model.opt.timestep
         late = np.abs(self._state[:, 0] - expected) > 0.5 * self.model.opt.timestep
-        # A warning in the last substep comes too late to cut the rollout short. NaN compares false as well.
-        self.failed = torch.from_numpy(late | ~(np.abs(self._state).max(axis=1) < _HUGE))
+        # A warning in the last substep comes too late to cut the rollout short. The largest number is found by the
+        # norm, which reads the state once. NaN and overflow compare false as well.
+        squares = np.einsum("ij,ij->i", self._state, self._state)
+        self.failed = torch.from_numpy(late | ~(squares < _HUGE**2))
 
-    def _sense_frames(self, rows: np.ndarray) -> None:
+    def _sense_frames(self, rows: slice | np.ndarray) -> None:
         """Evaluates the frame sensors in the current states of some worlds; `rows` are their indices."""
-        bones, model = self._skeleton, self.model
-        packs = -(-len(rows) // bones.copies)
+        state, bones = self._state[rows], self._skeleton
+        packs, left = -(-len(state) // bones.copies), -len(state) % bones.copies
         # The last pack is filled up with worlds that are evaluated twice.
-        state = self._state[np.resize(rows, packs * bones.copies)]
-        qpos = state[:, 1 + bones.qpos].reshape(packs, -1)
-        qvel = state[:, 1 + model.nq + bones.qvel].reshape(packs, -1)
-        start = np.concatenate([np.zeros((packs, 1)), qpos, qvel], axis=1)
+        full = np.concatenate([state, np.resize(state, (left, state.shape[1]))]) if left else state
+        start = np.zeros((packs, 1 + bones.model.nq + bones.model.nv))
+        start[:, 1 : 1 + bones.model.nq] = full[:, self._bone_qpos].reshape(packs, -1)
+        start[:, 1 + bones.model.nq :] = full[:, self._bone_qvel].reshape(packs, -1)
         sensed = np.empty((packs, 1, bones.model.nsensordata))
         self._pool.rollout(
             [bones.model] * packs, self._data_of_bones, start, np.zeros((packs, 1, 0)), skip_checks=True,
             nstep=1, state=np.empty((packs, 1, start.shape[1])), sensordata=sensed,
         )  # fmt: skip
-        self._sensors[np.ix_(rows, bones.places)] = sensed.reshape(packs * bones.copies, -1)[: len(rows)]
+        self._sensors[rows, self._frames] = sensed.reshape(packs * bones.copies, -1)[: len(state)]
 
     def reset(self, mask: Tensor, qpos: Tensor, qvel: Tensor) -> None:
         """See `Engine.reset`."""
@@ -191,6 +197,5 @@ class CpuEngine:
 
 def _as_slice(places: np.ndarray) -> slice | np.ndarray:
     """The same places as a slice, where they are consecutive."""
-    if len(places) and places[-1] - places[0] + 1 == len(places):
-        return slice(int(places[0]), int(places[-1]) + 1)
-    return places
+    consecutive = len(places) and places[-1] - places[0] + 1 == len(places)
+    return slice(int(places[0]), int(places[-1]) + 1) if consecutive else places

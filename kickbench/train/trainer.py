@@ -126,29 +126,29 @@ class Trainer:
             self.ppo.compute_returns(observations)
 
     def _record(self, losses: dict[str, float], collect: float, update: float) -> IterationRecord:
-        totals, task = self.env.totals.take(), self.env.task
-        episodes = totals["episodes"]
-        mean = {name: _numbers(value / episodes) for name, value in totals.items()}
-        endings = dict(zip([t.name for t in task.terminations], mean["by_termination"], strict=True))
+        finished, task = self.env.totals.take(), self.env.task
+
+        def per_episode(sums: Tensor) -> list[float]:
+            return (sums / finished.episodes).reshape(-1).tolist()
+
+        endings = dict(
+            zip([t.name for t in task.terminations], per_episode(finished.terminations), strict=True)
+        )
         rewards = [bound.name for bound, _ in task.rewards]
         return IterationRecord(
             iteration=self.iteration - 1,
             env_steps=self.env_steps,
             steps_per_second=self._steps_per_iteration / (collect + update),
-            mean_return=mean["returned"][0],
-            mean_episode_steps=mean["steps"][0],
-            success_rate=mean["successes"][0],
+            mean_return=per_episode(finished.rewards.sum())[0],
+            mean_episode_steps=per_episode(finished.steps)[0],
+            success_rate=per_episode(finished.successes)[0],
             terminations=endings,
-            rewards=dict(zip(rewards, mean["by_reward"], strict=True)),
-            rewards_raw=dict(zip(rewards, mean["by_reward_raw"], strict=True)),
+            rewards=dict(zip(rewards, per_episode(finished.rewards), strict=True)),
+            rewards_raw=dict(zip(rewards, per_episode(finished.raw_rewards), strict=True)),
             losses=losses,
             learning_rate=self.ppo.learning_rate,
             action_std=float(self.ppo.get_policy().output_std.detach().mean()),
             collect_seconds=collect,
             update_seconds=update,
-            resets_nonfinite=int(totals["failures"]),
+            resets_nonfinite=int(finished.failures),
         )
-
-
-def _numbers(value: Tensor) -> list[float]:
-    return value.reshape(-1).tolist()
