@@ -48,6 +48,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_inspection(verbs)
     _add_bench(verbs)
     _add_view(verbs)
+    _add_symmetry(verbs)
     return parser
 
 
@@ -152,6 +153,20 @@ def _add_view(verbs: argparse._SubParsersAction) -> None:
         "--size", type=_size, metavar="WxH", help="pixels of a picture (default: 400x300, films 640x480)"
     )
     _add_set(verb)
+
+
+def _add_symmetry(verbs: argparse._SubParsersAction) -> None:
+    group = verbs.add_parser("symmetry", help="derive joint pairs and signs from a model's geometry")
+    actions = group.add_subparsers(required=True, metavar="ACTION")
+    text = "print the `symmetry:` block of a robot file, derived from the geometry of its MJCF"
+    verb = _add_verb(actions, "derive", "kickbench.cli.symmetry:derive", text)
+    verb.add_argument("model", type=Path, metavar="MODEL", help="MJCF file")
+    verb.add_argument(
+        "--plane",
+        choices=("xz", "yz", "xy"),
+        default="xz",
+        help="mirror plane of the first body's frame (default: xz, which every task uses)",
+    )
 
 
 class _Plot(argparse.Action):
