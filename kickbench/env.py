@@ -17,6 +17,7 @@ from kickbench.mdp.disturbance import Disturbance
 from kickbench.mdp.episode import EpisodeRecord, Outcome, Totals
 from kickbench.mdp.pushes import Pushes
 from kickbench.mdp.randomizations import Setting
+from kickbench.mdp.snapshot import Snapshot
 from kickbench.mdp.starts import StartPool, Starts, StartSampler
 from kickbench.mdp.state import EpisodeState, State, StateIndex
 from kickbench.physics.engine import Engine
@@ -79,6 +80,7 @@ class KickEnv(VecEnv):
         self.record = EpisodeRecord.empty(self.num_envs, len(task.rewards), self.device)
         self.totals = Totals.zeros(len(task.terminations), self._weights)
         self.outcome: Outcome | None = None
+        self._foot_friction: Tensor | None = None
         self.reset()
 
     def _prepare_constants(self) -> None:
@@ -114,10 +116,51 @@ class KickEnv(VecEnv):
         """A view of the present state."""
         return State(self.engine, self._index, self.episode, self.task.spec.episode)
 
-    def reset(self) -> TensorDict:
-        """Starts a new episode in every world and returns the observations."""
-        self._reset(torch.ones(self.num_envs, dtype=torch.bool, device=self.device))
+    def reset(self, mask: Tensor | None = None) -> TensorDict:
+        """Starts a new episode in every world, or in those in `mask` [B], and returns the observations."""
+        everywhere = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
+        self._reset(everywhere if mask is None else mask)
         return self.get_observations()
+
+    def snapshot(self) -> Snapshot:
+        """Everything that the running episodes are at this instant."""
+        engine, layout = self.engine, self.task.scene.layout
+        return Snapshot(
+            qpos=engine.qpos.clone(),
+            qvel=engine.qvel.clone(),
+            touches={name: engine.sensors[:, places] for name, places in layout.contacts.items()},
+            forces={name: engine.sensors[:, places] for name, places in layout.forces.items()},
+            episode=replace(self.episode),
+            record=replace(self.record),
+            foot_friction=self._foot_friction,
+            delay=None if self._delay is None else self._delay.memory,
+            pushes=None if self._pushes is None else self._pushes.memory,
+            generator=self.generator.get_state(),
+        )
+
+    def restore(self, snapshot: Snapshot) -> TensorDict:
+        """Puts every world into the state of a snapshot, and returns the observations of that state.
+
+        What follows is then what followed, or would have followed, the snapshot, random numbers included. Observation
+        noise, which is no part of the state, is drawn anew for the returned observations.
+        """
+        engine, layout = self.engine, self.task.scene.layout
+        everywhere = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
+        engine.reset(everywhere, snapshot.qpos, snapshot.qvel)
+        for table, places in ((snapshot.touches, layout.contacts), (snapshot.forces, layout.forces)):
+            for name, values in table.items():
+                engine.sensors[:, places[name]] = values
+        if snapshot.foot_friction is not None:
+            engine.set_friction(everywhere, self._foot_geoms, snapshot.foot_friction)
+        self._foot_friction = snapshot.foot_friction
+        self.episode, self.record = replace(snapshot.episode), replace(snapshot.record)
+        if self._delay is not None and snapshot.delay is not None:
+            self._delay.memory = snapshot.delay
+        if self._pushes is not None and snapshot.pushes is not None:
+            self._pushes.memory = snapshot.pushes
+        self._observations = self._observe()
+        self.generator.set_state(snapshot.generator)
+        return self._observations
 
     def get_observations(self) -> TensorDict:
         """Observations of the present state by group, {group: [B, width]}."""
@@ -125,9 +168,7 @@ class KickEnv(VecEnv):
 
     def step(self, actions: Tensor) -> tuple[TensorDict, Tensor, Tensor, dict[str, Tensor]]:
         """Advances every world by one control step; see the class."""
-        self._apply(actions)
-        state = self.state()
-        self._count(state)
+        state = self.advance(actions)
         rewards = self._reward(state)
         failed = self.engine.failed.clone()
         terminated = torch.stack([bound(state) for bound in self.task.terminations], dim=1)
@@ -138,6 +179,16 @@ class KickEnv(VecEnv):
         self._conclude(state, terminated, failed, done)
         self._reset(done)
         return self._observations, rewards, done, {"time_outs": timed_out}
+
+    def advance(self, actions: Tensor) -> State:
+        """The first half of a step: applies actions [B, nu], advances physics and counters, and stops there.
+
+        Nothing is paid, ended or reset yet: for looking at the very state that terms are evaluated on.
+        """
+        self._apply(actions)
+        state = self.state()
+        self._count(state)
+        return state
 
     def _apply(self, actions: Tensor) -> None:
         self.episode.previous_action = self.episode.action
@@ -181,6 +232,8 @@ class KickEnv(VecEnv):
         self.engine.reset(mask, starts.qpos, starts.qvel)
         if starts.foot_friction is not None:
             self.engine.set_friction(mask, self._foot_geoms, starts.foot_friction)
+            known = starts.foot_friction if self._foot_friction is None else self._foot_friction
+            self._foot_friction = torch.where(mask.unsqueeze(1), starts.foot_friction, known)
         episode, column = self.episode, mask.unsqueeze(1)
         episode.target = torch.where(column, starts.target.float(), episode.target)
         episode.step = torch.where(mask, 0, episode.step)
