@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 from torch import Tensor
 
@@ -70,6 +71,24 @@ class Snapshot:
             delay=None if self.delay is None else self.delay.mirrored(actions),
             pushes=None if self.pushes is None else self.pushes.mirrored(),
         )
+
+    def take(self, rows: Tensor) -> Snapshot:
+        """The worlds of the given row numbers, in that order."""
+        return replace(
+            self,
+            **{f.name: _rows(getattr(self, f.name), rows) for f in fields(self) if f.name != "generator"},
+        )
+
+
+def _rows(value: Any, rows: Tensor) -> Any:
+    """Rows of a tensor, and of every tensor in a mapping or dataclass."""
+    if isinstance(value, Tensor):
+        return value[rows]
+    if isinstance(value, Mapping):
+        return {name: _rows(part, rows) for name, part in value.items()}
+    if value is None:
+        return None
+    return replace(value, **{f.name: _rows(getattr(value, f.name), rows) for f in fields(value)})
 
 
 def _other_side(channel: str) -> str:

@@ -60,10 +60,11 @@ class Quantity:
 
     def error(self, partner: Quantity, reflection: np.ndarray, sign: int = 1) -> float:
         """Largest difference between the mirror image of `partner` and this quantity, in its unit."""
-        difference = np.abs(np.asarray(partner.mirrored(reflection, sign), float) - self.value)
-        # Equal infinities (unlimited ranges) are no difference.
-        difference[np.equal(partner.mirrored(reflection, sign), self.value)] = 0.0
-        return float(difference.max(initial=0.0))
+        theirs = np.asarray(partner.mirrored(reflection, sign), dtype=float)
+        mine = np.asarray(self.value, dtype=float)
+        # Infinities stand for what is not limited; two of them do not differ.
+        same = mine == theirs
+        return float(np.abs(np.where(same, 0.0, mine) - np.where(same, 0.0, theirs)).max(initial=0.0))
 
     def relative_error(self, partner: Quantity, reflection: np.ndarray, sign: int = 1) -> float:
         """The error over the quantity's scale."""
