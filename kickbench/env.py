@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -80,7 +80,7 @@ class KickEnv(VecEnv):
         self.record = EpisodeRecord.empty(self.num_envs, len(task.rewards), self.device)
         self.totals = Totals.zeros(len(task.terminations), self._weights)
         self.outcome: Outcome | None = None
-        self._foot_friction: Tensor | None = None
+        self._by_side: dict[str, Tensor] = {}
         self.reset()
 
     def _prepare_constants(self) -> None:
@@ -132,7 +132,7 @@ class KickEnv(VecEnv):
             forces={name: engine.sensors[:, places] for name, places in layout.forces.items()},
             episode=replace(self.episode),
             record=replace(self.record),
-            foot_friction=self._foot_friction,
+            by_side=dict(self._by_side),
             delay=None if self._delay is None else self._delay.memory,
             pushes=None if self._pushes is None else self._pushes.memory,
             generator=self.generator.get_state(),
@@ -150,9 +150,7 @@ class KickEnv(VecEnv):
         for table, places in ((snapshot.touches, layout.contacts), (snapshot.forces, layout.forces)):
             for name, values in table.items():
                 engine.sensors[:, places[name]] = values
-        if snapshot.foot_friction is not None:
-            engine.set_friction(everywhere, self._foot_geoms, snapshot.foot_friction)
-        self._foot_friction = snapshot.foot_friction
+        self._vary(everywhere, snapshot.by_side)
         self.episode, self.record = replace(snapshot.episode), replace(snapshot.record)
         if self._delay is not None and snapshot.delay is not None:
             self._delay.memory = snapshot.delay
@@ -231,9 +229,7 @@ class KickEnv(VecEnv):
         starts = self._starts(mask)
         self.engine.reset(mask, starts.qpos, starts.qvel)
         if starts.foot_friction is not None:
-            self.engine.set_friction(mask, self._foot_geoms, starts.foot_friction)
-            known = starts.foot_friction if self._foot_friction is None else self._foot_friction
-            self._foot_friction = torch.where(mask.unsqueeze(1), starts.foot_friction, known)
+            self._vary(mask, {"foot_friction": starts.foot_friction})
         episode, column = self.episode, mask.unsqueeze(1)
         episode.target = torch.where(column, starts.target.float(), episode.target)
         episode.step = torch.where(mask, 0, episode.step)
@@ -246,6 +242,13 @@ class KickEnv(VecEnv):
                 process.reset(mask)
         self.record.clear(mask)
         self._observations = self._observe()
+
+    def _vary(self, mask: Tensor, by_side: Mapping[str, Tensor]) -> None:
+        """Lets the worlds in `mask` [B] differ from the compiled model, and remembers how."""
+        if "foot_friction" in by_side:
+            self.engine.set_friction(mask, self._foot_geoms, by_side["foot_friction"])
+        for name, values in by_side.items():
+            self._by_side[name] = torch.where(mask.unsqueeze(1), values, self._by_side.get(name, values))
 
     def _observe(self) -> TensorDict:
         state = self.state()

@@ -28,7 +28,7 @@ class Measurement:
         error: Largest violation of the declared entry, by component [d].
         tolerance: What is allowed.
         peak: Largest magnitude of any component.
-        proven: Components for which the states rule out every other entry [d] bool.
+        proven: Components for which the states rule out every entry but one [d] bool.
         measured: A representation that fits; None if no signed permutation does.
     """
 
@@ -74,8 +74,7 @@ def judge_misfits(misfit: np.ndarray, declared: Representation, tolerance: float
     places, signs = np.array(declared.permutation), np.array(declared.signs)
     rows = np.arange(declared.dim)
     error = misfit[rows, places, (signs < 0).astype(int)]
-    clear = (misfit > _CLEARLY * tolerance).sum(axis=(1, 2))
-    proven = (clear == 2 * declared.dim - 1) & (error <= tolerance)
+    proven = (misfit > _CLEARLY * tolerance).sum(axis=(1, 2)) == 2 * declared.dim - 1
     found = representation_of(misfit <= tolerance, declared)
     return Measurement(declared, error, tolerance, peak, proven, found)
 

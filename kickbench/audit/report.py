@@ -113,7 +113,7 @@ class Report:
 
 
 _HEADER = ("", "worst error", "tolerance", "excited", "verdict", "")
-_NAME = 44
+_NAME = 52
 
 
 def _cells(rows: Sequence[Row]) -> Iterator[tuple[str, ...]]:

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
+import torch
 from torch import Tensor
 
 from kickbench.mdp.delay import DelayMemory
@@ -29,7 +30,8 @@ class Snapshot:
         forces: Contact channel -> mean forces of the last control step, world frame [B, parts, 3], N.
         episode: Target, counters, actions, air time.
         record: What has been recorded of the episodes.
-        foot_friction: Sliding friction of the left and right foot [B, 2]; None: as compiled.
+        by_side: What differs from the compiled model, by randomisation: values of the left and of the right side, and
+            where there is one of the middle [B, 2 or 3].
         delay: Commands on their way to the servos; None: no delay.
         pushes: Schedule of pushes and the push that acts; None: no pushes.
         generator: State of the environment's random numbers.
@@ -41,7 +43,7 @@ class Snapshot:
     forces: Mapping[str, Tensor]
     episode: EpisodeState
     record: EpisodeRecord
-    foot_friction: Tensor | None
+    by_side: Mapping[str, Tensor]
     delay: DelayMemory | None
     pushes: PushMemory | None
     generator: Tensor
@@ -57,7 +59,6 @@ class Snapshot:
             qvel: The model's mirror map of velocities.
             actions: The mirror map of actions, and so of control targets.
         """
-        friction = None if self.foot_friction is None else self.foot_friction.flip(1)
         polar = self.qpos.new_tensor(POLAR)
         return replace(
             self,
@@ -67,7 +68,7 @@ class Snapshot:
             forces={_other_side(name): value * polar.to(value.dtype) for name, value in self.forces.items()},
             episode=self.episode.mirrored(actions),
             record=self.record.mirrored(),
-            foot_friction=friction,
+            by_side={name: _sides_swapped(values) for name, values in self.by_side.items()},
             delay=None if self.delay is None else self.delay.mirrored(actions),
             pushes=None if self.pushes is None else self.pushes.mirrored(),
         )
@@ -78,6 +79,10 @@ class Snapshot:
             self,
             **{f.name: _rows(getattr(self, f.name), rows) for f in fields(self) if f.name != "generator"},
         )
+
+
+def _sides_swapped(values: Tensor) -> Tensor:
+    return torch.cat([values[:, :2].flip(1), values[:, 2:]], dim=1)
 
 
 def _rows(value: Any, rows: Tensor) -> Any:
