@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 
 import torch
 from torch import Tensor
@@ -25,14 +25,15 @@ class Starts:
         qvel: Generalised velocities [N, nv], float64.
         target: Target position on the floor [N, 2], m, float64.
         joints: Places of the observed joints in qpos.
-        foot_friction: Sliding friction of the left and right foot [N, 2], or None: as compiled.
+        by_side: What differs from the compiled model, by name of its randomisation: one column each for the left
+            and the right side, and where the term has it for the middle [N, 2 or 3], float64.
     """
 
     qpos: Tensor
     qvel: Tensor
     target: Tensor
     joints: Tensor
-    foot_friction: Tensor | None = None
+    by_side: Mapping[str, Tensor] = field(default_factory=dict)
 
     def __len__(self) -> int:
         """Number of starts."""
@@ -40,14 +41,21 @@ class Starts:
 
     def take(self, rows: Tensor) -> Starts:
         """The starts of the given row numbers."""
-        friction = None if self.foot_friction is None else self.foot_friction[rows]
-        return Starts(self.qpos[rows], self.qvel[rows], self.target[rows], self.joints, friction)
+        by_side = {name: values[rows] for name, values in self.by_side.items()}
+        return Starts(self.qpos[rows], self.qvel[rows], self.target[rows], self.joints, by_side)
 
     def mirrored(self, qpos: Mirror, qvel: Mirror) -> Starts:
         """Reflects every start in the xz plane; `qpos` and `qvel` are the model's mirror maps."""
         target = self.target * self.target.new_tensor([1.0, -1.0])
-        friction = None if self.foot_friction is None else self.foot_friction.flip(1)
-        return Starts(qpos(self.qpos), qvel(self.qvel), target, self.joints, friction)
+        by_side = {
+            name: torch.cat([values[:, :2].flip(1), values[:, 2:]], dim=1)
+            for name, values in self.by_side.items()
+        }
+        return Starts(qpos(self.qpos), qvel(self.qvel), target, self.joints, by_side)
+
+    def varied(self, name: str, values: Tensor) -> Starts:
+        """The same starts with values by side [N, 2 or 3] of a randomisation."""
+        return replace(self, by_side={**self.by_side, name: values})
 
 
 _TRIES = 16
@@ -131,11 +139,6 @@ class StartSampler:
         for randomize in self._randomizers:
             starts = randomize(starts, self.draw)
         return starts
-
-
-def with_foot_friction(starts: Starts, values: Tensor) -> Starts:
-    """The same starts with the given foot friction [N, 2]."""
-    return replace(starts, foot_friction=values)
 
 
 class StartPool:

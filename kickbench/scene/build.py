@@ -12,8 +12,9 @@ from kickbench.errors import SpecError
 from kickbench.scene.check import check_robot
 from kickbench.scene.layout import SceneLayout, read_layout
 from kickbench.scene.sensors import ALWAYS, ROBOT, SIDES, SensorGroup, plan_sensors, sole_site
+from kickbench.scene.servo import set_servo
 from kickbench.spec.load import Loaded
-from kickbench.spec.robot import ActuatorSpec, RobotSpec
+from kickbench.spec.robot import RobotSpec
 from kickbench.spec.task import BallSpec, SimulationSpec, TaskSpec
 
 _AXES = {"x": 0, "y": 1, "z": 2, "rx": 3, "ry": 4, "rz": 5}
@@ -203,22 +204,7 @@ def _add_actuators(scene: mujoco.MjSpec, robot: RobotSpec) -> None:
         elif spec.base_axis is not None:
             actuator.trntype, actuator.target = mujoco.mjtTrn.mjTRN_SITE, ROBOT + _BASE_SITE
             actuator.gear = [float(i == _AXES[spec.base_axis]) for i in range(6)]
-        _set_servo(actuator, spec)
-
-
-def _set_servo(actuator: mujoco.MjsActuator, spec: ActuatorSpec) -> None:
-    stiffness = spec.kp or 0.0
-    # A motor's back-EMF: tau = clip(kp (u - q) - (kd - slope) dq, +-effort) - slope dq. Until the servo saturates
-    # this is its own law, and then effort (1 - dq / velocity_limit). MuJoCo applies `damping` outside the clip. It
-    # would read a positive velocity coefficient as a damping ratio, so a servo damps no less than its back-EMF.
-    slope = spec.effort / spec.velocity_limit if spec.velocity_limit else 0.0
-    actuator.damping[0] = slope
-    actuator.gaintype, actuator.biastype = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_AFFINE
-    actuator.gainprm[0] = stiffness if spec.kind == "position" else spec.kd
-    actuator.biasprm[0:3] = [0.0, -stiffness, min(slope - spec.kd, 0.0)]
-    actuator.forcelimited, actuator.forcerange = True, [-spec.effort, spec.effort]
-    if spec.limits is not None:
-        actuator.ctrllimited, actuator.ctrlrange = True, spec.limits
+        set_servo(actuator, spec)
 
 
 def has_external_assets(path: str | Path) -> bool:
