@@ -6,6 +6,7 @@ the episode: `(params, setting) -> process`.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import torch
@@ -13,10 +14,12 @@ from pydantic import model_validator
 from torch import Tensor
 
 from kickbench.mdp.delay import ActionDelay as DelayBuffer
+from kickbench.mdp.delay import whole_steps
 from kickbench.mdp.pushes import Pushes as PushSchedule
 from kickbench.mdp.starts import Draw, Starts
 from kickbench.mdp.term import randomization
 from kickbench.spec.base import Fraction, NonNegativeRange, PositiveFloat, PositiveRange
+from kickbench.spec.task import TaskSpec
 from kickbench.spec.terms import RandomizationParams
 
 
@@ -125,6 +128,22 @@ class ActionDelay(RandomizationParams):
     """Delay between a command and its effect, s; whole physics steps are drawn from it."""
     hold_probability: Fraction = 0.0
     """Probability that the previous command is held for one physics step more."""
+
+    def misfits(self, task: TaskSpec) -> Iterator[tuple[str, str]]:
+        """A delay that outlasts the episode, or that no whole number of physics steps lies in."""
+        low, high = self.delay
+        timestep, length = task.simulation.timestep, task.seconds
+        if high >= length:
+            yield (
+                "delay",
+                f"a delay of {high:g} s outlasts the episode of {length:g} s: commands would never act",
+            )
+        first, last = whole_steps(self.delay, timestep)
+        if first > last:
+            yield (
+                "delay",
+                f"no multiple of the time step of {timestep:g} s lies between {low:g} and {high:g} s",
+            )
 
 
 @randomization("3.1 Action Delay; in seconds: digest", units="s", stage="command", params=ActionDelay)

@@ -26,6 +26,7 @@ from kickbench.spec.problems import problems_of
 from kickbench.yamlio import Document, unreadable
 
 __all__ = [
+    "Bounds",
     "FileRef",
     "FloatList",
     "Fraction",

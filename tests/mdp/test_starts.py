@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from kickbench.mdp.catalog import catalog
-from kickbench.mdp.starts import Starts, StartSampler
+from kickbench.mdp.starts import Starts, StartSampler, free_share, overlaps
 from kickbench.spec.task import BallSampling, BallSpec, SamplingSpec, TargetSampling
 from kickbench.symmetry.torch_ops import Mirror
 
@@ -173,3 +173,24 @@ def test_rows_can_be_taken_in_any_order(moving):
 
 def test_rows_without_friction_stay_without(sample):
     assert sample(count=3).take(torch.tensor([2])).by_side == {}
+
+
+# Regions that the robot stands in
+
+
+def test_no_ball_overlaps_the_robot_though_most_of_its_region_does(sample, mini):
+    crowded = region(x=(-0.1, 0.2), y=(-0.24, 0.24))
+    obstacles = torch.as_tensor(mini.scene.layout.obstacles)
+    assert 0.1 < free_share(crowded.ball, obstacles, 0.08) < 0.25
+    x, y = torch.as_tensor(ball(sample(crowded, count=20_000), mini)[:, :2]).T
+    assert not overlaps(x, y, obstacles, 0.08).any()
+
+
+def test_the_free_share_is_that_of_random_places(sample, mini):
+    obstacles = torch.as_tensor(mini.scene.layout.obstacles)
+    for bounds in (((-0.1, 0.3), (-0.3, 0.3)), ((0.0, 0.2), (0.0, 0.1)), ((0.25, 0.5), (-0.3, 0.3))):
+        ball = BallSampling(x=bounds[0], y=bounds[1])
+        unit = torch.rand(2, 40_000, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+        x, y = (low + (high - low) * u for (low, high), u in zip(bounds, unit, strict=True))
+        free = 1.0 - float(overlaps(x, y, obstacles, 0.08).double().mean())
+        assert free_share(ball, obstacles, 0.08) == pytest.approx(free, abs=0.02)
