@@ -77,6 +77,7 @@ def read_layout(model: mujoco.MjModel, robot: RobotSpec, plans: Sequence[SensorP
     by_name = {c.name: c for c in coordinates}
     driven = [spec.joint for spec in robot.actuators.values() if spec.joint is not None]
     default = _default_qpos(model, robot, by_name)
+    sides = _body_sides(model, robot)
     frames, contacts, forces = _sensor_maps(model, plans)
     return SceneLayout(
         coordinates=coordinates,
@@ -97,10 +98,10 @@ def read_layout(model: mujoco.MjModel, robot: RobotSpec, plans: Sequence[SensorP
         forces=forces,
         foot_geoms=tuple(_foot_geoms(model, robot, side) for side in SIDES) if robot.feet else (),
         base_body=model.body(ROBOT + robot.base).id,
-        body_sides=_body_sides(model, robot),
+        body_sides=sides,
         actuator_sides=np.array([_side(spec.joint, robot) for spec in robot.actuators.values()]),
         servos=servo_table(tuple(robot.actuators.values())),
-        obstacles=_obstacles(model, default),
+        obstacles=_obstacles(model, default, sides),
     )
 
 
@@ -180,7 +181,7 @@ def _sensor_maps(
     return frames, contacts, {name: np.stack(places) for name, places in force.items()}
 
 
-def _obstacles(model: mujoco.MjModel, qpos: np.ndarray) -> np.ndarray:
+def _obstacles(model: mujoco.MjModel, qpos: np.ndarray, sides: Indices) -> np.ndarray:
     """Ground rectangles of the robot's colliding geoms that reach below the top of the ball."""
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
@@ -189,7 +190,7 @@ def _obstacles(model: mujoco.MjModel, qpos: np.ndarray) -> np.ndarray:
     boxes = []
     for geom in range(model.ngeom):
         collides = model.geom_contype[geom] or model.geom_conaffinity[geom]
-        if not collides or not model.geom(geom).name.startswith(ROBOT):
+        if not collides or sides[model.geom_bodyid[geom]] == NO_SIDE:
             continue
         # The axis-aligned box of a rotated box: centre and half sizes through the absolute rotation.
         rotation = data.geom_xmat[geom].reshape(3, 3)
