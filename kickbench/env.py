@@ -19,6 +19,7 @@ from kickbench.mdp.pushes import Pushes
 from kickbench.mdp.randomizations import Setting
 from kickbench.mdp.starts import StartPool, Starts, StartSampler
 from kickbench.mdp.state import EpisodeState, State, StateIndex
+from kickbench.mdp.variation import ModelVariation
 from kickbench.physics.engine import Engine
 
 _POOLED = 16
@@ -98,7 +99,8 @@ class KickEnv(VecEnv):
             name: Disturbance(fields, self.device, noise=self._noise) for name, fields in task.groups.items()
         }
         self._senses_floor = "left_foot_floor" in layout.contacts
-        self._foot_geoms = tuple(tuple(int(g) for g in geoms) for geoms in layout.foot_geoms)
+        self._has_feet = bool(layout.foot_geoms)
+        self._variation = ModelVariation(task.scene, self.device)
 
     def _make_process(self, bound: Bound) -> Any:
         spec = self.task.spec.simulation
@@ -158,7 +160,7 @@ class KickEnv(VecEnv):
         if self._senses_floor:
             dt = self.task.spec.simulation.control_interval
             episode.air_time = torch.where(state.foot_floor_contact, 0.0, episode.air_time + dt)
-        self.record.note_touch(state, bool(self._foot_geoms))
+        self.record.note_touch(state, self._has_feet)
 
     def _reward(self, state: State) -> Tensor:
         raw = torch.stack([bound(state) for bound, _ in self.task.rewards], dim=1)
@@ -179,8 +181,8 @@ class KickEnv(VecEnv):
     def _reset(self, mask: Tensor) -> None:
         starts = self._starts(mask)
         self.engine.reset(mask, starts.qpos, starts.qvel)
-        if starts.foot_friction is not None:
-            self.engine.set_friction(mask, self._foot_geoms, starts.foot_friction)
+        if starts.by_side:
+            self.engine.set_model(mask, self._variation(starts.by_side))
         episode, column = self.episode, mask.unsqueeze(1)
         episode.target = torch.where(column, starts.target.float(), episode.target)
         episode.step = torch.where(mask, 0, episode.step)

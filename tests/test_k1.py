@@ -175,8 +175,7 @@ def test_starts_are_drawn_as_yaml_says():
     assert 2.5 <= distance.min() <= distance.max() <= 8.5
     assert distance.mean() == pytest.approx(5.5, rel=0.02)
     assert angle.abs().max() <= 1.0
-    friction = starts.foot_friction
-    assert friction is not None
+    friction = starts.by_side["foot_friction"]
     assert 0.3 <= friction.min() <= friction.max() <= 1.2
     assert friction.mean() == pytest.approx(0.75, rel=0.02)
     correlation = torch.corrcoef(friction.T)[0, 1]

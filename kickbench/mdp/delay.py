@@ -8,6 +8,12 @@ import torch
 from torch import Tensor
 
 
+def whole_steps(delay: tuple[float, float], timestep: float) -> tuple[int, int]:
+    """Fewest and most physics steps whose time lies within a range of delays, s; reversed where there are none."""
+    # A bound that is a multiple of the time step, but for rounding, counts.
+    return math.ceil(delay[0] / timestep - 1e-6), math.floor(delay[1] / timestep + 1e-6)
+
+
 class ActionDelay:
     """Per-world latency of control targets, in physics substeps.
 
@@ -41,7 +47,7 @@ class ActionDelay:
             num_worlds: Number of worlds B.
             generator: Source of the lags.
         """
-        self._low, self._high = (round(bound / timestep) for bound in delay)
+        self._low, self._high = whole_steps(delay, timestep)
         self._hold, self._decimation = hold_probability, decimation
         self._generator = generator
         self._default = default_target
