@@ -122,7 +122,8 @@ def test_delays_in_physics_steps(timestep):
     worst = np.abs(found - chance).max()
     print(
         f"\n| delay at {1000 * timestep:g} ms | [{low}, {high}] steps, +1 with 0.3 "
-        f"| {1000 * timestep * lags.min():.4g} ms | {1000 * timestep * lags.mean():.4g} ({1000 * mean:.4g}) ms | {1000 * timestep * lags.max():.4g} ms "
+        f"| {1000 * timestep * lags.min():.4g} ms "
+        f"| {1000 * timestep * lags.mean():.4g} ({1000 * mean:.4g}) ms | {1000 * timestep * lags.max():.4g} ms "
         f"| | {worst:.4f} of a lag's share |"
     )
     assert len(found) == high + 2
