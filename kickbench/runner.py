@@ -13,11 +13,14 @@ import torch
 from kickbench.env import KickEnv, make_engine
 from kickbench.errors import KickbenchError
 from kickbench.evaluate.episodes import Policy, draw_starts, mirror_starts, run_episodes
+from kickbench.evaluate.equivariance import EquivarianceProbe
 from kickbench.experiment import Experiment, load_experiment
+from kickbench.mdp.starts import Starts
 from kickbench.nets.build import build_actor
 from kickbench.nets.threads import update_threads
 from kickbench.physics.cpu import usable_cores
-from kickbench.results.episodes import EpisodeSides, write_episodes
+from kickbench.results.asymmetry import EquivarianceError
+from kickbench.results.episodes import EpisodeSides, EpisodeTable, write_episodes
 from kickbench.results.metrics import Metrics, summarise_sides, write_metrics
 from kickbench.results.provenance import code_state, collect_provenance
 from kickbench.results.specs import write_specs
@@ -106,7 +109,7 @@ def run(request: RunRequest) -> RunOutcome:
         return RunOutcome(directory, training, None)
     policy = trainer.ppo.get_policy().eval()
     save_policy(directory.policy, policy)
-    sides = evaluate(experiment, policy, threads=threads)
+    sides, equivariance = evaluate(experiment, policy, threads=threads)
     write_episodes(directory.episodes, sides)
     metrics = Metrics(
         task=experiment.task.name,
@@ -115,7 +118,7 @@ def run(request: RunRequest) -> RunOutcome:
         iterations=training.iterations,
         env_steps=training.env_steps,
         training_seconds=round(training.seconds, 3),
-        evaluation=summarise_sides(sides, experiment.task.spec.evaluation.success_radius),
+        evaluation=summarise_sides(sides, experiment.task.spec.evaluation.success_radius, equivariance),
         provenance=collect_provenance(
             seed=request.seed,
             env_steps=training.env_steps,
@@ -148,8 +151,10 @@ def evaluate(
     episodes: int | None = None,
     seed: int | None = None,
     threads: int | None = None,
-) -> EpisodeSides:
+) -> tuple[EpisodeSides, EquivarianceError | None]:
     """Evaluates a policy by the task's protocol, on the mirrored side too where it asks for it.
+
+    The equivariance error comes with the episodes: it is measured at the states visited in them.
 
     Args:
         experiment: The experiment.
@@ -161,11 +166,15 @@ def evaluate(
     protocol = experiment.task.spec.evaluation
     seed = protocol.seed if seed is None else seed
     starts = draw_starts(experiment.task, episodes or protocol.episodes, seed)
-    home = run_episodes(experiment.task, policy, starts, seed, num_threads=threads)
-    if not protocol.mirrored:
-        return EpisodeSides(home)
-    mirrored = mirror_starts(experiment, starts)
-    return EpisodeSides(home, run_episodes(experiment.task, policy, mirrored, seed, num_threads=threads))
+    tables = {name: table.representation for name, table in experiment.symmetry.groups.items()}
+    probe = EquivarianceProbe(policy, tables, experiment.symmetry.actions)
+
+    def episodes_from(starts: Starts) -> EpisodeTable:
+        return run_episodes(experiment.task, policy, starts, seed, num_threads=threads, probe=probe)
+
+    home = episodes_from(starts)
+    mirrored = episodes_from(mirror_starts(experiment, starts)) if protocol.mirrored else None
+    return EpisodeSides(home, mirrored), probe.result()
 
 
 def load_run(path: Path) -> tuple[Experiment, Policy]:
@@ -192,6 +201,6 @@ def reevaluate(
 
     recorded = load_metrics(RunDirectory(path).metrics)
     experiment, policy = load_run(path)
-    sides = evaluate(experiment, policy, episodes=episodes, seed=seed, threads=threads)
-    evaluation = summarise_sides(sides, experiment.task.spec.evaluation.success_radius)
+    sides, equivariance = evaluate(experiment, policy, episodes=episodes, seed=seed, threads=threads)
+    evaluation = summarise_sides(sides, experiment.task.spec.evaluation.success_radius, equivariance)
     return recorded.model_copy(update={"evaluation": evaluation}), sides

@@ -104,6 +104,13 @@ def _add_inspection(verbs: argparse._SubParsersAction) -> None:
         action=_Plot,
         help="draw a task's sampling regions from above instead (.png, .svg)",
     )
+    verb.add_argument(
+        "--fields",
+        type=Path,
+        metavar="METHOD",
+        action=_Fields,
+        help="print how a task's observations and actions mirror, by a method's representations, instead",
+    )
     _add_set(verb)
     verb = _add_verb(verbs, "schema", f"{module}:schema", "print the JSON Schema of a kind of file")
     verb.add_argument("kind", choices=("task", "method", "robot", "representations"))
@@ -159,6 +166,13 @@ class _Plot(argparse.Action):
 
     def __call__(self, parser, namespace, values, option_string=None) -> None:
         namespace.plot, namespace.verb = values, "kickbench.cli.view:plot"
+
+
+class _Fields(argparse.Action):
+    """`show --fields` is another verb, too."""
+
+    def __call__(self, parser, namespace, values, option_string=None) -> None:
+        namespace.method, namespace.verb = values, "kickbench.cli.inspect:show_fields"
 
 
 def _add_set(verb: argparse.ArgumentParser) -> None:

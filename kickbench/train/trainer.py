@@ -12,6 +12,7 @@ from torch import Tensor
 from kickbench.env import KickEnv
 from kickbench.errors import KickbenchError
 from kickbench.experiment import Experiment
+from kickbench.nets.relaxed import residual_share
 from kickbench.nets.threads import torch_threads
 from kickbench.train.checkpoint import save_checkpoint
 from kickbench.train.ppo import BoundedPPO, build_ppo
@@ -151,4 +152,10 @@ class Trainer:
             collect_seconds=collect,
             update_seconds=update,
             resets_nonfinite=int(finished.failures),
+            residual_shares=self._residual_shares(),
         )
+
+    def _residual_shares(self) -> dict[str, float]:
+        networks = {"actor": self.ppo.get_policy(), "critic": self.ppo.critic}
+        shares = {name: residual_share(network) for name, network in networks.items()}
+        return {name: float(share) for name, share in shares.items() if share is not None}

@@ -7,10 +7,12 @@ import math
 
 import pytest
 import torch
+from tensordict import TensorDict
 
 from kickbench.env import KickEnv, make_engine
 from kickbench.errors import KickbenchError
 from kickbench.nets.build import build_actor
+from kickbench.symmetry.torch_ops import Mirror
 from kickbench.train.checkpoint import load_policy, save_policy
 from kickbench.train.ppo import build_ppo
 from kickbench.train.progress import IterationRecord, ProgressGroup
@@ -55,7 +57,9 @@ def weights(trainer: Trainer) -> torch.Tensor:
     return torch.cat([p.detach().flatten() for p in trainer.ppo.get_policy().parameters()])
 
 
-@pytest.mark.parametrize("method", ["baseline", "augmentation", "equivariant"])
+@pytest.mark.parametrize(
+    "method", ["baseline", "augmentation", "equivariant", "mirror_loss", "relaxed_equivariant"]
+)
 def test_equal_seeds_give_equal_weights_and_others_do_not(experiment, tmp_path, method):
     chosen = experiment("mini_home_field", method, *SMALL)
 
@@ -157,7 +161,7 @@ def test_the_desired_kl_is_annealed_linearly_over_the_run(experiment, tmp_path):
 
 
 def test_augmentation_learns_from_twice_the_samples_and_the_others_do_not(experiment):
-    for method, factor in (("baseline", 1), ("augmentation", 2), ("equivariant", 1)):
+    for method, factor in (("baseline", 1), ("augmentation", 2), ("equivariant", 1), ("mirror_loss", 1)):
         chosen = experiment("mini_home_field", method, *SMALL)
         env = KickEnv(chosen.task, make_engine(chosen.task, 32), 0)
         ppo = build_ppo(chosen, env.get_observations(), torch.device("cpu"))
@@ -176,6 +180,54 @@ def test_augmentation_learns_from_twice_the_samples_and_the_others_do_not(experi
         sizes.clear()
         ppo.update()
         assert set(sizes) == {factor * 32 * 8 // chosen.method.spec.algorithm.mini_batches}
+
+
+def test_the_mirror_loss_makes_the_policy_more_equivariant(experiment, tmp_path):
+    losses = {}
+    for coefficient in (0.0, 10.0):
+        overrides = (*SMALL, f"symmetry.mirror_loss_coefficient={coefficient}")
+        chosen, recorder = experiment("mini_home_field", "mirror_loss", *overrides), Recorder()
+        trainer = make_trainer(chosen, tmp_path, recorder)
+        trainer.train(6)
+        assert ("symmetry" in recorder.records[-1].losses) == (coefficient > 0)
+        losses[coefficient] = mirror_loss(chosen, trainer)
+    assert losses[10.0] < 0.5 * losses[0.0]
+
+
+def mirror_loss(chosen, trainer: Trainer) -> float:
+    """Mean squared difference of the mean action on mirrored observations from the mirrored mean action."""
+    actor, observations = trainer.ppo.get_policy().eval(), trainer.env.get_observations()
+    see, act = Mirror(chosen.symmetry.groups["actor"].representation), Mirror(chosen.symmetry.actions)
+    images = TensorDict({"actor": see(observations["actor"])}, batch_size=observations.batch_size)
+    with torch.no_grad():
+        return float((actor(images) - act(actor(observations))).square().mean())
+
+
+def test_the_mirror_loss_weighs_on_the_loss_and_goes_with_augmentation(experiment):
+    for augmentation in (False, True):
+        overrides = (*SMALL, f"symmetry.augmentation={str(augmentation).lower()}")
+        chosen = experiment("mini_home_field", "mirror_loss", *overrides)
+        env = KickEnv(chosen.task, make_engine(chosen.task, 32), 0)
+        symmetry = build_ppo(chosen, env.get_observations(), torch.device("cpu")).symmetry
+        assert symmetry is not None
+        assert symmetry.use_mirror_loss
+        assert symmetry.use_data_augmentation == augmentation
+        assert symmetry.mirror_loss_coeff == chosen.method.spec.symmetry.mirror_loss_coefficient
+
+
+def test_a_relaxed_training_logs_the_share_of_its_residuals_and_others_have_none(experiment, tmp_path):
+    recorder = Recorder()
+    group = ProgressGroup([recorder, CsvProgress(tmp_path / "progress.csv")])
+    make_trainer(experiment("mini_home_field", "relaxed_equivariant", *SMALL), tmp_path, group).train(3)
+    shares = [record.residual_shares for record in recorder.records]
+    assert all(set(share) == {"actor", "critic"} for share in shares)
+    assert all(0 < value < 0.5 for share in shares for value in share.values())
+    with open(tmp_path / "progress.csv") as file:
+        rows = list(csv.DictReader(file))
+    assert float(rows[-1]["residual_share/actor"]) == pytest.approx(shares[-1]["actor"], rel=1e-5)
+    recorder = Recorder()
+    make_trainer(experiment("mini_home_field", "equivariant", *SMALL), tmp_path, recorder).train(1)
+    assert recorder.records[0].residual_shares == {}
 
 
 def test_a_short_training_improves(experiment, tmp_path):
