@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -17,6 +17,7 @@ from kickbench.mdp.disturbance import Disturbance
 from kickbench.mdp.episode import EpisodeRecord, Outcome, Totals
 from kickbench.mdp.pushes import Pushes
 from kickbench.mdp.randomizations import Setting
+from kickbench.mdp.snapshot import Snapshot
 from kickbench.mdp.starts import StartPool, Starts, StartSampler
 from kickbench.mdp.state import EpisodeState, State, StateIndex
 from kickbench.mdp.variation import ModelVariation
@@ -80,6 +81,7 @@ class KickEnv(VecEnv):
         self.record = EpisodeRecord.empty(self.num_envs, len(task.rewards), self.device)
         self.totals = Totals.zeros(len(task.terminations), self._weights)
         self.outcome: Outcome | None = None
+        self._by_side: dict[str, Tensor] = {}
         self.reset()
 
     def _prepare_constants(self) -> None:
@@ -116,10 +118,49 @@ class KickEnv(VecEnv):
         """A view of the present state."""
         return State(self.engine, self._index, self.episode, self.task.spec.episode)
 
-    def reset(self) -> TensorDict:
-        """Starts a new episode in every world and returns the observations."""
-        self._reset(torch.ones(self.num_envs, dtype=torch.bool, device=self.device))
+    def reset(self, mask: Tensor | None = None) -> TensorDict:
+        """Starts a new episode in every world, or in those in `mask` [B], and returns the observations."""
+        everywhere = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
+        self._reset(everywhere if mask is None else mask)
         return self.get_observations()
+
+    def snapshot(self) -> Snapshot:
+        """Everything that the running episodes are at this instant."""
+        engine, layout = self.engine, self.task.scene.layout
+        return Snapshot(
+            qpos=engine.qpos.clone(),
+            qvel=engine.qvel.clone(),
+            touches={name: engine.sensors[:, places] for name, places in layout.contacts.items()},
+            forces={name: engine.sensors[:, places] for name, places in layout.forces.items()},
+            episode=replace(self.episode),
+            record=replace(self.record),
+            by_side=dict(self._by_side),
+            delay=None if self._delay is None else self._delay.memory,
+            pushes=None if self._pushes is None else self._pushes.memory,
+            generator=self.generator.get_state(),
+        )
+
+    def restore(self, snapshot: Snapshot) -> TensorDict:
+        """Puts every world into the state of a snapshot, and returns the observations of that state.
+
+        What follows is then what followed, or would have followed, the snapshot, random numbers included. Observation
+        noise, which is no part of the state, is drawn anew for the returned observations.
+        """
+        engine, layout = self.engine, self.task.scene.layout
+        everywhere = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
+        engine.reset(everywhere, snapshot.qpos, snapshot.qvel)
+        for table, places in ((snapshot.touches, layout.contacts), (snapshot.forces, layout.forces)):
+            for name, values in table.items():
+                engine.sensors[:, places[name]] = values
+        self._vary(everywhere, snapshot.by_side)
+        self.episode, self.record = replace(snapshot.episode), replace(snapshot.record)
+        if self._delay is not None and snapshot.delay is not None:
+            self._delay.memory = snapshot.delay
+        if self._pushes is not None and snapshot.pushes is not None:
+            self._pushes.memory = snapshot.pushes
+        self._observations = self._observe()
+        self.generator.set_state(snapshot.generator)
+        return self._observations
 
     def get_observations(self) -> TensorDict:
         """Observations of the present state by group, {group: [B, width]}."""
@@ -127,9 +168,7 @@ class KickEnv(VecEnv):
 
     def step(self, actions: Tensor) -> tuple[TensorDict, Tensor, Tensor, dict[str, Tensor]]:
         """Advances every world by one control step; see the class."""
-        self._apply(actions)
-        state = self.state()
-        self._count(state)
+        state = self.advance(actions)
         rewards = self._reward(state)
         failed = self.engine.failed.clone()
         terminated = torch.stack([bound(state) for bound in self.task.terminations], dim=1)
@@ -140,6 +179,16 @@ class KickEnv(VecEnv):
         self._conclude(state, terminated, failed, done)
         self._reset(done)
         return self._observations, rewards, done, {"time_outs": timed_out}
+
+    def advance(self, actions: Tensor) -> State:
+        """The first half of a step: applies actions [B, nu], advances physics and counters, and stops there.
+
+        Nothing is paid, ended or reset yet: for looking at the very state that terms are evaluated on.
+        """
+        self._apply(actions)
+        state = self.state()
+        self._count(state)
+        return state
 
     def _apply(self, actions: Tensor) -> None:
         self.episode.previous_action = self.episode.action
@@ -182,7 +231,7 @@ class KickEnv(VecEnv):
         starts = self._starts(mask)
         self.engine.reset(mask, starts.qpos, starts.qvel)
         if starts.by_side:
-            self.engine.set_model(mask, self._variation(starts.by_side))
+            self._vary(mask, starts.by_side)
         episode, column = self.episode, mask.unsqueeze(1)
         episode.target = torch.where(column, starts.target.float(), episode.target)
         episode.step = torch.where(mask, 0, episode.step)
@@ -195,6 +244,14 @@ class KickEnv(VecEnv):
                 process.reset(mask)
         self.record.clear(mask)
         self._observations = self._observe()
+
+    def _vary(self, mask: Tensor, by_side: Mapping[str, Tensor]) -> None:
+        """Lets the worlds in `mask` [B] differ from the compiled model, and remembers how."""
+        if not by_side:
+            return
+        self.engine.set_model(mask, self._variation(by_side))
+        for name, values in by_side.items():
+            self._by_side[name] = torch.where(mask.unsqueeze(1), values, self._by_side.get(name, values))
 
     def _observe(self) -> TensorDict:
         state = self.state()

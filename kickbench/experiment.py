@@ -9,7 +9,8 @@ from pathlib import Path
 from kickbench.errors import SpecError
 from kickbench.mdp.catalog import task_model
 from kickbench.mdp.compile import CompiledTask, compile_task
-from kickbench.spec.load import LoadedMethod, LoadedTask, load_method, load_task, split_overrides
+from kickbench.spec.load import Loaded, LoadedMethod, LoadedTask, load_method, load_task, split_overrides
+from kickbench.spec.representation import RepresentationSpec
 from kickbench.spec.task import TaskSpec
 from kickbench.symmetry.field_table import FieldTable
 from kickbench.symmetry.mirror import mirror_actions, mirror_joints, mirror_qpos, mirror_qvel
@@ -84,9 +85,18 @@ def read_symmetry(task: CompiledTask, method: LoadedMethod) -> Symmetry:
     Raises:
         SpecError: A field lacks a representation, or has one of another dimension.
     """
+    return symmetry_of(task, method.representations)
+
+
+def symmetry_of(task: CompiledTask, representations: Loaded[RepresentationSpec]) -> Symmetry:
+    """Builds the reflection of a task from the robot's joint table and a representation table.
+
+    Raises:
+        SpecError: A field lacks a representation, or has one of another dimension.
+    """
     layout, robot = task.scene.layout, task.robot.spec
     image = robot.symmetry.image()
-    table, document = method.representations.spec, method.representations.document
+    table, document = representations.spec, representations.document
     own = {
         "joints": mirror_joints(layout.joint_names, image),
         "actions": mirror_actions(robot.actuators, image),

@@ -10,9 +10,9 @@ from kickbench.errors import Mark, Problem, SpecError, did_you_mean
 from kickbench.experiment import read_symmetry
 from kickbench.mdp.catalog import task_model
 from kickbench.mdp.compile import CompiledTask, compile_task
-from kickbench.scene.build import read_robot
+from kickbench.scene.agree import check_symmetry
 from kickbench.spec.base import Spec
-from kickbench.spec.load import LoadedMethod, load, load_method, load_task
+from kickbench.spec.load import Loaded, LoadedMethod, load, load_method, load_task
 from kickbench.spec.method import MethodSpec
 from kickbench.spec.representation import RepresentationSpec
 from kickbench.spec.robot import RobotSpec
@@ -50,6 +50,7 @@ class Report:
     name: str
     kind: str
     problems: list[Problem] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
 
 
 def check_files(files: Sequence[Path], overrides: Sequence[str] = ()) -> Iterator[Report]:
@@ -68,7 +69,7 @@ def check_files(files: Sequence[Path], overrides: Sequence[str] = ()) -> Iterato
             report.kind = kind_of(load_document(path))
             own = [text for text in overrides if _head(text) in ("", *model_of(report.kind).model_fields)]
             unused = {text: None for text in unused if text not in own}
-            _check(path, report.kind, own, tasks, methods)
+            _check(path, report, own, tasks, methods)
         except SpecError as error:
             report.problems += error.problems
         yield report
@@ -96,13 +97,26 @@ def _unused(override: str) -> Problem:
 
 
 def _check(
-    path: Path, kind: str, overrides: Sequence[str], tasks: list[CompiledTask], methods: list[LoadedMethod]
+    path: Path,
+    report: Report,
+    overrides: Sequence[str],
+    tasks: list[CompiledTask],
+    methods: list[LoadedMethod],
 ) -> None:
-    if kind == "task":
-        tasks.append(compile_task(load_task(task_model(), path, overrides)))
-    elif kind == "method":
+    if report.kind == "task":
+        task = compile_task(load_task(task_model(), path, overrides))
+        tasks.append(task)
+        _compare_with_geometry(task.robot, report)
+    elif report.kind == "method":
         methods.append(load_method(path, overrides))
-    elif kind == "robot":
-        read_robot(load(RobotSpec, path, overrides))
+    elif report.kind == "robot":
+        _compare_with_geometry(load(RobotSpec, path, overrides), report)
     else:
         load(RepresentationSpec, path, overrides)
+
+
+def _compare_with_geometry(robot: Loaded[RobotSpec], report: Report) -> None:
+    """The declared reflection against the one that the robot's geometry gives."""
+    agreement = check_symmetry(robot)
+    report.problems += agreement.problems
+    report.notes += agreement.notes

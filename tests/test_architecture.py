@@ -29,6 +29,7 @@ ROOMS = (
     ("train",),
     ("bench",),
     ("runner",),
+    ("audit",),
     ("view",),
     ("cli",),
     ("__main__",),

@@ -48,6 +48,8 @@ def _parser() -> argparse.ArgumentParser:
     _add_inspection(verbs)
     _add_bench(verbs)
     _add_view(verbs)
+    _add_symmetry(verbs)
+    _add_audit(verbs)
     return parser
 
 
@@ -159,6 +161,40 @@ def _add_view(verbs: argparse._SubParsersAction) -> None:
         "--size", type=_size, metavar="WxH", help="pixels of a picture (default: 400x300, films 640x480)"
     )
     _add_set(verb)
+
+
+def _add_symmetry(verbs: argparse._SubParsersAction) -> None:
+    group = verbs.add_parser("symmetry", help="derive joint pairs and signs from a model's geometry")
+    actions = group.add_subparsers(required=True, metavar="ACTION")
+    text = "print the `symmetry:` block of a robot file, derived from the geometry of its MJCF"
+    verb = _add_verb(actions, "derive", "kickbench.cli.symmetry:derive", text)
+    verb.add_argument("model", type=Path, metavar="MODEL", help="MJCF file")
+    verb.add_argument(
+        "--plane",
+        choices=("xz", "yz", "xy"),
+        default="xz",
+        help="mirror plane of the first body's frame (default: xz, which every task uses)",
+    )
+
+
+def _add_audit(verbs: argparse._SubParsersAction) -> None:
+    text = "prove a task's symmetry tables against geometry and physics; exit code 1 if a row fails"
+    verb = _add_verb(verbs, "audit", "kickbench.cli.audit:run", text)
+    verb.add_argument("task", type=Path, metavar="TASK", help="task YAML")
+    verb.add_argument(
+        "method",
+        type=Path,
+        nargs="?",
+        metavar="METHOD",
+        help="method or representation table (default: the run's with --policy, else "
+        "methods/representations/<robot's folder>.yaml beside or above the task)",
+    )
+    verb.add_argument("--policy", type=Path, metavar="RUN", help="run directory: measure its policy too")
+    verb.add_argument("--states", type=_positive, default=4096, help="states to visit (default: 4096)")
+    verb.add_argument("--seed", type=_natural, default=0, help="seed of starts and actions (default: 0)")
+    verb.add_argument("--json", action="store_true", help="print the report as JSON")
+    _add_set(verb)
+    _add_threads(verb)
 
 
 class _Plot(argparse.Action):

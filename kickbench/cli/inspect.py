@@ -21,6 +21,8 @@ def validate(arguments: argparse.Namespace) -> int:
         problems += report.problems
         if not report.problems:
             print(f"{report.name}: fine ({report.kind})")
+        for note in report.notes:
+            print(f"{report.name}: note: {note}")
     if problems:
         raise SpecError(problems)
     return 0

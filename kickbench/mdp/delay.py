@@ -3,9 +3,29 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
+
+from kickbench.symmetry.torch_ops import Mirror
+
+
+@dataclass(frozen=True)
+class DelayMemory:
+    """Commands on their way to the servos.
+
+    Attributes:
+        history: Control targets, newest first [B, depth, nu].
+        newest: Age, in control steps, of the newest command that has taken effect [B].
+    """
+
+    history: Tensor
+    newest: Tensor
+
+    def mirrored(self, targets: Mirror) -> DelayMemory:
+        """The reflection, given that of a control target."""
+        return DelayMemory(targets(self.history), self.newest)
 
 
 def whole_steps(delay: tuple[float, float], timestep: float) -> tuple[int, int]:
@@ -57,6 +77,15 @@ class ActionDelay:
         # Age, in control steps, of the newest command that has taken effect.
         self._newest = torch.zeros(num_worlds, dtype=torch.int64, device=device)
         self._substep = torch.arange(decimation, device=device)
+
+    @property
+    def memory(self) -> DelayMemory:
+        """What the buffer holds; its tensors are replaced, never written to."""
+        return DelayMemory(self._history, self._newest)
+
+    @memory.setter
+    def memory(self, memory: DelayMemory) -> None:
+        self._history, self._newest = memory.history, memory.newest
 
     def reset(self, mask: Tensor) -> None:
         """Forgets the commands of the worlds in `mask` [B]: their servos hold the default target."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import torch
 from torch import Tensor
@@ -47,6 +47,12 @@ class EpisodeRecord:
             value = getattr(self, field.name)
             cleared = value.masked_fill(mask if value.dim() == 1 else mask.unsqueeze(1), empty)
             setattr(self, field.name, cleared)
+
+    def mirrored(self) -> EpisodeRecord:
+        """The record of the mirrored episode: left and right feet swap."""
+        foot = self.kick_foot
+        swapped = torch.where(foot == LEFT, RIGHT, torch.where(foot == RIGHT, LEFT, foot))
+        return replace(self, kick_foot=swapped)
 
     def note_touch(self, state: State, has_feet: bool) -> None:
         """Remembers step and foot of the first touch, and the ball's peak speed."""

@@ -4,9 +4,30 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
+
+
+@dataclass(frozen=True)
+class PushMemory:
+    """Where the schedule of every world stands.
+
+    Attributes:
+        wait: Control steps until the next push; from -duration to 0 while one acts [B].
+        force: Force of the last push, world frame [B, 2], N.
+        side: 1, or -1 in worlds whose pushes are drawn as mirror images until their episode ends [B].
+    """
+
+    wait: Tensor
+    force: Tensor
+    side: Tensor
+
+    def mirrored(self) -> PushMemory:
+        """The reflection in the xz plane, of the pushes to come as well."""
+        force = torch.stack([self.force[:, 0], -self.force[:, 1]], dim=1)
+        return PushMemory(self.wait, force, -self.side)
 
 
 class Pushes:
@@ -42,17 +63,28 @@ class Pushes:
         # Control steps until the next push; from -duration to 0 while one acts.
         self._wait = torch.zeros(num_worlds, dtype=torch.int64, device=device)
         self._force = torch.zeros(num_worlds, 2, device=device)
+        self._side = torch.ones(num_worlds, device=device)
         self.reset(torch.ones(num_worlds, dtype=torch.bool, device=device))
 
     def reset(self, mask: Tensor) -> None:
         """Draws a new first interval in the worlds in `mask` [B]; a push that acts there ends."""
         self._wait = torch.where(mask, _whole(next(self._draw(self._interval))), self._wait)
+        self._side = torch.where(mask, 1.0, self._side)
+
+    @property
+    def memory(self) -> PushMemory:
+        """Where the schedule stands; its tensors are replaced, never written to."""
+        return PushMemory(self._wait, self._force, self._side)
+
+    @memory.setter
+    def memory(self, memory: PushMemory) -> None:
+        self._wait, self._force, self._side = memory.wait, memory.force, memory.side
 
     def __call__(self) -> Tensor:
         """Advances the schedule by one control step and returns the force of that step, world frame [B, 2], N."""
         wait, magnitude, angle = self._draw(self._interval, self._range, _TURN)
         self._wait = self._wait - 1
-        force = torch.stack([magnitude * angle.cos(), magnitude * angle.sin()], dim=1)
+        force = torch.stack([magnitude * angle.cos(), self._side * magnitude * angle.sin()], dim=1)
         self._force = torch.where((self._wait == -1).unsqueeze(1), force, self._force)
         acting = self._wait < 0
         self._wait = torch.where(self._wait <= -self._steps, _whole(wait), self._wait)

@@ -12,6 +12,7 @@ from kickbench.physics.engine import Engine
 from kickbench.scene.layout import SceneLayout
 from kickbench.scene.sensors import SIDES
 from kickbench.spec.task import EpisodeSpec
+from kickbench.symmetry.torch_ops import Mirror
 
 
 @dataclass
@@ -42,6 +43,12 @@ class EpisodeState:
         action = torch.zeros(num_worlds, num_actions, device=device)
         target = torch.zeros(num_worlds, 2, device=device)
         return EpisodeState(count, count.clone(), target, action, action.clone(), torch.zeros_like(target))
+
+    def mirrored(self, actions: Mirror) -> EpisodeState:
+        """The reflection in the xz plane, given that of an action."""
+        target = self.target * self.target.new_tensor([1.0, -1.0])
+        action, previous = actions(self.action), actions(self.previous_action)
+        return EpisodeState(self.step, self.contact_count, target, action, previous, self.air_time.flip(1))
 
 
 class StateIndex:

@@ -1,0 +1,179 @@
+"""Measures from samples how the components of a vector transform, and names what was found.
+
+Given a vector in many states, and in their mirror images, every signed permutation is tried component by component:
+`image[i] = s * original[j]`. What is declared must fit, and nothing else may: where another entry fits as well, the
+states did not excite the component enough to tell.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from kickbench.symmetry.block import kind_of_coordinate
+from kickbench.symmetry.representation import Representation
+
+_CLEARLY = 100.0
+"""An entry is ruled out once it misses by so many tolerances."""
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """How a vector was found to transform.
+
+    Attributes:
+        declared: What was claimed.
+        error: Largest violation of the declared entry, by component [d].
+        tolerance: What is allowed.
+        peak: Largest magnitude of any component.
+        proven: Components for which the states rule out every entry but one [d] bool.
+        measured: A representation that fits; None if no signed permutation does.
+    """
+
+    declared: Representation
+    error: np.ndarray
+    tolerance: float
+    peak: float
+    proven: np.ndarray
+    measured: Representation | None
+
+    @property
+    def wrong(self) -> np.ndarray:
+        """Components whose declared entry does not fit [d] bool."""
+        return ~(self.error <= self.tolerance)
+
+
+def measure(
+    original: np.ndarray, image: np.ndarray, declared: Representation, relative: float, floor: float = 0.0
+) -> Measurement:
+    """Measures a representation.
+
+    Args:
+        original: The vector in every state [N, d].
+        image: The vector in every state's mirror image [N, d].
+        declared: Its declared representation.
+        relative: Tolerance, relative to the vector's largest component.
+        floor: Least absolute tolerance.
+    """
+    peak = float(np.abs(original).max(initial=0.0))
+    tolerance = max(relative * peak, floor)
+    return judge_misfits(misfits(original, image), declared, tolerance, peak)
+
+
+def judge_misfits(misfit: np.ndarray, declared: Representation, tolerance: float, peak: float) -> Measurement:
+    """Judges a declared representation by how badly every entry fits.
+
+    Args:
+        misfit: Error of the entry (i, j, s) [d, d, 2]; s = +1, -1.
+        declared: The declared representation.
+        tolerance: What still fits.
+        peak: Largest magnitude of any component.
+    """
+    places, signs = np.array(declared.permutation), np.array(declared.signs)
+    rows = np.arange(declared.dim)
+    error = misfit[rows, places, (signs < 0).astype(int)]
+    proven = (misfit > _CLEARLY * tolerance).sum(axis=(1, 2)) == 2 * declared.dim - 1
+    found = representation_of(misfit <= tolerance, declared)
+    return Measurement(declared, error, tolerance, peak, proven, found)
+
+
+def misfits(original: np.ndarray, image: np.ndarray) -> np.ndarray:
+    """Largest |image[i] - s original[j]| over the states, [d, d, 2]: i, j, and s = +1, -1."""
+    size = original.shape[1]
+    table = np.zeros((size, size, 2))
+    for i in range(size):
+        for place, sign in enumerate((1.0, -1.0)):
+            table[i, :, place] = np.abs(image[:, i : i + 1] - sign * original).max(axis=0, initial=0.0)
+    return table
+
+
+def representation_of(fits: np.ndarray, preferred: Representation) -> Representation | None:
+    """A representation whose entries all fit, with the preferred entries wherever those do.
+
+    Args:
+        fits: Whether entry (i, j, s) fits [d, d, 2] bool.
+        preferred: Taken where it fits.
+    """
+    size = len(fits)
+    entries: dict[int, tuple[int, int]] = {}
+    for i in range(size):
+        if i in entries:
+            continue
+        own = preferred.permutation[i], preferred.signs[i]
+        # A component of its own is the simpler explanation of a pair of constants.
+        options = [own, (i, 1), (i, -1), *((j, s) for j in range(size) if j != i for s in (1, -1))]
+        pick = next((o for o in options if o[0] not in entries and _both_fit(fits, i, *o)), None)
+        if pick is None:
+            return None
+        entries[i], entries[pick[0]] = pick, (i, pick[1])
+    return Representation(*zip(*(entries[i] for i in range(size)), strict=True))
+
+
+def _both_fit(fits: np.ndarray, i: int, j: int, sign: int) -> bool:
+    place = 0 if sign > 0 else 1
+    return bool(fits[i, j, place] and fits[j, i, place])
+
+
+def name_of(representation: Representation, own: Mapping[str, Representation] | None = None) -> str:
+    """Names a representation: "trivial", "regular x (trivial, sign, trivial)", "joints".
+
+    Args:
+        representation: Any signed permutation.
+        own: The robot's own representations by name.
+    """
+    for name, known in (own or {}).items():
+        if representation == known and representation.dim > 2:
+            return name
+    size, signs = representation.dim, representation.signs
+    half = size // 2
+    if representation.permutation == tuple(range(size)):
+        return _inner(signs)
+    if representation.permutation == (*range(half, size), *range(half)) and signs[:half] == signs[half:]:
+        if half == 1:
+            return kind_of_coordinate(False, signs[0])
+        return f"regular x {_inner(signs[:half])}"
+    return ", ".join(
+        f"{orbit[0]}: {kind_of_coordinate(True, signs[orbit[0]])}"
+        if len(orbit) == 1
+        else f"{orbit[0]} and {orbit[1]}: {kind_of_coordinate(False, signs[orbit[0]])}"
+        for orbit in representation.orbits()
+    )
+
+
+def _inner(signs: Sequence[int]) -> str:
+    names = [kind_of_coordinate(True, sign) for sign in signs]
+    return names[0] if len(set(names)) == 1 else f"({', '.join(names)})"
+
+
+def entry_name(representation: Representation, index: int, names: Sequence[str]) -> str:
+    """Names one entry: "sign", "regular with 'Right_Hip_Yaw'"."""
+    partner, sign = representation.permutation[index], representation.signs[index]
+    kind = kind_of_coordinate(partner == index, sign)
+    return kind if partner == index else f"{kind} with {names[partner]}"
+
+
+def contradiction(
+    found: Measurement, own: Mapping[str, Representation], components: Sequence[str] | None = None
+) -> str:
+    """Words what is wrong: what was declared and what was measured.
+
+    Args:
+        found: A measurement with wrong components.
+        own: The robot's own representations by name.
+        components: Names of the components, where the vector has one for each joint or action.
+    """
+    if components is None or found.measured is None:
+        declared = name_of(found.declared, own)
+        if found.measured is None:
+            return f"declared {declared}; measured: no signed permutation fits (worst error {found.error.max():.2g})"
+        return f"declared {declared}; measured: {name_of(found.measured)}"
+    wrong = np.flatnonzero(found.wrong)
+    named = [
+        f"{components[i]} declared {entry_name(found.declared, i, components)}; "
+        f"measured: {entry_name(found.measured, i, components)}"
+        for i in wrong[:2]
+    ]
+    more = f" (and {len(wrong) - 2} more)" if len(wrong) > 2 else ""
+    return ", ".join(named) + more

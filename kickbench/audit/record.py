@@ -1,0 +1,280 @@
+"""Records real states and their mirror images: what every term says of both, and how both go on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import torch
+from tensordict import TensorDict
+from torch import Tensor
+
+from kickbench.audit.states import VariedActions, VariedStarts, vary_episodes
+from kickbench.env import KickEnv, make_engine
+from kickbench.mdp.compile import Bound, CompiledTask
+from kickbench.mdp.snapshot import Snapshot
+from kickbench.mdp.state import State
+from kickbench.nets.threads import torch_threads
+from kickbench.symmetry.mirror import Image, mirror_actions, mirror_qpos, mirror_qvel
+from kickbench.symmetry.torch_ops import Mirror
+
+Policy = Callable[[TensorDict], Tensor]
+
+_WORLDS = 128
+
+
+@dataclass(frozen=True)
+class Reflection:
+    """The mirror maps that states are reflected with.
+
+    Attributes:
+        image: Joint -> (partner, sign).
+        qpos: On positions.
+        qvel: On velocities.
+        actions: On actions and control targets.
+    """
+
+    image: Image
+    qpos: Mirror
+    qvel: Mirror
+    actions: Mirror
+
+    @staticmethod
+    def of(task: CompiledTask, image: Image) -> Reflection:
+        """The reflection that follows from a joint table."""
+        coordinates, image = task.scene.layout.coordinates, {**image, "ball": ("ball", 1)}
+        return Reflection(
+            image,
+            Mirror(mirror_qpos(coordinates, image)),
+            Mirror(mirror_qvel(coordinates, image)),
+            Mirror(mirror_actions(task.robot.spec.actuators, image)),
+        )
+
+    def __call__(self, snapshot: Snapshot) -> Snapshot:
+        """The mirror image of running episodes."""
+        return snapshot.mirrored(self.qpos, self.qvel, self.actions)
+
+
+@dataclass
+class Pairs:
+    """A quantity in every state and in every state's mirror image; filled step by step, then read.
+
+    Attributes:
+        name: What it is.
+        unit: Its unit.
+        groups: Observation groups that have it.
+        bound: The term that it is the value of.
+    """
+
+    name: str
+    unit: str = ""
+    groups: tuple[str, ...] = ()
+    bound: Bound | None = None
+    _originals: list[Tensor] = field(default_factory=list, repr=False)
+    _images: list[Tensor] = field(default_factory=list, repr=False)
+
+    def add(self, original: Tensor, image: Tensor, keep: Tensor) -> None:
+        """Adds the rows of the worlds in `keep` [B]."""
+        self._originals.append(original[keep].clone())
+        self._images.append(image[keep].clone())
+
+    @property
+    def original(self) -> np.ndarray:
+        """Of the states [N, ...], float64."""
+        return torch.cat(self._originals).double().numpy()
+
+    @property
+    def image(self) -> np.ndarray:
+        """Of their mirror images [N, ...], float64."""
+        return torch.cat(self._images).double().numpy()
+
+
+@dataclass
+class Recording:
+    """Everything that the audit judges; tables can be judged against it again without another simulation.
+
+    Attributes:
+        task: The task.
+        reflection: What states were mirrored with.
+        fields: Observation fields.
+        rewards: Reward terms, unweighted.
+        terminations: Termination terms, as 0 and 1.
+        velocity: Velocities one step later, the original's [N, nv] and the image's.
+        touches: Contact channels one step later: whether anything touched; the original's already reflected.
+        forces: Force channels one step later, summed over their parts [N, 3]; the original's already reflected.
+        response: Effect of a unit action of every actuator on the velocities, [S, nu, nv]; in the mirror image, of
+            a unit action and of its opposite [S, 2 nu, nv].
+        coverage: What happened: "with ball contact" -> number of states.
+    """
+
+    task: CompiledTask
+    reflection: Reflection
+    fields: tuple[Pairs, ...]
+    rewards: tuple[Pairs, ...]
+    terminations: tuple[Pairs, ...]
+    velocity: Pairs
+    touches: tuple[Pairs, ...]
+    forces: tuple[Pairs, ...]
+    response: Pairs
+    coverage: dict[str, int]
+
+    @property
+    def states(self) -> int:
+        """Number of states."""
+        return len(self.velocity.original)
+
+    def group(self, name: str) -> Tensor:
+        """Exact observations of a group in every state [N, width], float32."""
+        of_group = {pairs.name: pairs for pairs in self.fields if name in pairs.groups}
+        columns = [of_group[f.name].original for f in self.task.groups[name]]
+        return torch.as_tensor(np.concatenate(columns, axis=1), dtype=torch.float32)
+
+
+def record(
+    task: CompiledTask,
+    reflection: Reflection,
+    states: int,
+    seed: int = 0,
+    threads: int | None = None,
+    policy: Policy | None = None,
+) -> Recording:
+    """Rolls out episodes, and mirrors and steps every state on the way.
+
+    Args:
+        task: Compiled task.
+        reflection: What to mirror states with.
+        states: Number of states; rounded up to whole steps of all worlds.
+        seed: Seed of starts, actions and randomisation.
+        threads: Physics threads.
+        policy: Drives half of the worlds.
+    """
+    with torch.inference_mode(), torch_threads(1):
+        return _Recorder(task, reflection, states, seed, threads).run(states, policy)
+
+
+class _Recorder:
+    def __init__(
+        self, task: CompiledTask, reflection: Reflection, states: int, seed: int, threads: int | None
+    ) -> None:
+        self.task, self.reflection = task, reflection
+        actions = len(task.scene.layout.actuator_names)
+        worlds = max(min(_WORLDS, states), 2 * actions + 1)
+        starts = VariedStarts(task, seed)
+        engines = [make_engine(task, worlds, num_threads=threads) for _ in range(2)]
+        self.env = KickEnv(task, engines[0], seed, noise=False, starts=starts)
+        self.other = KickEnv(task, engines[1], seed, noise=False, starts=starts)
+        self.actions = VariedActions(worlds, actions, seed)
+        self.draws = torch.Generator().manual_seed(seed)
+        self.fields = _field_pairs(task)
+        self.rewards = [Pairs(bound.name, bound.term.units, bound=bound) for bound, _ in task.rewards]
+        self.terminations = [Pairs(bound.name, bound=bound) for bound in task.terminations]
+        self.velocity, self.response = Pairs("velocity"), Pairs("response")
+        layout = task.scene.layout
+        self.touches = {name: Pairs(name) for name in layout.contacts}
+        self.forces = {name: Pairs(name, "N") for name in layout.forces}
+        self.coverage: dict[str, int] = {}
+
+    def run(self, states: int, policy: Policy | None) -> Recording:
+        env, other = self.env, self.other
+        self._measure_response()
+        self._begin(torch.ones(env.num_envs, dtype=torch.bool))
+        driven = (torch.arange(env.num_envs) % 2 == 0).unsqueeze(1)
+        for _ in range(-(-states // env.num_envs)):
+            actions = self.actions()
+            if policy is not None:
+                actions = torch.where(driven, policy(env.get_observations()), actions)
+            state = env.advance(actions)
+            other.advance(self.reflection.actions(actions))
+            keep = ~(env.engine.failed | other.engine.failed)
+            self._note_motion(keep)
+            # The very same instant, mirrored: terms are judged on it whatever the dynamics did.
+            other.restore(self.reflection(env.snapshot()))
+            self._note_terms(state, other.state(), keep)
+            ended = torch.stack([bound(state) for bound in self.task.terminations], dim=1).any(dim=1)
+            self._count("episode ends", ended & keep)
+            self._begin(ended | ~keep)
+        return Recording(
+            self.task,
+            self.reflection,
+            tuple(self.fields),
+            tuple(self.rewards),
+            tuple(self.terminations),
+            self.velocity,
+            tuple(self.touches.values()),
+            tuple(self.forces.values()),
+            self.response,
+            self.coverage,
+        )
+
+    def _begin(self, mask: Tensor) -> None:
+        """New episodes in the worlds in `mask` [B]; both environments show the same instant afterwards."""
+        self.env.reset(mask)
+        self.env.restore(vary_episodes(self.env, self.env.snapshot(), mask, self.draws))
+        self.other.restore(self.reflection(self.env.snapshot()))
+
+    def _note_motion(self, keep: Tensor) -> None:
+        here, there = self.env.snapshot(), self.other.snapshot()
+        self.velocity.add(here.qvel, there.qvel, keep)
+        image = self.reflection(here)
+        for name, pairs in self.touches.items():
+            touch = [(s.touches[name] > 0).any(dim=1, keepdim=True) for s in (image, there)]
+            pairs.add(touch[0], touch[1], keep)
+        for name, pairs in self.forces.items():
+            pairs.add(image.forces[name].sum(dim=1), there.forces[name].sum(dim=1), keep)
+        if here.pushes is not None:
+            self._count("pushed", (here.pushes.wait < 0) & keep)
+
+    def _note_terms(self, state: State, image: State, keep: Tensor) -> None:
+        for pairs in (*self.fields, *self.rewards, *self.terminations):
+            assert pairs.bound is not None
+            clip = getattr(pairs.bound.params, "clip", None)
+            values = [pairs.bound(view) for view in (state, image)]
+            values = values if clip is None else [value.clamp(*clip) for value in values]
+            pairs.add(values[0], values[1], keep)
+        self._count("with ball contact", state.ball_contact & keep)
+        if "body_floor" in self.task.scene.layout.contacts:
+            self._count("with the body on the floor", state.body_floor_contact & keep)
+
+    def _count(self, what: str, mask: Tensor) -> None:
+        self.coverage[what] = self.coverage.get(what, 0) + int(mask.sum())
+
+    def _measure_response(self) -> None:
+        """Steps worlds that differ in one actuator's command, and their mirror images with either sign of it."""
+        env, other, actions = self.env, self.other, self.env.num_actions
+        count = 2 * actions + 1
+        commands = torch.cat([torch.eye(actions), -torch.eye(actions), torch.zeros(1, actions)])
+        states = env.num_envs // count
+        which = torch.arange(env.num_envs)
+        command = commands[which % count]
+        for first in range(0, 4 * states, states):
+            start = env.snapshot().take((first + which // count) % env.num_envs)
+            effects = []
+            for world, snapshot in ((env, start), (other, self.reflection(start))):
+                world.restore(snapshot)
+                world.engine.step(world.targets(command))
+                velocity = world.engine.qvel[: states * count].view(states, count, -1)
+                effects.append(velocity[:, :-1] - velocity[:, -1:])
+            self.response.add(effects[0][:, :actions], effects[1], torch.ones(states, dtype=torch.bool))
+            env.reset()
+
+
+def _field_pairs(task: CompiledTask) -> list[Pairs]:
+    """One entry a field; a field that two groups have with other parameters has one for each."""
+    found: dict[str, Pairs] = {}
+    names: dict[str, int] = {}
+    for group, fields in task.groups.items():
+        for item in fields:
+            key = f"{item.key} {item.params.clip}"
+            if key not in found:
+                names[item.name] = names.get(item.name, 0) + 1
+                found[key] = Pairs(item.name, item.bound.term.units, (), item.bound)
+            found[key] = replace(found[key], groups=(*found[key].groups, group))
+    return list(found.values())
+
+
+def components(task: CompiledTask, item: Pairs) -> Sequence[str] | None:
+    """Names of a field's components, where it has one for each joint or action."""
+    layout = task.scene.layout
+    size = item.bound.term.size if item.bound is not None else None
+    return {"joints": layout.joint_names, "actions": layout.actuator_names}.get(str(size))

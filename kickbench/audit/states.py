@@ -1,0 +1,155 @@
+"""Where the audit's states come from: starts, counters and actions that bring about what episodes can bring.
+
+A default pose proves little: with all lateral quantities at zero, wrong signs fit. So worlds start as the task starts
+them, with the ball rolling against a foot, in random poses, and thrown; their counters and targets are such that every
+gate opens somewhere; and they move by noise of several sizes, held or fresh, and by swinging every joint.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from kickbench.env import KickEnv
+from kickbench.mdp.compile import CompiledTask
+from kickbench.mdp.snapshot import Snapshot
+from kickbench.mdp.starts import Starts, StartSampler
+
+_BALL_SPEED = 1.2  # m/s, at which a ball rolls against a foot
+_TILT = 0.9  # rad
+_LIFT = 0.3  # m
+_SPEEDS = 2.0  # rad/s and m/s
+
+
+@dataclass(frozen=True)
+class _Draws:
+    generator: torch.Generator
+
+    def uniform(self, low: float, high: float, *shape: int) -> Tensor:
+        return low + (high - low) * torch.rand(shape, generator=self.generator, dtype=torch.float64)
+
+    def normal(self, *shape: int) -> Tensor:
+        return torch.randn(shape, generator=self.generator)
+
+
+class VariedStarts:
+    """Starts of four kinds, one after the other: the task's own, ball at a foot, random pose, thrown."""
+
+    def __init__(self, task: CompiledTask, seed: int) -> None:
+        layout, spec = task.scene.layout, task.spec
+        self._task, self._layout = task, layout
+        self._draws = _Draws(torch.Generator().manual_seed(seed))
+        self._sampler = StartSampler(
+            layout, spec.sampling, spec.ball, task.randomizers, task.scene.model.nv, self._draws.generator
+        )
+        self._base = next((c for c in layout.coordinates if c.free and c.name != "ball"), None)
+
+    def __call__(self, mask: Tensor) -> Starts:
+        """A start for every world; the kind follows from its number, so that every kind comes back."""
+        starts = self._sampler.sample(len(mask))
+        qpos, qvel = starts.qpos.clone(), starts.qvel.clone()
+        kind = torch.arange(len(mask)) % 4
+        self._roll_ball(qpos, qvel, kind == 1)
+        self._pose(qpos, qvel, (kind == 2) | (kind == 3))
+        self._throw(qpos, qvel, kind == 3)
+        return replace(starts, qpos=qpos, qvel=qvel)
+
+    def _roll_ball(self, qpos: Tensor, qvel: Tensor, mask: Tensor) -> None:
+        """The ball rolls towards one of the robot's low parts, which in the default pose are its feet."""
+        obstacles = torch.as_tensor(self._layout.obstacles)
+        place, speed = self._layout.ball_qpos, self._layout.ball_qvel
+        count, radius = int(mask.sum()), self._task.spec.ball.radius
+        if len(obstacles):
+            pick = torch.randint(len(obstacles), (count,), generator=self._draws.generator)
+            _, high_x, low_y, high_y = obstacles[pick].unbind(dim=1)
+            gap = self._draws.uniform(0.005, 0.05, count)
+            qpos[mask, place] = high_x + radius + gap
+            qpos[mask, place + 1] = low_y + (high_y - low_y) * self._draws.uniform(-0.5, 1.5, count)
+        qvel[mask, speed] = -self._draws.uniform(0.2, _BALL_SPEED, count)
+        qvel[mask, speed + 1] = self._draws.uniform(-0.3, 0.3, count)
+
+    def _pose(self, qpos: Tensor, qvel: Tensor, mask: Tensor) -> None:
+        """Joints anywhere in half of their range about the default, moving; the ball rolls and spins."""
+        model, count = self._task.scene.model, int(mask.sum())
+        for joint, coordinate in enumerate(self._layout.coordinates):
+            if coordinate.free:
+                continue
+            low, high = (-0.5, 0.5)
+            if model.jnt_limited[joint]:
+                low, high = model.jnt_range[joint]
+            share = self._draws.uniform(0.0, 1.0, count)
+            pose = qpos[mask, coordinate.qpos]
+            qpos[mask, coordinate.qpos] = pose + share * (self._draws.uniform(low, high, count) - pose)
+            qvel[mask, coordinate.qvel] = self._draws.uniform(-_SPEEDS, _SPEEDS, count)
+        ball = self._layout.ball_qvel
+        qvel[mask, ball : ball + 2] = self._draws.uniform(-_SPEEDS, _SPEEDS, count, 2)
+        qvel[mask, ball + 3 : ball + 6] = self._draws.uniform(-_SPEEDS, _SPEEDS, count, 3)
+        if self._base is not None:
+            # Off the floor: a random pose would stand in it.
+            qpos[mask, self._base.qpos + 2] += self._draws.uniform(0.05, _LIFT, count)
+
+    def _throw(self, qpos: Tensor, qvel: Tensor, mask: Tensor) -> None:
+        """A free base tilts, turns and flies; it will fall."""
+        if self._base is None:
+            return
+        count, place, speed = int(mask.sum()), self._base.qpos, self._base.qvel
+        axis = torch.nn.functional.normalize(self._draws.normal(count, 3).double(), dim=1)
+        angle = self._draws.uniform(0.0, _TILT, count).unsqueeze(1)
+        qpos[mask, place + 3 : place + 7] = torch.cat([(angle / 2).cos(), axis * (angle / 2).sin()], dim=1)
+        qvel[mask, speed : speed + 6] = self._draws.uniform(-_SPEEDS, _SPEEDS, count, 6)
+
+
+def vary_episodes(env: KickEnv, snapshot: Snapshot, fresh: Tensor, draws: torch.Generator) -> Snapshot:
+    """Sets counters, targets and actions of worlds whose episode has just begun, so that every gate opens somewhere.
+
+    Half of them keep their counters; the others are past the contact window, with the target near the ball or far, or
+    shortly before the time limit. In every other one a push comes soon.
+    """
+    spec, place = env.task.spec, env.task.scene.layout.ball_qpos
+    draw, worlds, episode = _Draws(draws), env.num_envs, snapshot.episode
+    kind = torch.randint(8, (worlds,), generator=draws)
+    late, near, ending = fresh & (kind < 3), fresh & (kind < 2), fresh & (kind == 3)
+    window = spec.episode.contact_window
+    offset = draw.uniform(-1.0, 1.0, worlds, 2) * 2.0 * spec.evaluation.success_radius
+    target = (snapshot.qpos[:, place : place + 2] + offset).float()
+    actions = 0.5 * draw.normal(2, worlds, env.num_actions)
+    moved = (fresh & (kind < 4)).unsqueeze(1)
+    varied = replace(
+        episode,
+        contact_count=torch.where(late, window + 1, episode.contact_count),
+        step=torch.where(ending, spec.episode.max_steps - 2, episode.step),
+        target=torch.where(near.unsqueeze(1), target, episode.target),
+        action=torch.where(moved, actions[0], episode.action),
+        previous_action=torch.where(moved, actions[1], episode.previous_action),
+    )
+    pushes = snapshot.pushes
+    if pushes is not None:
+        soon = torch.randint(1, 20, (worlds,), generator=draws)
+        pushes = replace(pushes, wait=torch.where(fresh & (kind % 2 == 0), soon, pushes.wait))
+    return replace(snapshot, episode=varied, pushes=pushes)
+
+
+class VariedActions:
+    """Actions of several kinds, one a world: none, noise of three sizes, held noise, and swings of every joint."""
+
+    _SIZES = (0.0, 0.3, 1.0, 3.0, 1.0, 2.0)
+
+    def __init__(self, worlds: int, actions: int, seed: int) -> None:
+        self._draws = _Draws(torch.Generator().manual_seed(seed))
+        self._kind = torch.arange(worlds) // 4 % len(self._SIZES)
+        self._size = torch.tensor(self._SIZES)[self._kind].unsqueeze(1)
+        self._held = torch.zeros(worlds, actions)
+        self._phase = self._draws.uniform(0.0, 2.0 * math.pi, worlds, actions).float()
+        self._step = 0
+
+    def __call__(self) -> Tensor:
+        """Actions of the next step [B, nu]."""
+        fresh = self._draws.normal(*self._held.shape)
+        self._held = fresh if self._step % 8 == 0 else self._held
+        swing = torch.sin(0.4 * self._step + self._phase)
+        self._step += 1
+        kind = self._kind.unsqueeze(1)
+        return self._size * torch.where(kind == 4, self._held, torch.where(kind == 5, swing, fresh))
