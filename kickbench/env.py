@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -18,6 +18,7 @@ from kickbench.mdp.pushes import Pushes
 from kickbench.mdp.randomizations import Setting
 from kickbench.mdp.starts import StartPool, Starts, StartSampler
 from kickbench.mdp.state import EpisodeState, State, StateIndex
+from kickbench.mdp.stateful import check_tensors
 from kickbench.physics.engine import Engine
 
 _POOLED = 16
@@ -215,6 +216,46 @@ class KickEnv(VecEnv):
             unit = torch.rand(value.shape, generator=self.generator, device=self.device)
             value = value + field.params.noise * (2.0 * unit - 1.0)
         return value if field.params.clip is None else value.clamp(*field.params.clip)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything that later steps depend on, as tensors and plain numbers, in dicts by part.
+
+        Only for environments that sample their starts from the task's regions.
+        """
+        parts = {name: part.state_dict() for name, part in self._parts().items()}
+        observations = self._observations.clone().to_dict()
+        return {**parts, "observations": observations, "rng": self.generator.get_state()}
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Takes over what `state_dict` of an environment of the same task and size has returned.
+
+        Raises:
+            ValueError: It is the state of another task, or of another number of worlds.
+        """
+        parts = self._parts()
+        expected = {*parts, "observations", "rng"}
+        if set(state) != expected:
+            raise ValueError(f"KickEnv: expected {sorted(expected)}, found {sorted(state)}")
+        check_tensors("KickEnv.observations", state["observations"], self._observations.to_dict())
+        for name, part in parts.items():
+            part.load_state_dict(state[name])
+        groups = {name: group.to(self.device, copy=True) for name, group in state["observations"].items()}
+        self._observations = TensorDict(groups, batch_size=[self.num_envs], device=self.device)
+        # Last: the pool of starts has used the generator to draw its starts again.
+        self.generator.set_state(state["rng"])
+
+    def _parts(self) -> dict[str, Any]:
+        """What has a state of its own, by name."""
+        assert isinstance(self._starts, StartPool), "starts from elsewhere have no state that could be kept"
+        processes = {"delay": self._delay, "pushes": self._pushes}
+        return {
+            "engine": self.engine,
+            "episode": self.episode,
+            "record": self.record,
+            "totals": self.totals,
+            "starts": self._starts,
+            **{name: process for name, process in processes.items() if process is not None},
+        }
 
 
 def make_engine(

@@ -7,8 +7,10 @@ import math
 import torch
 from torch import Tensor
 
+from kickbench.mdp.stateful import Stateful
 
-class ActionDelay:
+
+class ActionDelay(Stateful):
     """Per-world latency of control targets, in physics substeps.
 
     Every control step each world draws a lag L, uniform over the whole substeps in the range; with the hold
@@ -19,6 +21,8 @@ class ActionDelay:
     With 4 substeps a control step and L = 6, the command issued at substep 0 takes effect at substep 6, so the
     servos see (command of step t - 2, t - 2, t - 1, t - 1) during control step t.
     """
+
+    STATE = ("_history", "_newest")
 
     def __init__(
         self,

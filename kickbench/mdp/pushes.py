@@ -7,13 +7,17 @@ import math
 import torch
 from torch import Tensor
 
+from kickbench.mdp.stateful import Stateful
 
-class Pushes:
+
+class Pushes(Stateful):
     """Per-world schedule of pushes.
 
     After an interval drawn uniformly, a horizontal force of uniform magnitude and direction acts on the base's
     centre of mass for the given duration; then the next interval is drawn.
     """
+
+    STATE = ("_wait", "_force")
 
     def __init__(
         self,

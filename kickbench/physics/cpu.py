@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 # pyright: reportAttributeAccessIssue=false
 import mujoco
@@ -16,6 +16,8 @@ from torch import Tensor
 _FULL = mujoco.mjtState.mjSTATE_FULLPHYSICS
 _CTRL = mujoco.mjtState.mjSTATE_CTRL
 _WRENCH = mujoco.mjtState.mjSTATE_XFRC_APPLIED
+_PER_WORLD = ("geom_friction",)
+"""Arrays of the model that may differ between worlds."""
 _HUGE = 1e6
 """Positions (m, rad) and velocities (m/s, rad/s) from here on are an explosion, though finite."""
 _Bit = mujoco.mjtDisableBit
@@ -180,6 +182,35 @@ class CpuEngine:
             friction = self._models[row].geom_friction
             for group, ids in enumerate(geoms):
                 friction[list(ids), 0] = table[row, group]
+
+    def state_dict(self) -> dict[str, Tensor]:
+        """See `Engine.state_dict`."""
+        return {name: torch.from_numpy(array.copy()) for name, array in self._arrays().items()}
+
+    def load_state_dict(self, state: Mapping[str, Tensor]) -> None:
+        """See `Engine.load_state_dict`."""
+        own = set(_PER_WORLD) & set(state)
+        self._shared = not own
+        self._models = [self.model if self._shared else copy.copy(self.model) for _ in range(self.num_worlds)]
+        arrays = self._arrays()
+        expected = {name: array.shape for name, array in arrays.items()}
+        found = {name: tuple(values.shape) for name, values in state.items()}
+        if found != expected:
+            raise ValueError(f"CpuEngine: expected {expected}, found {found}")
+        for name in expected.keys() - own:
+            arrays[name][:] = state[name].numpy()
+        for name in own:
+            for model, values in zip(self._models, state[name].numpy(), strict=True):
+                getattr(model, name)[:] = values
+
+    def _arrays(self) -> dict[str, np.ndarray]:
+        """Everything that the next step depends on; views, but for what every world's model has of its own."""
+        arrays = {"state": self._state, "sensors": self._sensors, "failed": self.failed.numpy()}
+        if self._push is not None:
+            arrays["push"] = self._control[:, :, self._push]
+        if not self._shared:
+            arrays |= {name: np.stack([getattr(m, name) for m in self._models]) for name in _PER_WORLD}
+        return arrays
 
     def full_state(self) -> np.ndarray:
         """A copy of the full physics state [B, nstate]."""

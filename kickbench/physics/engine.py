@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Protocol
 
 import torch
@@ -58,5 +59,17 @@ class Engine(Protocol):
             mask: Worlds [B] bool.
             geoms: Groups of geom ids that share a coefficient.
             values: Coefficient of each group [B, len(geoms)].
+        """
+        ...
+
+    def state_dict(self) -> dict[str, Tensor]:
+        """Copies of everything that later steps depend on, what differs between the worlds' models included."""
+        ...
+
+    def load_state_dict(self, state: Mapping[str, Tensor]) -> None:
+        """Takes over what `state_dict` of an engine of the same model and size has returned.
+
+        Raises:
+            ValueError: It is the state of another model or of another number of worlds.
         """
         ...

@@ -12,8 +12,9 @@ from kickbench.results.metrics import load_metrics
 __all__ = ["RunDirectory", "atomic_file", "atomic_write_bytes", "atomic_write_text", "find_runs"]
 
 _SPEC_FILES = ("task.yaml", "method.yaml", "robot.yaml", "representations.yaml", "robot.xml")
-_TOP_FILES = ("metrics.json", "episodes.csv", "progress.csv", "checkpoint.pt", "policy.pt")
+_TOP_FILES = ("metrics.json", "episodes.csv", "progress.csv", "policy.pt")
 _EVENT_FILES = "events.out.tfevents.*"
+_CHECKPOINT_FILES = "iteration_*.pt"
 
 
 class RunDirectory:
@@ -75,9 +76,9 @@ class RunDirectory:
         return self.path / "progress.csv"
 
     @property
-    def checkpoint(self) -> Path:
-        """Everything that training needs to go on."""
-        return self.path / "checkpoint.pt"
+    def checkpoints(self) -> Path:
+        """Folder of the checkpoints: everything that training needs to go on."""
+        return self.path / "checkpoints"
 
     @property
     def policy(self) -> Path:
@@ -100,17 +101,26 @@ class RunDirectory:
             return False
         return True
 
+    @property
+    def holds_a_run(self) -> bool:
+        """Whether a run has left anything here, finished or not."""
+        return any(file.exists() for file in self._own_files())
+
+    def reopen(self) -> None:
+        """Make a run unfinished again: remove its result, keep its training."""
+        for file in (self.metrics, self.episodes, self.policy):
+            file.unlink(missing_ok=True)
+
     def prepare(self, force: bool = False) -> None:
         """Make the folder ready for a run.
 
-        A run starts anew: what an unfinished one has left is removed, a finished one only with `force`. Files
-        that kickbench did not write stay.
+        Files that kickbench did not write stay.
 
         Args:
-            force: whether a run that is there, finished or not, is given up.
+            force: whether a run that is there, finished or not, is removed.
 
         Raises:
-            KickbenchError: a finished run is there and `force` is not set, or the path is not a folder.
+            KickbenchError: a run is there and `force` is not set, or the path is not a folder.
         """
         if self.path.exists() and not self.path.is_dir():
             raise KickbenchError(f"{self.path}: expected a folder for the run, found a file")
@@ -121,6 +131,9 @@ class RunDirectory:
                 else "a run whose metrics.json is damaged or of another version"
             )
             raise KickbenchError(f"{self.path}: holds {state}; --force runs it again and overwrites it")
+        if self.holds_a_run and not force:
+            choice = "--resume goes on with it, --force starts again"
+            raise KickbenchError(f"{self.path}: holds an unfinished run; {choice}")
         self._remove_own_files()
         try:
             self.specs.mkdir(parents=True, exist_ok=True)
@@ -131,7 +144,7 @@ class RunDirectory:
         # metrics.json goes first: a run that is half removed must not look finished.
         for file in self._own_files():
             file.unlink(missing_ok=True)
-        for folder in (self.tensorboard, self.specs):
+        for folder in (self.tensorboard, self.checkpoints, self.specs):
             if folder.is_dir() and not any(folder.iterdir()):
                 folder.rmdir()
 
@@ -139,7 +152,8 @@ class RunDirectory:
         yield from (self.path / name for name in _TOP_FILES)
         yield from (self.specs / name for name in _SPEC_FILES)
         yield from self.tensorboard.glob(_EVENT_FILES)
-        for folder in (self.path, self.specs):
+        yield from self.checkpoints.glob(_CHECKPOINT_FILES)
+        for folder in (self.path, self.specs, self.checkpoints):
             yield from folder.glob(f"{TEMPORARY_PREFIX}*")
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+import signal
 
 import pytest
 import torch
@@ -11,7 +12,8 @@ import torch
 from kickbench.env import KickEnv, make_engine
 from kickbench.errors import KickbenchError
 from kickbench.nets.build import build_actor
-from kickbench.train.checkpoint import load_policy, save_policy
+from kickbench.results.history import RunHistory
+from kickbench.train.checkpoint import Checkpoints, load_policy, save_policy
 from kickbench.train.ppo import build_ppo
 from kickbench.train.progress import IterationRecord, ProgressGroup
 from kickbench.train.progress_files import CsvProgress
@@ -39,7 +41,7 @@ class Recorder:
     def update(self, record: IterationRecord) -> None:
         self.records.append(record)
         if record.iteration == self._interrupt_at:
-            raise KeyboardInterrupt
+            signal.raise_signal(signal.SIGINT)
 
     def close(self) -> None:
         self.closed = True
@@ -48,7 +50,8 @@ class Recorder:
 def make_trainer(chosen, folder, progress, seed: int = 0) -> Trainer:
     torch.manual_seed(seed)
     env = KickEnv(chosen.task, make_engine(chosen.task, chosen.method.spec.algorithm.num_envs), seed)
-    return Trainer(chosen, env, progress, folder / "checkpoint.pt")
+    history = RunHistory(chosen.task.name, chosen.method.name, seed, num_threads=1)
+    return Trainer(chosen, env, progress, Checkpoints(folder), history)
 
 
 def weights(trainer: Trainer) -> torch.Tensor:
@@ -101,10 +104,30 @@ def test_an_interrupt_ends_cleanly_with_a_checkpoint_of_what_was_done(experiment
     assert result.interrupted
     assert result.iterations == 2
     assert recorder.closed
-    content = torch.load(tmp_path / "checkpoint.pt", weights_only=True)
+    content = torch.load(tmp_path / "iteration_000002.pt", weights_only=True)
     assert content["iteration"] == 2
     for name, value in trainer.ppo.get_policy().state_dict().items():
-        assert torch.equal(content["actor_state_dict"][name], value)
+        assert torch.equal(content["learner"]["actor_state_dict"][name], value)
+
+
+def test_a_second_interrupt_ends_at_once_and_gives_the_iteration_up(experiment, tmp_path):
+    chosen = experiment("mini_home_field", "baseline", *SMALL)
+    trainer = make_trainer(chosen, tmp_path, Recorder(interrupt_at=1))
+    step, calls = trainer.env.step, []
+
+    def impatient(actions):
+        calls.append(0)
+        if len(calls) == 12:
+            signal.raise_signal(signal.SIGINT)
+            signal.raise_signal(signal.SIGINT)
+        return step(actions)
+
+    trainer.env.step = impatient
+    before = signal.getsignal(signal.SIGINT)
+    result = trainer.train(10)
+    assert (result.interrupted, result.iterations, result.env_steps) == (True, 0, 0)
+    assert Checkpoints(tmp_path).load()["iteration"] == 0
+    assert signal.getsignal(signal.SIGINT) is before
 
 
 def test_a_policy_file_gives_the_same_actions_and_holds_no_code(experiment, tmp_path):
