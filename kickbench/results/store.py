@@ -107,8 +107,8 @@ class RunDirectory:
         return any(file.exists() for file in self._own_files())
 
     def reopen(self) -> None:
-        """Make a run unfinished again: remove its result, keep its training."""
-        for file in (self.metrics, self.episodes, self.policy):
+        """Make a run ready to go on: remove its result and what a kill left half written, keep its training."""
+        for file in (self.metrics, self.episodes, self.policy, *self._half_written()):
             file.unlink(missing_ok=True)
 
     def prepare(self, force: bool = False) -> None:
@@ -153,6 +153,9 @@ class RunDirectory:
         yield from (self.specs / name for name in _SPEC_FILES)
         yield from self.tensorboard.glob(_EVENT_FILES)
         yield from self.checkpoints.glob(_CHECKPOINT_FILES)
+        yield from self._half_written()
+
+    def _half_written(self) -> Iterator[Path]:
         for folder in (self.path, self.specs, self.checkpoints):
             yield from folder.glob(f"{TEMPORARY_PREFIX}*")
 

@@ -116,6 +116,8 @@ class TensorBoardProgress:
         for name, value in flatten(record).items():
             if name != "iteration" and not math.isnan(value):
                 self._writer.add_scalar(name if "/" in name else f"train/{name}", value, record.iteration)
+        # A process that is killed later leaves what it has told, as in the table.
+        self._writer.flush()
 
     def close(self) -> None:
         """Write out what is buffered and close the event file."""

@@ -124,6 +124,7 @@ def test_a_folder_with_other_files_holds_no_run(tmp_path: Path) -> None:
 
 def test_a_reopened_run_is_unfinished_and_keeps_its_training(tmp_path: Path) -> None:
     run = make_run(tmp_path / "run")
+    (run.checkpoints / ".partial-iteration_000150.pt-0123").write_text("x")
     run.reopen()
     assert not run.is_finished
     assert run.progress.exists()

@@ -130,6 +130,18 @@ def test_a_second_interrupt_ends_at_once_and_gives_the_iteration_up(experiment, 
     assert signal.getsignal(signal.SIGINT) is before
 
 
+@pytest.mark.parametrize(
+    ("every", "seconds", "kept"), [(3, 1e9, [6, 7]), (1000, 0.0, [6, 7]), (5, 1e9, [5, 7])]
+)
+def test_checkpoints_are_due_by_iterations_or_by_time_and_at_the_end(
+    experiment, tmp_path, every, seconds, kept
+):
+    trainer = make_trainer(experiment("mini_home_field", "baseline", *SMALL), tmp_path, Recorder())
+    trainer._every = (every, seconds)
+    trainer.train(7)
+    assert [file.name for file in Checkpoints(tmp_path).files()] == [f"iteration_{k:06d}.pt" for k in kept]
+
+
 def test_a_policy_file_gives_the_same_actions_and_holds_no_code(experiment, tmp_path):
     chosen = experiment("mini_home_field", "equivariant", *SMALL)
     trainer = make_trainer(chosen, tmp_path, Recorder())
