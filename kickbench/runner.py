@@ -105,6 +105,11 @@ def run(request: RunRequest) -> RunOutcome:
     threads = request.threads or usable_cores()
     default = Path("runs", experiment.task.name, experiment.method.name, f"seed{request.seed}")
     directory = RunDirectory(request.out or default)
+    with directory.occupied():
+        return _run_in(directory, experiment, request, threads)
+
+
+def _run_in(directory: RunDirectory, experiment: Experiment, request: RunRequest, threads: int) -> RunOutcome:
     taken = _open(request, directory, experiment)
     if taken.finished:
         return RunOutcome(directory, None, load_metrics(directory.metrics))

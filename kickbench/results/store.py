@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import fcntl
+import os
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from kickbench.errors import KickbenchError
@@ -106,6 +109,23 @@ class RunDirectory:
         """Whether a run has left anything here, finished or not."""
         return any(file.exists() for file in self._own_files())
 
+    @contextmanager
+    def occupied(self) -> Iterator[None]:
+        """Keeps other runs out of the folder; the system lets them in again however this process ends.
+
+        Raises:
+            KickbenchError: another process runs in it, or it cannot be made.
+        """
+        self._make(self.path)
+        descriptor = os.open(self.path, os.O_RDONLY)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            yield
+        except BlockingIOError:
+            raise KickbenchError(f"{self.path}: another process runs in it") from None
+        finally:
+            os.close(descriptor)
+
     def reopen(self) -> None:
         """Make a run ready to go on: remove its result and what a kill left half written, keep its training."""
         for file in (self.metrics, self.episodes, self.policy, *self._half_written()):
@@ -122,8 +142,7 @@ class RunDirectory:
         Raises:
             KickbenchError: a run is there and `force` is not set, or the path is not a folder.
         """
-        if self.path.exists() and not self.path.is_dir():
-            raise KickbenchError(f"{self.path}: expected a folder for the run, found a file")
+        self._make(self.path)
         if self.metrics.exists() and not force:
             state = (
                 "a finished run"
@@ -135,8 +154,13 @@ class RunDirectory:
             choice = "--resume goes on with it, --force starts again"
             raise KickbenchError(f"{self.path}: holds an unfinished run; {choice}")
         self._remove_own_files()
+        self._make(self.specs)
+
+    def _make(self, folder: Path) -> None:
+        if self.path.exists() and not self.path.is_dir():
+            raise KickbenchError(f"{self.path}: expected a folder for the run, found a file")
         try:
-            self.specs.mkdir(parents=True, exist_ok=True)
+            folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise KickbenchError(f"{self.path}: cannot make the run's folder: {error.strerror}") from None
 

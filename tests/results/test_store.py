@@ -140,6 +140,15 @@ def test_a_run_with_damaged_metrics_is_not_overwritten_without_force(tmp_path: P
     assert not run.policy.exists()
 
 
+def test_a_folder_is_one_process_at_a_time(tmp_path: Path) -> None:
+    path = tmp_path / "run"
+    with RunDirectory(path).occupied(), pytest.raises(KickbenchError, match="another process"):
+        RunDirectory(path).occupied().__enter__()
+    with RunDirectory(path).occupied():
+        pass
+    assert list(path.iterdir()) == []
+
+
 def test_a_new_run_gets_its_folders(tmp_path: Path) -> None:
     run = RunDirectory(tmp_path / "runs" / "task" / "method" / "seed0")
     run.prepare()
