@@ -76,7 +76,11 @@ def _add_run(verbs: argparse._SubParsersAction) -> None:
         "--device", choices=("cpu", "cuda"), default="cpu", help="where to train (default: cpu)"
     )
     _add_threads(verb)
-    verb.add_argument("--force", action="store_true", help="overwrite a finished run")
+    taken = verb.add_mutually_exclusive_group()
+    taken.add_argument("--force", action="store_true", help="overwrite a run that is there")
+    taken.add_argument(
+        "--resume", action="store_true", help="go on with the run that is there; --iterations may extend it"
+    )
 
 
 def _add_eval(verbs: argparse._SubParsersAction) -> None:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from kickbench.mdp.stateful import Stateful
 from kickbench.symmetry.torch_ops import Mirror
 
 
@@ -34,7 +35,7 @@ def whole_steps(delay: tuple[float, float], timestep: float) -> tuple[int, int]:
     return math.ceil(delay[0] / timestep - 1e-6), math.floor(delay[1] / timestep + 1e-6)
 
 
-class ActionDelay:
+class ActionDelay(Stateful):
     """Per-world latency of control targets, in physics substeps.
 
     Every control step each world draws a lag L, uniform over the whole substeps in the range; with the hold
@@ -45,6 +46,8 @@ class ActionDelay:
     With 4 substeps a control step and L = 6, the command issued at substep 0 takes effect at substep 6, so the
     servos see (command of step t - 2, t - 2, t - 1, t - 1) during control step t.
     """
+
+    STATE = ("_history", "_newest")
 
     def __init__(
         self,

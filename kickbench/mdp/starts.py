@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -177,13 +178,33 @@ class StartPool:
             size: Starts drawn at a time; at least the number of worlds.
         """
         self._sampler, self._size = sampler, size
-        self._starts, self._used = sampler.sample(size), 0
+        self._draw()
 
     def __call__(self, mask: Tensor) -> Starts:
         """The next starts for the worlds in `mask` [B]; rows of other worlds hold one that means nothing."""
         needed = int(mask.sum())
         if self._used + needed > self._size:
-            self._starts, self._used = self._sampler.sample(self._size), 0
+            self._draw()
         rows = (self._used + mask.cumsum(dim=0) - 1).clamp(min=0)
         self._used += needed
         return self._starts.take(rows)
+
+    def _draw(self) -> None:
+        self._drawn_from = self._sampler.generator.get_state()
+        self._starts, self._used = self._sampler.sample(self._size), 0
+
+    def state_dict(self) -> dict[str, Any]:
+        """How many starts are handed out, and the generator's state before they were drawn: far smaller than they."""
+        return {"size": self._size, "used": self._used, "drawn_from": self._drawn_from.clone()}
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Draws the same starts again. The generator is left behind them: set it to where it was afterwards.
+
+        Raises:
+            ValueError: The state is that of a pool of another size.
+        """
+        if state["size"] != self._size:
+            raise ValueError(f"StartPool: expected {self._size} starts, found {state['size']}")
+        self._sampler.generator.set_state(state["drawn_from"])
+        self._draw()
+        self._used = state["used"]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 # pyright: reportAttributeAccessIssue=false
 import mujoco
@@ -188,6 +188,27 @@ class CpuEngine:
         if any(field.name in _INERTIAL for field in fields):
             for row in rows:
                 mujoco.mj_setConst(self._models[row], self._data[0])
+
+    def state_dict(self) -> dict[str, Tensor]:
+        """See `Engine.state_dict`."""
+        return {name: torch.from_numpy(array.copy()) for name, array in self._arrays().items()}
+
+    def load_state_dict(self, state: Mapping[str, Tensor]) -> None:
+        """See `Engine.load_state_dict`."""
+        arrays = self._arrays()
+        expected = {name: array.shape for name, array in arrays.items()}
+        found = {name: tuple(values.shape) for name, values in state.items()}
+        if found != expected:
+            raise ValueError(f"CpuEngine: expected {expected}, found {found}")
+        for name, array in arrays.items():
+            array[:] = state[name].numpy()
+
+    def _arrays(self) -> dict[str, np.ndarray]:
+        """Views of everything that the next step depends on, but for the worlds' models."""
+        arrays = {"state": self._state, "sensors": self._sensors, "failed": self.failed.numpy()}
+        if self._push is not None:
+            arrays["push"] = self._control[:, :, self._push]
+        return arrays
 
     def full_state(self) -> np.ndarray:
         """A copy of the full physics state [B, nstate]."""

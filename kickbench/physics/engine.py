@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -74,5 +74,17 @@ class Engine(Protocol):
         """Sets fields of the model in the worlds in `mask` [B] bool; what MuJoCo derives from them follows.
 
         A field keeps its value until it is set again: a reset does not touch it.
+        """
+        ...
+
+    def state_dict(self) -> dict[str, Tensor]:
+        """Copies of everything that later steps depend on, but for what `set_model` has set."""
+        ...
+
+    def load_state_dict(self, state: Mapping[str, Tensor]) -> None:
+        """Takes over what `state_dict` of an engine of the same model and size has returned.
+
+        Raises:
+            ValueError: It is the state of another model or of another number of worlds.
         """
         ...

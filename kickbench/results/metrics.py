@@ -86,6 +86,10 @@ class Metrics(Record):
     iterations: NonNegativeInt = Field(description="training iterations")
     env_steps: NonNegativeInt = Field(description="control steps of training, summed over worlds")
     training_seconds: NonNegativeFloat = Field(description="wall-clock time of training [s]")
+    schedule_iterations: PositiveInt | None = Field(
+        default=None,
+        description="iterations over which the method's schedules ran, if a resume extended the run beyond them",
+    )
     evaluation: Evaluation
     provenance: Provenance
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+import signal
 
 import pytest
 import torch
@@ -12,8 +13,9 @@ from tensordict import TensorDict
 from kickbench.env import KickEnv, make_engine
 from kickbench.errors import KickbenchError
 from kickbench.nets.build import build_actor
+from kickbench.results.history import RunHistory
 from kickbench.symmetry.torch_ops import Mirror
-from kickbench.train.checkpoint import load_policy, save_policy
+from kickbench.train.checkpoint import Checkpoints, load_policy, save_policy
 from kickbench.train.ppo import build_ppo
 from kickbench.train.progress import IterationRecord, ProgressGroup
 from kickbench.train.progress_files import CsvProgress
@@ -41,7 +43,7 @@ class Recorder:
     def update(self, record: IterationRecord) -> None:
         self.records.append(record)
         if record.iteration == self._interrupt_at:
-            raise KeyboardInterrupt
+            signal.raise_signal(signal.SIGINT)
 
     def close(self) -> None:
         self.closed = True
@@ -50,7 +52,8 @@ class Recorder:
 def make_trainer(chosen, folder, progress, seed: int = 0) -> Trainer:
     torch.manual_seed(seed)
     env = KickEnv(chosen.task, make_engine(chosen.task, chosen.method.spec.algorithm.num_envs), seed)
-    return Trainer(chosen, env, progress, folder / "checkpoint.pt")
+    history = RunHistory(chosen.task.name, chosen.method.name, seed, num_threads=1)
+    return Trainer(chosen, env, progress, Checkpoints(folder), history)
 
 
 def weights(trainer: Trainer) -> torch.Tensor:
@@ -105,10 +108,42 @@ def test_an_interrupt_ends_cleanly_with_a_checkpoint_of_what_was_done(experiment
     assert result.interrupted
     assert result.iterations == 2
     assert recorder.closed
-    content = torch.load(tmp_path / "checkpoint.pt", weights_only=True)
+    content = torch.load(tmp_path / "iteration_000002.pt", weights_only=True)
     assert content["iteration"] == 2
     for name, value in trainer.ppo.get_policy().state_dict().items():
-        assert torch.equal(content["actor_state_dict"][name], value)
+        assert torch.equal(content["learner"]["actor_state_dict"][name], value)
+
+
+def test_a_second_interrupt_ends_at_once_and_gives_the_iteration_up(experiment, tmp_path):
+    chosen = experiment("mini_home_field", "baseline", *SMALL)
+    trainer = make_trainer(chosen, tmp_path, Recorder(interrupt_at=1))
+    step, calls = trainer.env.step, []
+
+    def impatient(actions):
+        calls.append(0)
+        if len(calls) == 12:
+            signal.raise_signal(signal.SIGINT)
+            signal.raise_signal(signal.SIGINT)
+        return step(actions)
+
+    trainer.env.step = impatient
+    before = signal.getsignal(signal.SIGINT)
+    result = trainer.train(10)
+    assert (result.interrupted, result.iterations, result.env_steps) == (True, 0, 0)
+    assert Checkpoints(tmp_path).load()["iteration"] == 0
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+@pytest.mark.parametrize(
+    ("every", "seconds", "kept"), [(3, 1e9, [6, 7]), (1000, 0.0, [6, 7]), (5, 1e9, [5, 7])]
+)
+def test_checkpoints_are_due_by_iterations_or_by_time_and_at_the_end(
+    experiment, tmp_path, every, seconds, kept
+):
+    trainer = make_trainer(experiment("mini_home_field", "baseline", *SMALL), tmp_path, Recorder())
+    trainer._every = (every, seconds)
+    trainer.train(7)
+    assert [file.name for file in Checkpoints(tmp_path).files()] == [f"iteration_{k:06d}.pt" for k in kept]
 
 
 def test_a_policy_file_gives_the_same_actions_and_holds_no_code(experiment, tmp_path):
