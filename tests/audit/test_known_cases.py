@@ -1,0 +1,272 @@
+"""What the audit says of the shipped robots and tables, in the words that people read."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+
+from kickbench.audit.model import derive_scene, model_rows
+from kickbench.audit.record import record
+from kickbench.audit.report import Report
+from kickbench.audit.run import judge, reflection_of
+from kickbench.cli import main
+from kickbench.errors import KickbenchError
+from kickbench.experiment import load_experiment, symmetry_of
+from kickbench.spec.load import load
+from kickbench.spec.representation import RepresentationSpec
+
+ROOT = Path(__file__).parents[2]
+K1_FAST = ROOT / "tasks/k1_general_fast.yaml"
+TABLES = ROOT / "methods/representations"
+
+
+def failures(rows) -> list[str]:
+    return [row.name for row in rows if row.failed]
+
+
+def verdicts(rows, check: str) -> dict[str, str]:
+    return {row.name: row.verdict for row in rows if row.check == check}
+
+
+def report(audited, rows) -> Report:
+    return Report("task", "robot.yaml", "table.yaml", audited.recording.states, rows=tuple(rows))
+
+
+def test_the_k1_passes_and_every_row_is_proven(k1):
+    rows = k1.rows()
+    assert {row.verdict for row in rows} == {"ok"}, [row for row in rows if row.verdict != "ok"]
+    assert {row.check for row in rows} == {"tables", "model", "dynamics", "observations", "terms", "sampling"}
+    assert len(rows) > 80
+
+
+def test_the_states_have_kicks_falls_pushes_and_endings(k1):
+    coverage = k1.recording.coverage
+    happened = ("pushed", "with ball contact", "with the body on the floor", "episode ends")
+    assert all(coverage[what] > 10 for what in happened), coverage
+
+
+def test_the_thesis_table_fails_on_the_contact_forces_and_on_nothing_else(k1):
+    table = load(RepresentationSpec, TABLES / "booster_k1_thesis.yaml")
+    rows = k1.rows(symmetry_of(k1.experiment.task, table))
+    assert failures(rows) == ["foot_contact_forces"]
+    assert (
+        report(k1, rows).conclusion
+        == "foot_contact_forces: declared trivial; measured: regular x (trivial, sign, trivial)"
+    )
+
+
+@pytest.fixture(scope="module")
+def asymmetric():
+    override = f"robot={ROOT / 'assets/booster_k1/asymmetric.yaml'}"
+    chosen = load_experiment(K1_FAST, ROOT / "methods/equivariant.yaml", [override])
+    derivation = derive_scene(chosen.task)
+    recording = record(chosen.task, reflection_of(chosen.task, derivation), 512, threads=1)
+    declared = chosen.task.robot.spec.symmetry.image()
+    return list(judge(recording, derivation, chosen.symmetry, declared))
+
+
+def test_the_asymmetric_k1_fails_the_model_check_with_the_trunk_s_centre_of_mass(asymmetric):
+    first = next(row for row in asymmetric if row.failed)
+    assert (first.check, first.name) == ("model", "Trunk")
+    # The manufacturer's trunk: y = -0.6553 mm.
+    assert first.detail.startswith("centre of mass 0.655 mm off the mirror plane")
+    failed = {row.check for row in asymmetric if row.failed}
+    assert failed == {"model", "dynamics"}, "the tables themselves are right"
+
+
+def test_on_the_asymmetric_k1_every_action_still_has_its_partner(asymmetric):
+    actions = [row for row in asymmetric if row.name.startswith("action ")]
+    assert len(actions) == 12
+    assert {row.verdict for row in actions} == {"ok"}
+
+
+def test_the_home_field_is_asymmetric_by_design_and_no_failure(mini):
+    rows = [row for row in mini.rows() if row.check == "sampling"]
+    assert {row.name: row.verdict for row in rows} == {"ball y": "by design", "target angle": "by design"}
+    assert [row.detail for row in rows] == [
+        "[0, 0.3] m; mirror image: [-0.3, 0] m",
+        "[0, 0.8] rad; mirror image: [-0.8, 0] rad",
+    ]
+    assert not failures(mini.rows())
+
+
+def test_what_a_planar_robot_never_does_is_not_passed_in_silence(mini):
+    rows = {row.name: row for row in mini.rows()}
+    assert rows["base_lin_vel"].verdict == "partly excited"
+    assert rows["base_lin_vel"].detail == "z zero in every state"
+    assert rows["base_ang_vel"].detail == "x, y zero in every state"
+    conclusion = report(mini, mini.rows()).conclusion
+    assert conclusion == "no row fails; not proven, for want of excitation: base_lin_vel, base_ang_vel"
+
+
+def test_a_field_that_never_moves_has_a_verdict_of_its_own(mini):
+    chosen = load_experiment(
+        ROOT / "tasks/mini_general.yaml",
+        ROOT / "methods/mini/equivariant.yaml",
+        ["observations.critic.ball_touched.clip=[-1.0, 0.0]"],
+    )
+    recording = record(chosen.task, mini.recording.reflection, 64, threads=1)
+    rows = judge(
+        recording, mini.derivation, chosen.symmetry, mini.experiment.task.robot.spec.symmetry.image()
+    )
+    row = next(row for row in rows if row.name == "ball_touched")
+    assert (row.verdict, row.detail) == ("never excited", "zero in every state")
+
+
+def test_a_clip_that_is_not_symmetric_is_found():
+    chosen = load_experiment(
+        ROOT / "tasks/mini_general.yaml",
+        ROOT / "methods/mini/equivariant.yaml",
+        ["observations.actor.ball_position.clip=[0.0, 1.0]"],
+    )
+    derivation = derive_scene(chosen.task)
+    recording = record(chosen.task, reflection_of(chosen.task, derivation), 256, threads=1)
+    declared = chosen.task.robot.spec.symmetry.image()
+    rows = list(judge(recording, derivation, chosen.symmetry, declared))
+    assert failures(rows) == ["ball_position (actor)"], "the critic's is not clipped"
+    assert "no signed permutation fits" in next(row.detail for row in rows if row.failed)
+
+
+def test_a_reward_of_one_side_only_is_found(k1):
+    override = "rewards.arm_posture.joints=[Left_Shoulder_Roll]"
+    chosen = load_experiment(K1_FAST, ROOT / "methods/equivariant.yaml", [override])
+    recording = record(chosen.task, k1.recording.reflection, 256, threads=1)
+    declared = chosen.task.robot.spec.symmetry.image()
+    rows = list(judge(recording, k1.derivation, chosen.symmetry, declared))
+    assert failures(rows) == ["reward arm_posture"]
+    detail = next(row.detail for row in rows if row.failed)
+    assert detail.startswith("declared invariant; measured: changes by up to")
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "row", "words"),
+    [
+        ("kp", 19.0, "servo left_hip_pitch, right_hip_pitch", "gain 5 % from"),
+        ("effort", 4.0, "servo left_hip_pitch, right_hip_pitch", "force range"),
+        ("scale", 1.0, "servo left_hip_pitch, right_hip_pitch", "action scale"),
+        ("limits", (-1.0, 1.4), "servo left_hip_pitch, right_hip_pitch", "control range"),
+    ],
+)
+def test_a_servo_that_differs_from_its_partner_is_named(key, value, row, words, tmp_path):
+    text = (ROOT / "assets/mini_kicker/robot.yaml").read_text()
+    line = re.search(r"  right_hip_pitch: \{kind.*\}", text).group()
+    shown = list(value) if isinstance(value, tuple) else value
+    changed = re.sub(rf"{key}: (\[[^\]]*\]|[\d.]+)", f"{key}: {shown}", line)
+    assert changed != line
+    model = ROOT / "assets/mini_kicker/mini_kicker.xml"
+    (tmp_path / "robot.yaml").write_text(
+        text.replace(line, changed).replace("model: mini_kicker.xml", f"model: {model}")
+    )
+    override = f"robot={tmp_path / 'robot.yaml'}"
+    chosen = load_experiment(
+        ROOT / "tasks/mini_general.yaml", ROOT / "methods/mini/baseline.yaml", [override]
+    )
+    declared = chosen.task.robot.spec.symmetry.image()
+    rows = list(model_rows(chosen.task, derive_scene(chosen.task), declared))
+    assert failures(rows) == [row]
+    assert words in next(r.detail for r in rows if r.failed)
+
+
+# The command line
+
+
+def audit(*arguments: str | Path) -> int:
+    return main(["audit", *map(str, arguments), "--threads", "1"])
+
+
+def test_the_command_prints_a_table_and_returns_1_for_a_wrong_one(capsys):
+    assert audit(K1_FAST, TABLES / "booster_k1_thesis.yaml", "--states", "256") == 1
+    *_, last = capsys.readouterr().out.splitlines()
+    assert last == "foot_contact_forces: declared trivial; measured: regular x (trivial, sign, trivial)"
+
+
+def test_without_a_method_the_robot_s_own_table_is_taken_and_json_says_it_all(capsys):
+    task = ROOT / "tasks/mini_general.yaml"
+    assert audit(task, "--states", "128", "--json") == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["table"].endswith("methods/representations/mini_kicker.yaml")
+    assert found["passed"] is True
+    assert found["states"] == 128
+    keys = {"check", "name", "verdict", "error", "tolerance", "unit", "excited", "detail"}
+    assert all(set(row) == keys for row in found["rows"])
+
+
+def test_a_task_alone_in_the_world_needs_a_table(tmp_path, capsys):
+    file = tmp_path / "far.yaml"
+    file.write_text(f"extends: {ROOT / 'tasks/mini_general.yaml'}\n")
+    assert audit(file) == 2
+    assert "name a representation table, or a method, after the task" in capsys.readouterr().err
+    assert audit(file, ROOT / "methods/mini/baseline.yaml", "--states", "64") == 0
+
+
+def test_what_is_no_table_is_refused(capsys):
+    task = ROOT / "tasks/mini_general.yaml"
+    assert audit(task, task) == 2
+    assert "expected a method or a representation table, found a task file" in capsys.readouterr().err
+
+
+# Policies
+
+
+RUNS = ROOT / "results/measured/mini_home_field"
+
+
+@pytest.mark.parametrize(("method", "verdict"), [("equivariant", "ok"), ("baseline", "measured")])
+def test_a_policy_is_measured_and_only_an_equivariant_one_must_be_equivariant(method, verdict, capsys):
+    task = ROOT / "tasks/mini_home_field.yaml"
+    assert audit(task, "--policy", RUNS / method / "seed0", "--states", "512", "--json") == 0
+    rows = {
+        row["name"]: row for row in json.loads(capsys.readouterr().out)["rows"] if row["check"] == "policy"
+    }
+    assert rows["mean action"]["verdict"] == verdict
+    assert (rows["mean action"]["error"] < 1e-4) == (method == "equivariant")
+    assert rows["value"]["verdict"] == "not compared", "measured runs are kept without their checkpoints"
+
+
+def test_a_broken_equivariant_policy_fails(mini):
+    from kickbench.audit.policy import policy_rows
+    from kickbench.runner import load_run
+
+    run, policy = load_run(RUNS / "equivariant/seed0")
+
+    def broken(observations):
+        return policy(observations) + torch.tensor([0.0, 0.01, 0.0, 0.0, 0.0, 0.0, 0.0])
+
+    rows = list(policy_rows(mini.recording, mini.experiment.symmetry, run, broken, None))
+    assert [row.verdict for row in rows] == ["FAIL", "not compared"]
+    assert rows[0].error == pytest.approx(0.02, rel=0.01)
+
+
+def test_the_value_is_measured_where_there_is_a_critic(mini):
+    from kickbench.audit.policy import policy_rows
+    from kickbench.nets.build import build_critic
+    from kickbench.runner import load_run
+
+    run, policy = load_run(RUNS / "equivariant/seed0")
+    critic = build_critic(run.method.spec, run.symmetry.groups["critic"]).eval()
+    rows = list(policy_rows(mini.recording, mini.experiment.symmetry, run, policy, critic))
+    assert [(row.name, row.verdict) for row in rows] == [("mean action", "ok"), ("value", "ok")]
+
+
+def test_a_policy_of_another_robot_is_refused(k1):
+    from kickbench.audit.policy import check_run
+    from kickbench.runner import load_run
+
+    run, _ = load_run(RUNS / "baseline/seed0")
+    with pytest.raises(KickbenchError, match="which is not what k1_general_fast shows"):
+        check_run(k1.experiment.task, run, Path("runs/x"))
+
+
+def test_a_declared_joint_table_that_geometry_contradicts_is_judged_by_geometry(k1):
+    """States are mirrored by the geometry's table, so the wrong joint and its fields fail, and nothing else does."""
+    image = dict(k1.experiment.task.robot.spec.symmetry.image())
+    image["Left_Hip_Yaw"], image["Right_Hip_Yaw"] = ("Right_Hip_Yaw", 1), ("Left_Hip_Yaw", 1)
+    rows = k1.rows(replace(k1.experiment.symmetry), image)
+    assert {row.check for row in rows if row.failed} == {"model", "dynamics"}
+    first = next(row for row in rows if row.failed)
+    assert first.detail == "declared regular with Right_Hip_Yaw; measured: regular_sign with Right_Hip_Yaw"

@@ -1,0 +1,89 @@
+"""Representations read off samples."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from kickbench.audit.measure import measure, name_of
+from kickbench.symmetry import REGULAR, REGULAR_SIGN, SIGN, TRIVIAL, Representation, direct_sum, tensor
+
+VECTOR = TRIVIAL + SIGN + TRIVIAL
+
+
+@st.composite
+def representations(draw) -> Representation:
+    """Any signed permutation that squares to one."""
+    size = draw(st.integers(1, 7))
+    order = draw(st.permutations(range(size)))
+    pairs = draw(st.integers(0, size // 2))
+    signs = [draw(st.sampled_from((1, -1))) for _ in range(size)]
+    swaps = [(order[2 * k], order[2 * k + 1], signs[k]) for k in range(pairs)]
+    fixed = {i: signs[i] for i in order[2 * pairs :]}
+    return Representation.from_orbits(size, swaps, fixed)
+
+
+def samples(representation: Representation, count: int = 50) -> tuple[np.ndarray, np.ndarray]:
+    original = np.random.default_rng(0).normal(size=(count, representation.dim))
+    return original, original @ representation.matrix().T
+
+
+@settings(deadline=None, max_examples=40)
+@given(representations(), st.data())
+def test_the_true_representation_is_found_whatever_is_declared(truth, data):
+    declared = data.draw(representations().filter(lambda r: r.dim == truth.dim))
+    found = measure(*samples(truth), declared, 1e-6)
+    assert found.measured == truth
+    assert found.proven.all()
+    assert found.wrong.any() == (declared != truth)
+
+
+def test_a_component_that_is_always_zero_proves_nothing():
+    original, image = samples(VECTOR)
+    original[:, 2] = image[:, 2] = 0.0
+    found = measure(original, image, VECTOR, 1e-6)
+    assert found.measured == VECTOR
+    assert found.proven.tolist() == [True, True, False]
+
+
+def test_a_pair_that_is_always_equal_does_not_prove_the_swap():
+    original, image = samples(REGULAR)
+    original[:, 1] = image[:, 1] = original[:, 0]
+    image[:, 0] = original[:, 0]
+    assert not measure(original, image, REGULAR, 1e-6).proven.any()
+    assert measure(original, image, REGULAR_SIGN, 1e-6).wrong.all()
+
+
+def test_what_no_signed_permutation_describes_is_said_to_be_none():
+    original, image = samples(VECTOR)
+    assert measure(original, image + 1.0, VECTOR, 1e-6).measured is None
+
+
+def test_no_states_prove_nothing():
+    found = measure(np.zeros((0, 3)), np.zeros((0, 3)), VECTOR, 1e-6)
+    assert not found.wrong.any()
+    assert not found.proven.any()
+
+
+@pytest.mark.parametrize(
+    ("representation", "name"),
+    [
+        (direct_sum([TRIVIAL] * 6), "trivial"),
+        (SIGN, "sign"),
+        (VECTOR, "(trivial, sign, trivial)"),
+        (REGULAR, "regular"),
+        (REGULAR_SIGN, "regular_sign"),
+        (tensor(REGULAR, VECTOR), "regular x (trivial, sign, trivial)"),
+        (tensor(REGULAR, SIGN + SIGN), "regular x sign"),
+        (TRIVIAL + REGULAR_SIGN, "0: trivial, 1 and 2: regular_sign"),
+    ],
+)
+def test_representations_are_named_in_plain_words(representation, name):
+    assert name_of(representation) == name
+
+
+def test_the_robot_s_own_representations_have_their_names():
+    joints = TRIVIAL + REGULAR_SIGN
+    assert name_of(joints, {"joints": joints}) == "joints"
