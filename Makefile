@@ -34,7 +34,7 @@ demo: $(DEMO_METRICS)  ## train and evaluate three methods on the mini home-fiel
 
 # metrics.json is the last file of a run and is written atomically: a finished run is not run again.
 $(DEMO_FOLDER)/%/seed0/metrics.json: | $(INSTALLED)
-	$(BIN)/kickbench run $(DEMO_TASK) methods/mini/$*.yaml --seed 0 --out $(DEMO_FOLDER)/$*/seed0
+	$(BIN)/kickbench run $(DEMO_TASK) methods/mini/$*.yaml --seed 0 --out $(DEMO_FOLDER)/$*/seed0 --resume
 
 test: $(INSTALLED)  ## every test, the trainings too
 	$(BIN)/pytest

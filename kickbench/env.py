@@ -20,6 +20,8 @@ from kickbench.mdp.randomizations import Setting
 from kickbench.mdp.snapshot import Snapshot
 from kickbench.mdp.starts import StartPool, Starts, StartSampler
 from kickbench.mdp.state import EpisodeState, State, StateIndex
+from kickbench.mdp.stateful import check_tensors
+from kickbench.mdp.variation import ModelVariation
 from kickbench.physics.engine import Engine
 
 _POOLED = 16
@@ -100,7 +102,8 @@ class KickEnv(VecEnv):
             name: Disturbance(fields, self.device, noise=self._noise) for name, fields in task.groups.items()
         }
         self._senses_floor = "left_foot_floor" in layout.contacts
-        self._foot_geoms = tuple(tuple(int(g) for g in geoms) for geoms in layout.foot_geoms)
+        self._has_feet = bool(layout.foot_geoms)
+        self._variation = ModelVariation(task.scene, self.device)
 
     def _make_process(self, bound: Bound) -> Any:
         spec = self.task.spec.simulation
@@ -207,7 +210,7 @@ class KickEnv(VecEnv):
         if self._senses_floor:
             dt = self.task.spec.simulation.control_interval
             episode.air_time = torch.where(state.foot_floor_contact, 0.0, episode.air_time + dt)
-        self.record.note_touch(state, bool(self._foot_geoms))
+        self.record.note_touch(state, self._has_feet)
 
     def _reward(self, state: State) -> Tensor:
         raw = torch.stack([bound(state) for bound, _ in self.task.rewards], dim=1)
@@ -228,8 +231,8 @@ class KickEnv(VecEnv):
     def _reset(self, mask: Tensor) -> None:
         starts = self._starts(mask)
         self.engine.reset(mask, starts.qpos, starts.qvel)
-        if starts.foot_friction is not None:
-            self._vary(mask, {"foot_friction": starts.foot_friction})
+        if starts.by_side:
+            self._vary(mask, starts.by_side)
         episode, column = self.episode, mask.unsqueeze(1)
         episode.target = torch.where(column, starts.target.float(), episode.target)
         episode.step = torch.where(mask, 0, episode.step)
@@ -245,8 +248,9 @@ class KickEnv(VecEnv):
 
     def _vary(self, mask: Tensor, by_side: Mapping[str, Tensor]) -> None:
         """Lets the worlds in `mask` [B] differ from the compiled model, and remembers how."""
-        if "foot_friction" in by_side:
-            self.engine.set_friction(mask, self._foot_geoms, by_side["foot_friction"])
+        if not by_side:
+            return
+        self.engine.set_model(mask, self._variation(by_side))
         for name, values in by_side.items():
             self._by_side[name] = torch.where(mask.unsqueeze(1), values, self._by_side.get(name, values))
 
@@ -258,6 +262,51 @@ class KickEnv(VecEnv):
             value = torch.cat([exact[field.key] for field in fields], dim=1)
             groups[name] = self._disturbances[name](value, self.generator)
         return TensorDict(groups, batch_size=[self.num_envs], device=self.device)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything that later steps depend on, as tensors and plain numbers, in dicts by part.
+
+        Only for environments that sample their starts from the task's regions.
+        """
+        parts = {name: part.state_dict() for name, part in self._parts().items()}
+        observations = self._observations.clone().to_dict()
+        by_side = {name: values.clone() for name, values in self._by_side.items()}
+        rng = self.generator.get_state()
+        return {**parts, "by_side": by_side, "observations": observations, "rng": rng}
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Takes over what `state_dict` of an environment of the same task and size has returned.
+
+        Raises:
+            ValueError: It is the state of another task, or of another number of worlds.
+        """
+        parts = self._parts()
+        expected = {*parts, "by_side", "observations", "rng"}
+        if set(state) != expected:
+            raise ValueError(f"KickEnv: expected {sorted(expected)}, found {sorted(state)}")
+        check_tensors("KickEnv.observations", state["observations"], self._observations.to_dict())
+        check_tensors("KickEnv.by_side", state["by_side"], self._by_side)
+        for name, part in parts.items():
+            part.load_state_dict(state[name])
+        everywhere = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
+        self._vary(everywhere, {name: values.to(self.device) for name, values in state["by_side"].items()})
+        groups = {name: group.to(self.device, copy=True) for name, group in state["observations"].items()}
+        self._observations = TensorDict(groups, batch_size=[self.num_envs], device=self.device)
+        # Last: the pool of starts has used the generator to draw its starts again.
+        self.generator.set_state(state["rng"])
+
+    def _parts(self) -> dict[str, Any]:
+        """What has a state of its own, by name."""
+        assert isinstance(self._starts, StartPool), "starts from elsewhere have no state that could be kept"
+        processes = {"delay": self._delay, "pushes": self._pushes}
+        return {
+            "engine": self.engine,
+            "episode": self.episode,
+            "record": self.record,
+            "totals": self.totals,
+            "starts": self._starts,
+            **{name: process for name, process in processes.items() if process is not None},
+        }
 
 
 def make_engine(

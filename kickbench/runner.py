@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 
 import torch
@@ -13,17 +12,21 @@ import torch
 from kickbench.env import KickEnv, make_engine
 from kickbench.errors import KickbenchError
 from kickbench.evaluate.episodes import Policy, draw_starts, mirror_starts, run_episodes
+from kickbench.evaluate.equivariance import EquivarianceProbe
 from kickbench.experiment import Experiment, load_experiment
+from kickbench.mdp.starts import Starts
 from kickbench.nets.build import build_actor
 from kickbench.nets.threads import update_threads
 from kickbench.physics.cpu import usable_cores
-from kickbench.results.episodes import EpisodeSides, write_episodes
-from kickbench.results.metrics import Metrics, summarise_sides, write_metrics
-from kickbench.results.provenance import code_state, collect_provenance
+from kickbench.results.asymmetry import EquivarianceError
+from kickbench.results.episodes import EpisodeSides, EpisodeTable, write_episodes
+from kickbench.results.history import RunHistory, earlier_parts
+from kickbench.results.metrics import Metrics, load_metrics, summarise_sides, write_metrics
 from kickbench.results.specs import write_specs
 from kickbench.results.store import RunDirectory
-from kickbench.train.checkpoint import load_policy, save_policy
+from kickbench.train.checkpoint import Checkpoints, load_policy, save_policy
 from kickbench.train.progress import standard_progress
+from kickbench.train.resume import Resume, take_up
 from kickbench.train.trainer import Trainer, TrainingResult
 
 
@@ -41,7 +44,8 @@ class RunRequest:
         out: Run directory; default: `runs/<task>/<method>/seed<k>`.
         device: Where to train.
         threads: Threads of physics and torch; default: the cores this process may use.
-        force: Overwrite a finished run.
+        force: Overwrite a run that is there.
+        resume: Go on with a run that is there; begin it if there is none.
         command: The command line, for provenance.
     """
 
@@ -55,6 +59,7 @@ class RunRequest:
     device: str = "cpu"
     threads: int | None = None
     force: bool = False
+    resume: bool = False
     command: tuple[str, ...] = ()
 
     def all_overrides(self) -> list[str]:
@@ -66,10 +71,16 @@ class RunRequest:
 
 @dataclass(frozen=True)
 class RunOutcome:
-    """How a run ended; `metrics` is None if it was interrupted."""
+    """How a run ended.
+
+    Attributes:
+        directory: Where it is.
+        training: How its training ended; None: there was nothing left to do.
+        metrics: Its result; None: it was interrupted.
+    """
 
     directory: RunDirectory
-    training: TrainingResult
+    training: TrainingResult | None
     metrics: Metrics | None
 
 
@@ -86,51 +97,84 @@ def check_device(device: str) -> None:
 
 
 def run(request: RunRequest) -> RunOutcome:
-    """Trains, evaluates and writes a run.
+    """Trains, evaluates and writes a run, or what is left of it.
 
     Raises:
-        SpecError: A specification is wrong; nothing has been written.
-        KickbenchError: The run directory holds a finished run, or training diverged.
+        SpecError: A specification is wrong, or the run to go on with has another; nothing has been written.
+        KickbenchError: A run is in the way, or cannot be gone on with, or training diverged.
     """
     check_device(request.device)
     experiment = load_experiment(request.task, request.method, request.all_overrides())
     threads = request.threads or usable_cores()
     default = Path("runs", experiment.task.name, experiment.method.name, f"seed{request.seed}")
     directory = RunDirectory(request.out or default)
-    directory.prepare(request.force)
-    write_specs(directory, experiment)
-    started, code = datetime.now(UTC), code_state()
-    trainer = make_trainer(experiment, directory, request.seed, threads)
+    with directory.occupied():
+        return _run_in(directory, experiment, request, threads)
+
+
+def _run_in(directory: RunDirectory, experiment: Experiment, request: RunRequest, threads: int) -> RunOutcome:
+    taken = _open(request, directory, experiment)
+    if taken.finished:
+        return RunOutcome(directory, None, load_metrics(directory.metrics))
+    history = RunHistory(
+        experiment.task.name,
+        experiment.method.name,
+        request.seed,
+        num_threads=threads,
+        device=request.device,
+        argv=request.command,
+        earlier=earlier_parts(taken.state["run"]) if taken.state else (),
+    )
+    trainer = make_trainer(experiment, directory, request.seed, threads, history)
+    if taken.state:
+        trainer.load_state_dict(taken.state)
+        directory.reopen()
+        write_specs(directory, experiment)  # the same, but for iterations that were added
     training = trainer.train(experiment.method.spec.algorithm.iterations)
     if training.interrupted:
         return RunOutcome(directory, training, None)
     policy = trainer.ppo.get_policy().eval()
     save_policy(directory.policy, policy)
-    sides = evaluate(experiment, policy, threads=threads)
+    try:
+        sides, equivariance = evaluate(experiment, policy, threads=threads)
+    except KeyboardInterrupt:
+        return RunOutcome(directory, training, None)
     write_episodes(directory.episodes, sides)
-    metrics = Metrics(
-        task=experiment.task.name,
-        method=experiment.method.name,
-        seed=request.seed,
-        iterations=training.iterations,
-        env_steps=training.env_steps,
-        training_seconds=round(training.seconds, 3),
-        evaluation=summarise_sides(sides, experiment.task.spec.evaluation.success_radius),
-        provenance=collect_provenance(
-            seed=request.seed,
-            env_steps=training.env_steps,
-            started=started,
-            num_threads=threads,
-            device=request.device,
-            argv=request.command,
-            code=code,
-        ),
-    )
+    metrics = _metrics(experiment, history, training, sides, equivariance)
     write_metrics(directory.metrics, metrics)
     return RunOutcome(directory, training, metrics)
 
 
-def make_trainer(experiment: Experiment, directory: RunDirectory, seed: int, threads: int) -> Trainer:
+def _open(request: RunRequest, directory: RunDirectory, experiment: Experiment) -> Resume:
+    if request.resume:
+        return take_up(directory, experiment, request.seed, extend=request.iterations is not None)
+    directory.prepare(request.force)
+    write_specs(directory, experiment)
+    return Resume()
+
+
+def _metrics(
+    experiment: Experiment,
+    history: RunHistory,
+    training: TrainingResult,
+    sides: EpisodeSides,
+    equivariance: EquivarianceError | None,
+) -> Metrics:
+    extended = training.iterations > training.horizon
+    return Metrics(
+        **history.identity,
+        iterations=training.iterations,
+        env_steps=training.env_steps,
+        training_seconds=round(training.seconds, 3),
+        schedule_iterations=training.horizon if extended else None,
+        evaluation=summarise_sides(sides, experiment.task.spec.evaluation.success_radius, equivariance),
+        provenance=history.provenance(training.env_steps),
+    )
+
+
+def make_trainer(
+    experiment: Experiment, directory: RunDirectory, seed: int, threads: int, history: RunHistory
+) -> Trainer:
     """Seeds everything and builds environments, networks and progress displays."""
     torch.manual_seed(seed)
     engine = make_engine(experiment.task, experiment.method.spec.algorithm.num_envs, num_threads=threads)
@@ -138,7 +182,7 @@ def make_trainer(experiment: Experiment, directory: RunDirectory, seed: int, thr
     title = f"{experiment.task.name} / {experiment.method.name} / seed {seed}"
     progress = standard_progress(directory.progress, directory.tensorboard, title)
     update = update_threads(experiment.method.spec, threads)
-    return Trainer(experiment, env, progress, directory.checkpoint, update)
+    return Trainer(experiment, env, progress, Checkpoints(directory.checkpoints), history, update)
 
 
 def evaluate(
@@ -148,8 +192,10 @@ def evaluate(
     episodes: int | None = None,
     seed: int | None = None,
     threads: int | None = None,
-) -> EpisodeSides:
+) -> tuple[EpisodeSides, EquivarianceError | None]:
     """Evaluates a policy by the task's protocol, on the mirrored side too where it asks for it.
+
+    The equivariance error comes with the episodes: it is measured at the states visited in them.
 
     Args:
         experiment: The experiment.
@@ -161,11 +207,15 @@ def evaluate(
     protocol = experiment.task.spec.evaluation
     seed = protocol.seed if seed is None else seed
     starts = draw_starts(experiment.task, episodes or protocol.episodes, seed)
-    home = run_episodes(experiment.task, policy, starts, seed, num_threads=threads)
-    if not protocol.mirrored:
-        return EpisodeSides(home)
-    mirrored = mirror_starts(experiment, starts)
-    return EpisodeSides(home, run_episodes(experiment.task, policy, mirrored, seed, num_threads=threads))
+    tables = {name: table.representation for name, table in experiment.symmetry.groups.items()}
+    probe = EquivarianceProbe(policy, tables, experiment.symmetry.actions)
+
+    def episodes_from(starts: Starts) -> EpisodeTable:
+        return run_episodes(experiment.task, policy, starts, seed, num_threads=threads, probe=probe)
+
+    home = episodes_from(starts)
+    mirrored = episodes_from(mirror_starts(experiment, starts)) if protocol.mirrored else None
+    return EpisodeSides(home, mirrored), probe.result()
 
 
 def load_run(path: Path) -> tuple[Experiment, Policy]:
@@ -188,10 +238,8 @@ def reevaluate(
     path: Path, episodes: int | None, seed: int | None, threads: int | None, command: Sequence[str] = ()
 ) -> tuple[Metrics, EpisodeSides]:
     """Evaluates the policy of a finished run again; the run itself is left as it is."""
-    from kickbench.results.metrics import load_metrics
-
     recorded = load_metrics(RunDirectory(path).metrics)
     experiment, policy = load_run(path)
-    sides = evaluate(experiment, policy, episodes=episodes, seed=seed, threads=threads)
-    evaluation = summarise_sides(sides, experiment.task.spec.evaluation.success_radius)
+    sides, equivariance = evaluate(experiment, policy, episodes=episodes, seed=seed, threads=threads)
+    evaluation = summarise_sides(sides, experiment.task.spec.evaluation.success_radius, equivariance)
     return recorded.model_copy(update={"evaluation": evaluation}), sides

@@ -111,6 +111,22 @@ def test_a_fallen_robot_is_seen_penalised_and_ended():
     assert rewards[0] < -1.9, "both fall penalties, -50 a second each, at 50 Hz"
 
 
+def test_every_reward_is_recorded_by_name_weighted_and_raw():
+    chosen = k1()
+    env = KickEnv(chosen.task, make_engine(chosen.task, 16), 0)
+    for step in range(8):
+        env.step(torch.randn(16, 22, generator=torch.Generator().manual_seed(step)))
+    names = [bound.name for bound, _ in chosen.task.rewards]
+    weights = torch.tensor([weight for _, weight in chosen.task.rewards])
+    assert len(names) == len(set(names)) == 14, "thesis Table 4.1, and illegal contact with weight 0"
+    record = env.record
+    torch.testing.assert_close(record.by_reward, record.by_reward_raw * weights * 0.02)
+    torch.testing.assert_close(record.by_reward.sum(dim=1), record.returned)
+    raw = dict(zip(names, record.by_reward_raw.mean(dim=0).tolist(), strict=True))
+    assert raw["survival"] == 8.0, "a step each"
+    assert raw["action_rate"] > 100.0
+
+
 def test_starts_are_drawn_as_yaml_says():
     chosen = k1()
     env = KickEnv(chosen.task, make_engine(chosen.task, 2), 0)
@@ -124,8 +140,7 @@ def test_starts_are_drawn_as_yaml_says():
     assert 2.5 <= distance.min() <= distance.max() <= 8.5
     assert distance.mean() == pytest.approx(5.5, rel=0.02)
     assert angle.abs().max() <= 1.0
-    friction = starts.foot_friction
-    assert friction is not None
+    friction = starts.by_side["foot_friction"]
     assert 0.3 <= friction.min() <= friction.max() <= 1.2
     assert friction.mean() == pytest.approx(0.75, rel=0.02)
     correlation = torch.corrcoef(friction.T)[0, 1]

@@ -36,7 +36,8 @@ def finished(tmp_path_factory):
 
 def test_a_run_directory_holds_everything(finished):
     names = {str(p.relative_to(finished)) for p in finished.rglob("*") if p.is_file()}
-    expected = {"metrics.json", "episodes.csv", "progress.csv", "checkpoint.pt", "policy.pt"}
+    checkpoints = {"checkpoints/iteration_000000.pt", "checkpoints/iteration_000002.pt"}
+    expected = {"metrics.json", "episodes.csv", "progress.csv", "policy.pt"} | checkpoints
     specs = {
         f"specs/{name}"
         for name in ("task.yaml", "method.yaml", "robot.yaml", "representations.yaml", "robot.xml")
@@ -57,6 +58,15 @@ def test_metrics_say_what_was_run_and_where_it_comes_from(finished):
         assert sum(part["terminations"].values()) == pytest.approx(1.0)
         assert part["kicks"]
     assert {"versions", "device", "seed", "commit", "seconds", "env_steps"} <= set(metrics["provenance"])
+
+
+def test_metrics_say_how_the_policy_treats_left_and_right(finished):
+    asymmetry = json.loads((finished / "metrics.json").read_text())["evaluation"]["asymmetry"]
+    assert asymmetry["equivariance"]["relative"] < 1e-4, "an equivariant policy"
+    # 30 episodes of at most 30 steps on each side, every fifth step of each
+    assert 60 <= asymmetry["equivariance"]["states"] <= 2 * 30 * 6
+    assert asymmetry["pairs"]["pairs"] == 30
+    assert asymmetry["success"]["left_episodes"] == asymmetry["success"]["right_episodes"] == 30
 
 
 def test_the_episode_table_agrees_with_the_metrics(finished):
@@ -128,4 +138,5 @@ def test_the_table_of_finished_runs_is_printed(finished, capsys):
     assert main(["table", str(finished.parent)]) == 0
     out = capsys.readouterr().out
     assert "equivariant" in out
-    assert "mini_home_field" in out
+    assert "task: mini_home_field" in out
+    assert "asymmetry: mini_home_field" in out

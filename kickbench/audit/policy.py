@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from pickle import UnpicklingError
 
 import torch
 from rsl_rl.models import MLPModel
@@ -19,6 +18,7 @@ from kickbench.mdp.compile import CompiledTask
 from kickbench.nets.build import build_critic
 from kickbench.results.store import RunDirectory
 from kickbench.symmetry.torch_ops import Mirror
+from kickbench.train.checkpoint import Checkpoints
 
 _TOLERANCE = 1e-4
 """Of a network that is equivariant by construction, in float32; relative to the largest output."""
@@ -40,20 +40,20 @@ def check_run(task: CompiledTask, run: Experiment, path: Path) -> None:
 
 
 def load_critic(run: Experiment, path: Path) -> MLPModel | None:
-    """The value function in a run's checkpoint, where it has one.
+    """The value function in a run's newest checkpoint, where it has one.
 
     Raises:
-        KickbenchError: The checkpoint is damaged or of another network.
+        KickbenchError: The checkpoints are damaged or of another network.
     """
-    file = RunDirectory(path).checkpoint
-    if not file.is_file():
+    folder = RunDirectory(path).checkpoints
+    state = Checkpoints(folder).load()
+    if state is None:
         return None
     critic = build_critic(run.method.spec, run.symmetry.groups["critic"])
     try:
-        content = torch.load(file, weights_only=True, map_location="cpu")
-        critic.load_state_dict(content["critic_state_dict"])
-    except (RuntimeError, LookupError, TypeError, ValueError, EOFError, OSError, UnpicklingError) as error:
-        raise KickbenchError(f"{file}: this checkpoint cannot be loaded: {error}") from None
+        critic.load_state_dict(state["learner"]["critic_state_dict"])
+    except (RuntimeError, LookupError, TypeError) as error:
+        raise KickbenchError(f"{folder}: this checkpoint is of another network: {error}") from None
     return critic.eval()
 
 

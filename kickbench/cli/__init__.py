@@ -76,7 +76,11 @@ def _add_run(verbs: argparse._SubParsersAction) -> None:
         "--device", choices=("cpu", "cuda"), default="cpu", help="where to train (default: cpu)"
     )
     _add_threads(verb)
-    verb.add_argument("--force", action="store_true", help="overwrite a finished run")
+    taken = verb.add_mutually_exclusive_group()
+    taken.add_argument("--force", action="store_true", help="overwrite a run that is there")
+    taken.add_argument(
+        "--resume", action="store_true", help="go on with the run that is there; --iterations may extend it"
+    )
 
 
 def _add_eval(verbs: argparse._SubParsersAction) -> None:
@@ -105,6 +109,13 @@ def _add_inspection(verbs: argparse._SubParsersAction) -> None:
         metavar="FILE",
         action=_Plot,
         help="draw a task's sampling regions from above instead (.png, .svg)",
+    )
+    verb.add_argument(
+        "--fields",
+        type=Path,
+        metavar="METHOD",
+        action=_Fields,
+        help="print how a task's observations and actions mirror, by a method's representations, instead",
     )
     _add_set(verb)
     verb = _add_verb(verbs, "schema", f"{module}:schema", "print the JSON Schema of a kind of file")
@@ -195,6 +206,13 @@ class _Plot(argparse.Action):
 
     def __call__(self, parser, namespace, values, option_string=None) -> None:
         namespace.plot, namespace.verb = values, "kickbench.cli.view:plot"
+
+
+class _Fields(argparse.Action):
+    """`show --fields` is another verb, too."""
+
+    def __call__(self, parser, namespace, values, option_string=None) -> None:
+        namespace.method, namespace.verb = values, "kickbench.cli.inspect:show_fields"
 
 
 def _add_set(verb: argparse.ArgumentParser) -> None:

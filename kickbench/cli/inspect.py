@@ -40,6 +40,19 @@ def show(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def show_fields(arguments: argparse.Namespace) -> int:
+    """`kickbench show TASK --fields METHOD`: field tables, and the actions in both bases."""
+    from kickbench.experiment import load_experiment
+
+    experiment = load_experiment(arguments.file, arguments.method, arguments.overrides)
+    symmetry, names = experiment.symmetry, experiment.task.scene.layout.actuator_names
+    parts = [f"observations: {group}\n{table}" for group, table in symmetry.groups.items()]
+    parts.append("\n".join((f"actions: {symmetry.actions}", *symmetry.actions.describe(names))))
+    parts.append("\n".join(("actions, isotypic form", *symmetry.actions.describe_isotypic(names))))
+    print("\n\n".join(parts))
+    return 0
+
+
 def schema(arguments: argparse.Namespace) -> int:
     """`kickbench schema KIND`: JSON Schema for editors."""
     from kickbench.spec.json_schema import json_schema

@@ -24,17 +24,17 @@ def run(arguments: argparse.Namespace) -> int:
             device=arguments.device,
             threads=arguments.threads,
             force=arguments.force,
+            resume=arguments.resume,
             command=tuple(sys.argv),
         )
     )
     where, training = outcome.directory.path, outcome.training
     if outcome.metrics is None:
-        print(
-            f"interrupted after {training.iterations} iterations; the checkpoint is in {where}",
-            file=sys.stderr,
-        )
+        done = f"after {training.iterations} iterations" if training else ""
+        print(f"interrupted {done}; the same command with --resume goes on from {where}", file=sys.stderr)
         return 130
-    print(f"\n{render_table([outcome.metrics])}\n\ntrained {training.seconds:.0f} s; results: {where}")
+    effort = f"trained {training.seconds:.0f} s" if training else "nothing left to do"
+    print(f"\n{render_table([outcome.metrics])}\n\n{effort}; results: {where}")
     return 0
 
 

@@ -15,6 +15,7 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from kickbench.env import KickEnv, make_engine
+from kickbench.evaluate.equivariance import EquivarianceProbe
 from kickbench.experiment import Experiment
 from kickbench.mdp.compile import CompiledTask
 from kickbench.mdp.episode import FOOT_NAMES
@@ -72,6 +73,7 @@ def run_episodes(
     num_envs: int = 512,
     device: str = "cpu",
     num_threads: int | None = None,
+    probe: EquivarianceProbe | None = None,
 ) -> EpisodeTable:
     """Runs one episode from each start with a deterministic policy.
 
@@ -83,6 +85,7 @@ def run_episodes(
         num_envs: Worlds at most.
         device: Device of the physics.
         num_threads: Physics threads.
+        probe: Shown every observation of the recorded episodes and the policy's answer.
     """
     worlds = min(num_envs, len(starts))
     schedule = _Schedule(starts, worlds)
@@ -95,7 +98,11 @@ def run_episodes(
     with torch.inference_mode(), torch_threads(1):
         while not schedule.finished:
             running, before = schedule.running.clone(), env.state().ball_pos[:, :2].clone()
-            env.step(policy(env.get_observations()))
+            observations = env.get_observations()
+            actions = policy(observations)
+            if probe is not None:
+                probe(observations, actions, env.episode.step, running.to(actions.device) >= 0)
+            env.step(actions)
             ended.append(_ended(env, running, before))
     return _table(task, starts, worlds, ended)
 

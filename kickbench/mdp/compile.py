@@ -11,6 +11,7 @@ from torch import Tensor
 
 from kickbench.errors import KeyPath, Problem, SpecError, did_you_mean
 from kickbench.mdp.catalog import catalog
+from kickbench.mdp.check import field_problems, start_problems, term_problems
 from kickbench.mdp.starts import Draw, Starts
 from kickbench.mdp.state import State
 from kickbench.mdp.term import Term
@@ -116,6 +117,8 @@ def compile_task(task: LoadedTask[Any]) -> CompiledTask:
     # Which foot kicks is a result of every task, so robots with feet always sense it.
     needs |= available_groups(task.robot.spec) & {"foot_ball"}
     scene = build_scene(spec, task.robot, needs)
+    if problems := tuple(start_problems(task, scene.layout)):
+        raise SpecError(problems)
     joints, actions = len(scene.layout.joint_names), len(scene.layout.actuator_names)
     return CompiledTask(
         name=task.name,
@@ -150,6 +153,7 @@ def check_task(task: LoadedTask[Any]) -> None:
         active = table.active(TermParams)
         if not active and path != ("randomization",):
             problems.append(document.problem(path, "no term is on", f"one of: {', '.join(known)}"))
+        problems += term_problems(task, path, active)
         for name, params in active.items():
             problems += _unknown_joints(task, (*path, name), params)
             lacking = sorted(known[name].needs - have)
@@ -157,6 +161,7 @@ def check_task(task: LoadedTask[Any]) -> None:
                 what = f"'{name}' needs the sensors {', '.join(lacking)}, which the scene lacks"
                 why = f"the robot {task.robot.document.file.name} names no `feet`"
                 problems.append(document.problem((*path, name), what, why))
+    problems += field_problems(task)
     limits = [name for name, term in terms.terminations.items() if term.truncates]
     endings = spec.terminations.active(TermParams)
     if endings and not set(limits) & set(endings):

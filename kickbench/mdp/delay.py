@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from kickbench.mdp.stateful import Stateful
 from kickbench.symmetry.torch_ops import Mirror
 
 
@@ -28,7 +29,13 @@ class DelayMemory:
         return DelayMemory(targets(self.history), self.newest)
 
 
-class ActionDelay:
+def whole_steps(delay: tuple[float, float], timestep: float) -> tuple[int, int]:
+    """Fewest and most physics steps whose time lies within a range of delays, s; reversed where there are none."""
+    # A bound that is a multiple of the time step, but for rounding, counts.
+    return math.ceil(delay[0] / timestep - 1e-6), math.floor(delay[1] / timestep + 1e-6)
+
+
+class ActionDelay(Stateful):
     """Per-world latency of control targets, in physics substeps.
 
     Every control step each world draws a lag L, uniform over the whole substeps in the range; with the hold
@@ -39,6 +46,8 @@ class ActionDelay:
     With 4 substeps a control step and L = 6, the command issued at substep 0 takes effect at substep 6, so the
     servos see (command of step t - 2, t - 2, t - 1, t - 1) during control step t.
     """
+
+    STATE = ("_history", "_newest")
 
     def __init__(
         self,
@@ -61,7 +70,7 @@ class ActionDelay:
             num_worlds: Number of worlds B.
             generator: Source of the lags.
         """
-        self._low, self._high = (round(bound / timestep) for bound in delay)
+        self._low, self._high = whole_steps(delay, timestep)
         self._hold, self._decimation = hold_probability, decimation
         self._generator = generator
         self._default = default_target

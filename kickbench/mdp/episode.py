@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from kickbench.mdp.state import State
+from kickbench.mdp.stateful import Stateful
 
 NO_FOOT, LEFT, RIGHT, BOTH, OTHER = 0, 1, 2, 3, 4
 """Codes of what touched the ball first: the sum of the feet that did, or OTHER, a part that is no foot."""
@@ -16,7 +17,7 @@ FOOT_NAMES = ("none", "left", "right", "other", "other")
 
 
 @dataclass
-class EpisodeRecord:
+class EpisodeRecord(Stateful):
     """What is recorded of the running episode; one row a world.
 
     Its tensors are replaced, never written to, so a shallow copy keeps what was recorded.
@@ -69,7 +70,7 @@ class EpisodeRecord:
 
 
 @dataclass
-class Totals:
+class Totals(Stateful):
     """Sums over the episodes finished since the last reading.
 
     Attributes:

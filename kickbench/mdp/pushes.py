@@ -9,6 +9,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from kickbench.mdp.stateful import Stateful
+
 
 @dataclass(frozen=True)
 class PushMemory:
@@ -30,12 +32,14 @@ class PushMemory:
         return PushMemory(self.wait, force, -self.side)
 
 
-class Pushes:
+class Pushes(Stateful):
     """Per-world schedule of pushes.
 
     After an interval drawn uniformly, a horizontal force of uniform magnitude and direction acts on the base's
     centre of mass for the given duration; then the next interval is drawn.
     """
+
+    STATE = ("_wait", "_force", "_side")
 
     def __init__(
         self,

@@ -6,16 +6,20 @@ the episode: `(params, setting) -> process`.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import torch
+from pydantic import model_validator
 from torch import Tensor
 
 from kickbench.mdp.delay import ActionDelay as DelayBuffer
+from kickbench.mdp.delay import whole_steps
 from kickbench.mdp.pushes import Pushes as PushSchedule
-from kickbench.mdp.starts import Draw, Starts, with_foot_friction
+from kickbench.mdp.starts import Draw, Starts
 from kickbench.mdp.term import randomization
-from kickbench.spec.base import Fraction, NonNegativeRange, PositiveFloat
+from kickbench.spec.base import Fraction, NonNegativeRange, PositiveFloat, PositiveRange
+from kickbench.spec.task import TaskSpec
 from kickbench.spec.terms import RandomizationParams
 
 
@@ -48,7 +52,57 @@ class FootFriction(RandomizationParams):
 @randomization("3.1", units="1", needs=("foot_ball",), params=FootFriction)
 def foot_friction(starts: Starts, params: FootFriction, draw: Draw) -> Starts:
     """Sliding friction of each foot, uniform, drawn anew for every foot and episode."""
-    return with_foot_friction(starts, draw(*params.range, len(starts), 2))
+    return starts.varied("foot_friction", draw(*params.range, len(starts), 2))
+
+
+class FactorsBySide(RandomizationParams):
+    """Parameters of the terms that scale a part of the robot by side: hardware that is not quite symmetric."""
+
+    left: PositiveRange = (1.0, 1.0)
+    """Range of the factor of the left side."""
+    right: PositiveRange = (1.0, 1.0)
+    """Range of the factor of the right side."""
+    middle: PositiveRange = (1.0, 1.0)
+    """Range of the factor of trunk, head and other parts in the middle."""
+
+    @model_validator(mode="after")
+    def _changes_something(self) -> FactorsBySide:
+        if {*self.left, *self.right, *self.middle} == {1.0}:
+            raise ValueError("every factor is 1: give `left`, `right` or `middle` a range or a number")
+        return self
+
+    def draw(self, draw: Draw, count: int) -> Tensor:
+        """One factor a side and start [count, 3]: left, right, middle."""
+        sides = (self.left, self.right, self.middle)
+        return torch.cat([draw(*bounds, count, 1) for bounds in sides], dim=1)
+
+
+@randomization("5.1 (future work: asymmetric hardware)", units="1", params=FactorsBySide)
+def link_mass(starts: Starts, params: FactorsBySide, draw: Draw) -> Starts:
+    """Factor of mass and inertia of all bodies of a side, drawn anew for every side and episode."""
+    return starts.varied("link_mass", params.draw(draw, len(starts)))
+
+
+@randomization("5.1 (future work: asymmetric hardware)", units="1", params=FactorsBySide)
+def servo_stiffness(starts: Starts, params: FactorsBySide, draw: Draw) -> Starts:
+    """Factor of kp of all position servos of a side, drawn anew for every side and episode."""
+    return starts.varied("servo_stiffness", params.draw(draw, len(starts)))
+
+
+@randomization("5.1 (future work: asymmetric hardware)", units="1", params=FactorsBySide)
+def servo_damping(starts: Starts, params: FactorsBySide, draw: Draw) -> Starts:
+    """Factor of kd of all servos of a side, drawn anew for every side and episode."""
+    return starts.varied("servo_damping", params.draw(draw, len(starts)))
+
+
+@randomization("5.1 (future work: asymmetric hardware)", units="1", params=FactorsBySide)
+def motor_strength(starts: Starts, params: FactorsBySide, draw: Draw) -> Starts:
+    """Factor of the effort limit of all servos of a side, drawn anew for every side and episode.
+
+    The no-load speed stays, so the torque at every speed scales alike; gains are `servo_stiffness` and
+    `servo_damping`.
+    """
+    return starts.varied("motor_strength", params.draw(draw, len(starts)))
 
 
 class JointPosition(RandomizationParams):
@@ -74,6 +128,22 @@ class ActionDelay(RandomizationParams):
     """Delay between a command and its effect, s; whole physics steps are drawn from it."""
     hold_probability: Fraction = 0.0
     """Probability that the previous command is held for one physics step more."""
+
+    def misfits(self, task: TaskSpec) -> Iterator[tuple[str, str]]:
+        """A delay that outlasts the episode, or that no whole number of physics steps lies in."""
+        low, high = self.delay
+        timestep, length = task.simulation.timestep, task.seconds
+        if high >= length:
+            yield (
+                "delay",
+                f"a delay of {high:g} s outlasts the episode of {length:g} s: commands would never act",
+            )
+        first, last = whole_steps(self.delay, timestep)
+        if first > last:
+            yield (
+                "delay",
+                f"no multiple of the time step of {timestep:g} s lies between {low:g} and {high:g} s",
+            )
 
 
 @randomization("3.1 Action Delay; in seconds: digest", units="s", stage="command", params=ActionDelay)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -25,14 +27,15 @@ class Starts:
         qvel: Generalised velocities [N, nv], float64.
         target: Target position on the floor [N, 2], m, float64.
         joints: Places of the observed joints in qpos.
-        foot_friction: Sliding friction of the left and right foot [N, 2], or None: as compiled.
+        by_side: What differs from the compiled model, by name of its randomisation: one column each for the left
+            and the right side, and where the term has it for the middle [N, 2 or 3], float64.
     """
 
     qpos: Tensor
     qvel: Tensor
     target: Tensor
     joints: Tensor
-    foot_friction: Tensor | None = None
+    by_side: Mapping[str, Tensor] = field(default_factory=dict)
 
     def __len__(self) -> int:
         """Number of starts."""
@@ -40,21 +43,51 @@ class Starts:
 
     def take(self, rows: Tensor) -> Starts:
         """The starts of the given row numbers."""
-        friction = None if self.foot_friction is None else self.foot_friction[rows]
-        return Starts(self.qpos[rows], self.qvel[rows], self.target[rows], self.joints, friction)
+        by_side = {name: values[rows] for name, values in self.by_side.items()}
+        return Starts(self.qpos[rows], self.qvel[rows], self.target[rows], self.joints, by_side)
 
     def mirrored(self, qpos: Mirror, qvel: Mirror) -> Starts:
         """Reflects every start in the xz plane; `qpos` and `qvel` are the model's mirror maps."""
         target = self.target * self.target.new_tensor([1.0, -1.0])
-        friction = None if self.foot_friction is None else self.foot_friction.flip(1)
-        return Starts(qpos(self.qpos), qvel(self.qvel), target, self.joints, friction)
+        by_side = {
+            name: torch.cat([values[:, :2].flip(1), values[:, 2:]], dim=1)
+            for name, values in self.by_side.items()
+        }
+        return Starts(qpos(self.qpos), qvel(self.qvel), target, self.joints, by_side)
+
+    def varied(self, name: str, values: Tensor) -> Starts:
+        """The same starts with values by side [N, 2 or 3] of a randomisation."""
+        return replace(self, by_side={**self.by_side, name: values})
 
 
-_TRIES = 16
-"""Candidates for a ball's start; with half of the region blocked, one start in 65,536 would still overlap."""
+_TRIES, _LEFT_OVER = 16, 1e-5
+"""Fewest candidates for a ball's start, and how often all of them may overlap: more are drawn in a blocked region."""
+_GRID = 64
+"""Places a side on which a region is examined."""
+LEAST_FREE = 0.1
+"""Share of a ball's region that must be clear of the robot."""
 
 Randomizer = Callable[[Starts, Draw], Starts]
 """A randomisation term with its parameters bound."""
+
+
+def overlaps(x: Tensor, y: Tensor, obstacles: Tensor, radius: float) -> Tensor:
+    """Whether a ball on the floor at (x, y) overlaps any rectangle of `SceneLayout.obstacles`, bool of their shape."""
+    low_x, high_x, low_y, high_y = obstacles.unbind(dim=1)
+    x, y = x.unsqueeze(-1), y.unsqueeze(-1)
+    dx = torch.maximum(low_x - x, x - high_x).clamp(min=0.0)
+    dy = torch.maximum(low_y - y, y - high_y).clamp(min=0.0)
+    return (dx.square() + dy.square() < radius**2).any(dim=-1)
+
+
+def free_share(region: BallSampling, obstacles: Tensor, radius: float) -> float:
+    """Share of a region in which a ball would not overlap the robot, from a grid of places."""
+    x, y = (
+        torch.linspace(*bounds, _GRID, dtype=torch.float64, device=obstacles.device)
+        for bounds in (region.x, region.y)
+    )
+    blocked = overlaps(x.unsqueeze(1).expand(-1, _GRID), y.expand(_GRID, -1), obstacles, radius)
+    return 1.0 - float(blocked.double().mean())
 
 
 class StartSampler:
@@ -85,6 +118,7 @@ class StartSampler:
         self._obstacles = torch.as_tensor(layout.obstacles, device=generator.device)
         self._joints = torch.as_tensor(layout.joint_qpos, device=generator.device)
         self._randomizers = randomizers
+        self._candidates = self._tries(sampling.ball)
         self.generator = generator
 
     def draw(self, low: float, high: float, *shape: int) -> Tensor:
@@ -97,7 +131,7 @@ class StartSampler:
 
         A fixed number of candidates a start, of which the first free one is taken: no loop depends on the draws.
         """
-        tries = _TRIES if self._overlaps_region(region) else 1
+        tries = self._candidates
         x, y = self.draw(*region.x, tries, count), self.draw(*region.y, tries, count)
         free = ~self.overlaps(x, y)
         first = free.int().argmax(dim=0, keepdim=True)
@@ -105,19 +139,19 @@ class StartSampler:
 
     def overlaps(self, x: Tensor, y: Tensor) -> Tensor:
         """Whether a ball on the floor at (x, y) would overlap the robot in its default pose, bool of their shape."""
-        low_x, high_x, low_y, high_y = self._obstacles.unbind(dim=1)
-        x, y = x.unsqueeze(-1), y.unsqueeze(-1)
-        dx = torch.maximum(low_x - x, x - high_x).clamp(min=0.0)
-        dy = torch.maximum(low_y - y, y - high_y).clamp(min=0.0)
-        return (dx.square() + dy.square() < self._ball.radius**2).any(dim=-1)
+        return overlaps(x, y, self._obstacles, self._ball.radius)
 
-    def _overlaps_region(self, region: BallSampling) -> bool:
-        """Whether any place in the region may overlap: a region that is clear costs no second draw."""
+    def _tries(self, region: BallSampling) -> int:
+        """Candidates a start: one where the region is clear of the robot, else enough to find a free place."""
         radius = self._ball.radius
         low_x, high_x, low_y, high_y = self._obstacles.unbind(dim=1)
         apart_x = (low_x - radius > region.x[1]) | (high_x + radius < region.x[0])
         apart_y = (low_y - radius > region.y[1]) | (high_y + radius < region.y[0])
-        return bool((~(apart_x | apart_y)).any())
+        if bool((apart_x | apart_y).all()):
+            return 1
+        blocked = 1.0 - max(free_share(region, self._obstacles, radius), LEAST_FREE)
+        enough = math.log(_LEFT_OVER) / math.log(blocked) if blocked > 0.0 else 1.0
+        return max(_TRIES, math.ceil(enough))
 
     def sample(self, count: int) -> Starts:
         """Draws `count` independent starts."""
@@ -133,11 +167,6 @@ class StartSampler:
         return starts
 
 
-def with_foot_friction(starts: Starts, values: Tensor) -> Starts:
-    """The same starts with the given foot friction [N, 2]."""
-    return replace(starts, foot_friction=values)
-
-
 class StartPool:
     """Hands out sampled starts one by one; sampling many at once costs as little as sampling a few."""
 
@@ -149,13 +178,33 @@ class StartPool:
             size: Starts drawn at a time; at least the number of worlds.
         """
         self._sampler, self._size = sampler, size
-        self._starts, self._used = sampler.sample(size), 0
+        self._draw()
 
     def __call__(self, mask: Tensor) -> Starts:
         """The next starts for the worlds in `mask` [B]; rows of other worlds hold one that means nothing."""
         needed = int(mask.sum())
         if self._used + needed > self._size:
-            self._starts, self._used = self._sampler.sample(self._size), 0
+            self._draw()
         rows = (self._used + mask.cumsum(dim=0) - 1).clamp(min=0)
         self._used += needed
         return self._starts.take(rows)
+
+    def _draw(self) -> None:
+        self._drawn_from = self._sampler.generator.get_state()
+        self._starts, self._used = self._sampler.sample(self._size), 0
+
+    def state_dict(self) -> dict[str, Any]:
+        """How many starts are handed out, and the generator's state before they were drawn: far smaller than they."""
+        return {"size": self._size, "used": self._used, "drawn_from": self._drawn_from.clone()}
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Draws the same starts again. The generator is left behind them: set it to where it was afterwards.
+
+        Raises:
+            ValueError: The state is that of a pool of another size.
+        """
+        if state["size"] != self._size:
+            raise ValueError(f"StartPool: expected {self._size} starts, found {state['size']}")
+        self._sampler.generator.set_state(state["drawn_from"])
+        self._draw()
+        self._used = state["used"]

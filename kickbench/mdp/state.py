@@ -8,6 +8,7 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
+from kickbench.mdp.stateful import Stateful
 from kickbench.physics.engine import Engine
 from kickbench.scene.layout import SceneLayout
 from kickbench.scene.sensors import SIDES
@@ -16,7 +17,7 @@ from kickbench.symmetry.torch_ops import Mirror
 
 
 @dataclass
-class EpisodeState:
+class EpisodeState(Stateful):
     """What an episode remembers beyond the physical state; one row a world.
 
     Attributes:

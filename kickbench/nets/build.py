@@ -58,8 +58,9 @@ def _build(
         "distribution_cfg": distribution,
     }
     symmetric = {"input_representation": fields.representation, "output_representation": output}
-    if method.network.type == "equivariant":
-        return EquivariantModel(sample, GROUPS, role, output.dim, **symmetric, **common)
+    if method.network.type != "mlp":
+        scale = method.network.residual_scale
+        return EquivariantModel(sample, GROUPS, role, output.dim, residual_scale=scale, **symmetric, **common)
     if method.symmetry.symmetric_normalization:
         return SymmetricNormMLPModel(sample, GROUPS, role, output.dim, **symmetric, **common)
     return MLPModel(sample, GROUPS, role, output.dim, **common)

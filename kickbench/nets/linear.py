@@ -77,7 +77,7 @@ class EquivariantLinear(nn.Module):
             split = hidden and in_representation.dim * out_representation.dim >= SPLIT_FROM
         self.tying = None if split else Tying(extended, out_representation)
         self.free = nn.Parameter(torch.empty(math.prod(self._even_shape) + math.prod(self._odd_shape)))
-        self._expanded: tuple[tuple[int, int], tuple[torch.Tensor, torch.Tensor | None]] | None = None
+        self._expanded: tuple[tuple, tuple[torch.Tensor, torch.Tensor | None]] | None = None
         self.reset_parameters()
 
     @torch.no_grad()
@@ -153,7 +153,9 @@ class EquivariantLinear(nn.Module):
         """
         if self.free.is_inference():  # made in inference mode, without a version: never trained, rarely used
             return self._ready()
-        key = (self.free._version, self.free.data_ptr())
+        key = tuple(
+            (parameter._version, parameter.data_ptr()) for parameter in self.parameters(recurse=False)
+        )
         if self._expanded is None or self._expanded[0] != key:
             # A plain tensor even when acting in inference mode: what comes later may do anything with it.
             with torch.inference_mode(False), torch.no_grad():

@@ -9,6 +9,7 @@ from rsl_rl.utils import resolve_nn_activation
 from torch import nn
 
 from kickbench.nets.linear import EquivariantLinear
+from kickbench.nets.relaxed import RelaxedLinear
 from kickbench.symmetry.representation import Representation, regular
 
 
@@ -23,6 +24,8 @@ class EquivariantMLP(nn.Sequential):
         hidden_dims: Widths of the hidden layers, even numbers.
         out_representation: Representation of the output; ``TRIVIAL`` makes an invariant value function.
         activation: Name of the activation, as rsl_rl knows it.
+        residual_scale: Scale of a free residual in every layer, which starts at zero; None: none, and the network
+            stays equivariant.
 
     Raises:
         ValueError: If there is no hidden layer, or a width is not a positive even number.
@@ -34,6 +37,7 @@ class EquivariantMLP(nn.Sequential):
         hidden_dims: Sequence[int],
         out_representation: Representation,
         activation: str = "elu",
+        residual_scale: float | None = None,
     ) -> None:
         if not hidden_dims:
             raise ValueError("an equivariant MLP needs at least one hidden layer")
@@ -49,7 +53,12 @@ class EquivariantMLP(nn.Sequential):
         ]
         layers: list[nn.Module] = []
         for before, after in pairwise(representations):
-            layers += [EquivariantLinear(before, after), resolve_nn_activation(activation)]
+            linear = (
+                EquivariantLinear(before, after)
+                if residual_scale is None
+                else RelaxedLinear(before, after, residual_scale)
+            )
+            layers += [linear, resolve_nn_activation(activation)]
         super().__init__(*layers[:-1])
         self.in_representation = in_representation
         self.out_representation = out_representation

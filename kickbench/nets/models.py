@@ -96,6 +96,10 @@ class EquivariantModel(SymmetricNormMLPModel):
 
     Normaliser, every layer and the standard deviation are built from the representations. Arguments as for
     :class:`SymmetricNormMLPModel`; ``hidden_dims`` must be even.
+
+    With a ``residual_scale`` every layer has a free residual that starts at zero (:mod:`kickbench.nets.relaxed`).
+    Normaliser and standard deviation stay symmetric then: the network starts equivariant, and all the asymmetry of
+    what it learns lies in the residuals, where its size is known.
     """
 
     mlp: EquivariantMLP
@@ -113,6 +117,7 @@ class EquivariantModel(SymmetricNormMLPModel):
         activation: str = "elu",
         obs_normalization: bool = False,
         distribution_cfg: dict[str, Any] | None = None,
+        residual_scale: float | None = None,
     ) -> None:
         super().__init__(
             obs,
@@ -127,7 +132,9 @@ class EquivariantModel(SymmetricNormMLPModel):
             distribution_cfg=distribution_cfg,
             tie_std=True,
         )
-        self.mlp = EquivariantMLP(input_representation, hidden_dims, output_representation, activation)
+        self.mlp = EquivariantMLP(
+            input_representation, hidden_dims, output_representation, activation, residual_scale
+        )
 
     def _plain(self, exported: nn.Module) -> nn.Module:
         exported.mlp = self.mlp.to_dense()

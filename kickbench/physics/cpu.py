@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 # pyright: reportAttributeAccessIssue=false
 import mujoco
@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from kickbench.physics.engine import ModelField
 from kickbench.physics.skeleton import Skeleton
 
 _FULL = mujoco.mjtState.mjSTATE_FULLPHYSICS
@@ -22,6 +23,8 @@ _HUGE = 1e6
 """A state whose norm (m, rad, m/s, rad/s) reaches this is an explosion, though finite."""
 _PACKED = 8
 """Worlds in one skeleton: `rollout` takes some 2 us to look at a model, more than a skeleton's step."""
+_INERTIAL = ("body_mass", "body_inertia")
+"""Fields that MuJoCo derives others from: the inverse weights that scale its constraints."""
 
 
 def usable_cores() -> int:
@@ -56,7 +59,7 @@ class CpuEngine:
         """Allocates the worlds in the model's reference pose.
 
         Args:
-            model: Compiled model, shared by all worlds until `set_friction` makes copies.
+            model: Compiled model, shared by all worlds until `set_model` makes copies.
             num_worlds: Number of worlds B.
             decimation: Physics substeps per control step.
             contact_forces: Places of contact sensors in sensordata that are averaged over the substeps; the others
@@ -171,24 +174,49 @@ class CpuEngine:
         assert self._push is not None, "the engine was made without a body to push"
         self._control[:, :, self._push] = force.unsqueeze(1).numpy()
 
-    def set_friction(self, mask: Tensor, geoms: tuple[tuple[int, ...], ...], values: Tensor) -> None:
-        """See `Engine.set_friction`. The first call gives every world a model of its own."""
+    def set_model(self, mask: Tensor, fields: Sequence[ModelField]) -> None:
+        """See `Engine.set_model`. The first call gives every world a model of its own."""
         if self._shared:
             self._models = [copy.copy(self.model) for _ in range(self.num_worlds)]
             self._shared = False
-        table = values.numpy()
-        for row in np.flatnonzero(mask.numpy()):
-            friction = self._models[row].geom_friction
-            for group, ids in enumerate(geoms):
-                friction[list(ids), 0] = table[row, group]
+        rows = np.flatnonzero(mask.numpy())
+        for field in fields:
+            ids, values = field.ids.numpy(), field.values.numpy()
+            place = ids if field.column is None else (ids, field.column)
+            for row in rows:
+                getattr(self._models[row], field.name)[place] = values[row]
+        if any(field.name in _INERTIAL for field in fields):
+            for row in rows:
+                mujoco.mj_setConst(self._models[row], self._data[0])
+
+    def state_dict(self) -> dict[str, Tensor]:
+        """See `Engine.state_dict`."""
+        return {name: torch.from_numpy(array.copy()) for name, array in self._arrays().items()}
+
+    def load_state_dict(self, state: Mapping[str, Tensor]) -> None:
+        """See `Engine.load_state_dict`."""
+        arrays = self._arrays()
+        expected = {name: array.shape for name, array in arrays.items()}
+        found = {name: tuple(values.shape) for name, values in state.items()}
+        if found != expected:
+            raise ValueError(f"CpuEngine: expected {expected}, found {found}")
+        for name, array in arrays.items():
+            array[:] = state[name].numpy()
+
+    def _arrays(self) -> dict[str, np.ndarray]:
+        """Views of everything that the next step depends on, but for the worlds' models."""
+        arrays = {"state": self._state, "sensors": self._sensors, "failed": self.failed.numpy()}
+        if self._push is not None:
+            arrays["push"] = self._control[:, :, self._push]
+        return arrays
 
     def full_state(self) -> np.ndarray:
         """A copy of the full physics state [B, nstate]."""
         return self._state.copy()
 
-    def friction(self, geom: int) -> np.ndarray:
-        """Sliding friction of a geom in every world [B]."""
-        return np.array([model.geom_friction[geom, 0] for model in self._models])
+    def model_field(self, name: str) -> np.ndarray:
+        """A field of the model in every world [B, ...]."""
+        return np.stack([getattr(model, name) for model in self._models])
 
     def close(self) -> None:
         """Ends the thread pool."""

@@ -2,10 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Protocol
 
 import torch
 from torch import Tensor
+
+
+@dataclass(frozen=True)
+class ModelField:
+    """Values of a part of the model that differ from world to world.
+
+    Attributes:
+        name: Array of MuJoCo's model: `geom_friction`, `body_mass`, ...
+        ids: Its rows that are set: geoms, bodies, ... [K] int64.
+        values: Their values [B, K], or [B, K, columns] for whole rows.
+        column: Which column `values` [B, K] belongs to, for arrays that have columns.
+    """
+
+    name: str
+    ids: Tensor
+    values: Tensor
+    column: int | None = None
 
 
 class Engine(Protocol):
@@ -51,12 +70,21 @@ class Engine(Protocol):
         """
         ...
 
-    def set_friction(self, mask: Tensor, geoms: tuple[tuple[int, ...], ...], values: Tensor) -> None:
-        """Sets the sliding friction of groups of geoms in the worlds in `mask`.
+    def set_model(self, mask: Tensor, fields: Sequence[ModelField]) -> None:
+        """Sets fields of the model in the worlds in `mask` [B] bool; what MuJoCo derives from them follows.
 
-        Args:
-            mask: Worlds [B] bool.
-            geoms: Groups of geom ids that share a coefficient.
-            values: Coefficient of each group [B, len(geoms)].
+        A field keeps its value until it is set again: a reset does not touch it.
+        """
+        ...
+
+    def state_dict(self) -> dict[str, Tensor]:
+        """Copies of everything that later steps depend on, but for what `set_model` has set."""
+        ...
+
+    def load_state_dict(self, state: Mapping[str, Tensor]) -> None:
+        """Takes over what `state_dict` of an engine of the same model and size has returned.
+
+        Raises:
+            ValueError: It is the state of another model or of another number of worlds.
         """
         ...

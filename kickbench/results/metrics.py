@@ -1,26 +1,25 @@
 """The models that are `metrics.json`, and how they follow from a table of episodes.
 
 Rates are fractions, distances metres, times seconds. Proportions have 95 % Wilson intervals, mean and median
-of a distance 95 % percentile bootstrap intervals.
+of a distance 95 % percentile bootstrap intervals. What compares left and right is in `asymmetry.py`.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveInt, ValidationError
 
 from kickbench.errors import KickbenchError
+from kickbench.results.asymmetry import Asymmetry, EquivarianceError, measure_asymmetry
 from kickbench.results.atomic import atomic_write_text
 from kickbench.results.episodes import EpisodeSides, EpisodeTable
 from kickbench.results.provenance import Provenance
-from kickbench.results.record import Record
+from kickbench.results.record import Fraction, Record
 from kickbench.results.statistics import Interval, bootstrap_mean, bootstrap_median, wilson
-
-Fraction = Annotated[float, Field(ge=0, le=1)]
 
 # Fixed, so that the same episodes always give the same intervals.
 _BOOTSTRAP_SEED = 0
@@ -72,6 +71,9 @@ class Evaluation(Record):
         default=None,
         description="episodes from the exact mirror images of those starts; null if not asked for",
     )
+    asymmetry: Asymmetry | None = Field(
+        default=None, description="how differently the policy treats left and right; null in older files"
+    )
 
 
 class Metrics(Record):
@@ -84,6 +86,10 @@ class Metrics(Record):
     iterations: NonNegativeInt = Field(description="training iterations")
     env_steps: NonNegativeInt = Field(description="control steps of training, summed over worlds")
     training_seconds: NonNegativeFloat = Field(description="wall-clock time of training [s]")
+    schedule_iterations: PositiveInt | None = Field(
+        default=None,
+        description="iterations over which the method's schedules ran, if a resume extended the run beyond them",
+    )
     evaluation: Evaluation
     provenance: Provenance
 
@@ -120,10 +126,21 @@ def summarise(episodes: EpisodeTable, success_radius: float) -> EvaluationMetric
     )
 
 
-def summarise_sides(sides: EpisodeSides, success_radius: float) -> Evaluation:
-    """Metrics of both sides of an evaluation; arguments as for `summarise`."""
-    mirrored = None if sides.mirrored is None else summarise(sides.mirrored, success_radius)
-    return Evaluation(in_distribution=summarise(sides.in_distribution, success_radius), mirrored=mirrored)
+def summarise_sides(
+    sides: EpisodeSides, success_radius: float, equivariance: EquivarianceError | None = None
+) -> Evaluation:
+    """Metrics of both sides of an evaluation.
+
+    Args:
+        sides: the episodes of both sides.
+        success_radius: as for `summarise`.
+        equivariance: the policy's equivariance error over the states visited in these episodes, if measured.
+    """
+    return Evaluation(
+        in_distribution=summarise(sides.in_distribution, success_radius),
+        mirrored=None if sides.mirrored is None else summarise(sides.mirrored, success_radius),
+        asymmetry=measure_asymmetry(sides, equivariance),
+    )
 
 
 def load_metrics(path: Path) -> Metrics:

@@ -45,6 +45,12 @@ class Provenance(Record):
     seconds: NonNegativeFloat = Field(description="wall-clock time from start to end [s]")
     env_steps: NonNegativeInt = Field(description="control steps of training, summed over worlds")
     command: list[str] = Field(description="the command; absolute paths made relative, or reduced to a name")
+    resumed_from: tuple[Provenance, ...] = Field(
+        default=(),
+        description="of a run that was interrupted: its earlier parts, each up to the checkpoint that the next "
+        "one went on from. The run's `started` is the first part's, its `seconds` and `env_steps` are sums over "
+        "all parts, everything else describes the last one",
+    )
 
 
 def collect_provenance(

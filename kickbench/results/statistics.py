@@ -1,4 +1,4 @@
-"""Estimates with their uncertainty: Wilson and bootstrap intervals, mean and spread over seeds.
+"""Estimates with their uncertainty: intervals of proportions, bootstrap intervals, tests, spread over seeds.
 
 Everything here is numpy in, plain floats out. Samples must be finite and not empty: an estimate of nothing is
 an error (`ValueError`), never a NaN that travels on.
@@ -7,7 +7,7 @@ an error (`ValueError`), never a NaN that travels on.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from math import sqrt
+from math import erfc, sqrt
 from statistics import NormalDist
 from typing import NamedTuple
 
@@ -25,6 +25,15 @@ class Interval(NamedTuple):
 
     low: float
     high: float
+
+
+class TwoProportions(NamedTuple):
+    """Two independent proportions compared: first minus second, its interval, and the test of no difference."""
+
+    difference: float
+    interval: Interval
+    z: float
+    p_value: float
 
 
 class SeedSummary(NamedTuple):
@@ -65,6 +74,85 @@ def wilson(successes: int, n: int, level: float = 0.95) -> Interval:
     return Interval(low, high)
 
 
+def two_proportions(
+    first: int, n_first: int, second: int, n_second: int, level: float = 0.95
+) -> TwoProportions:
+    """Two-sided two-proportion z-test (pooled variance), and Newcombe's hybrid score interval of the difference.
+
+    With the pooled p = (first + second)/(n_first + n_second): z = (p1 - p2) / sqrt(p (1-p) (1/n_first + 1/n_second)),
+    which is 0 where p is 0 or 1. The interval is made from the Wilson limits of both proportions; it need not agree
+    with the test at the border.
+
+    Args:
+        first: successes of the first sample, 0 <= first <= n_first.
+        n_first: its independent trials, at least 1.
+        second: successes of the second sample.
+        n_second: its independent trials, at least 1.
+        level: confidence level of the interval in (0, 1).
+
+    Source: R. G. Newcombe, "Interval estimation for the difference between independent proportions", 1998, method 10.
+    """
+    (low1, high1), (low2, high2) = wilson(first, n_first, level), wilson(second, n_second, level)
+    p1, p2 = first / n_first, second / n_second
+    difference = p1 - p2
+    low = difference - sqrt((p1 - low1) ** 2 + (high2 - p2) ** 2)
+    high = difference + sqrt((high1 - p1) ** 2 + (p2 - low2) ** 2)
+    pooled = (first + second) / (n_first + n_second)
+    error = sqrt(pooled * (1 - pooled) * (1 / n_first + 1 / n_second))
+    z = difference / error if error else 0.0
+    return TwoProportions(difference, Interval(max(-1.0, low), min(1.0, high)), z, erfc(abs(z) / sqrt(2)))
+
+
+def mcnemar(only_first: int, only_second: int) -> float:
+    """Exact two-sided p-value of McNemar's test: do the two of a pair succeed equally often?
+
+    Only pairs of unequal outcome count; each of them would favour either side with probability 1/2.
+
+    Args:
+        only_first: pairs in which only the first succeeded, at least 0.
+        only_second: pairs in which only the second did.
+
+    Source: Q. McNemar, "Note on the sampling error of the difference between correlated proportions", 1947.
+    """
+    n, fewer = only_first + only_second, min(only_first, only_second)
+    if fewer < 0:
+        raise ValueError(f"expected counts of at least 0, found {only_first} and {only_second}")
+    term, tail = 1, 0
+    for k in range(fewer + 1):  # whole numbers: nothing underflows, however many pairs there are
+        tail += term
+        term = term * (n - k) // (k + 1)
+    return min(1.0, 2 * tail / 2**n)
+
+
+def bootstrap_ratio(
+    numerators: ArrayLike,
+    denominators: ArrayLike,
+    rng: np.random.Generator,
+    *,
+    level: float = 0.95,
+    resamples: int = 2000,
+) -> Interval:
+    """Percentile bootstrap interval of a ratio of sums, sum(numerators) / sum(denominators), over whole clusters.
+
+    Args:
+        numerators: one number a cluster [n]; what belongs together (a pair of episodes) is drawn together.
+        denominators: one positive number a cluster [n].
+        rng: source of the resamples.
+        level: confidence level in (0, 1).
+        resamples: number of resamples of n clusters, drawn with replacement.
+    """
+    top, bottom = _checked_sample(numerators), _checked_sample(denominators)
+    if top.shape != bottom.shape or (bottom <= 0).any():
+        raise ValueError(f"expected a positive denominator for each of {top.size} numerators")
+    pairs = np.stack([top, bottom], axis=1)
+
+    def ratios(resampled: NDArray[np.float64]) -> NDArray[np.float64]:
+        sums = resampled.sum(axis=1)
+        return sums[:, 0] / sums[:, 1]
+
+    return _bootstrap(pairs, rng, ratios, level, resamples)
+
+
 def bootstrap_mean(
     values: ArrayLike, rng: np.random.Generator, *, level: float = 0.95, resamples: int = 2000
 ) -> Interval:
@@ -79,14 +167,14 @@ def bootstrap_mean(
     Returns:
         The (1-level)/2 and (1+level)/2 quantiles of the resampled means, in the unit of `values`.
     """
-    return _bootstrap(values, rng, _row_means, level, resamples)
+    return _bootstrap(_checked_sample(values), rng, _row_means, level, resamples)
 
 
 def bootstrap_median(
     values: ArrayLike, rng: np.random.Generator, *, level: float = 0.95, resamples: int = 2000
 ) -> Interval:
     """Percentile bootstrap interval of the median; arguments and result as for `bootstrap_mean`."""
-    return _bootstrap(values, rng, _row_medians, level, resamples)
+    return _bootstrap(_checked_sample(values), rng, _row_medians, level, resamples)
 
 
 def mean_std_over_seeds(values: Sequence[float]) -> SeedSummary:
@@ -104,17 +192,16 @@ def mean_std_over_seeds(values: Sequence[float]) -> SeedSummary:
 
 
 def _bootstrap(
-    values: ArrayLike, rng: np.random.Generator, reduce: _Reduce, level: float, resamples: int
+    sample: NDArray[np.float64], rng: np.random.Generator, reduce: _Reduce, level: float, resamples: int
 ) -> Interval:
-    """Percentile bootstrap of `reduce`, which maps resamples [r, n] to estimates [r]."""
+    """Percentile bootstrap of `reduce`, which maps resamples [r, n, ...] of `sample` [n, ...] to estimates [r]."""
     _check_level(level)
     if resamples < 1:
         raise ValueError(f"expected at least one resample, found resamples={resamples}")
-    sample = _checked_sample(values)
-    rows = max(1, _CHUNK_VALUES // sample.size)
+    count, rows = len(sample), max(1, _CHUNK_VALUES // sample.size)
     estimates = np.concatenate(
         [
-            reduce(sample[rng.integers(sample.size, size=(min(rows, resamples - done), sample.size))])
+            reduce(sample[rng.integers(count, size=(min(rows, resamples - done), count))])
             for done in range(0, resamples, rows)
         ]
     )

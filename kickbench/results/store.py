@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import fcntl
+import os
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from kickbench.errors import KickbenchError
@@ -12,8 +15,9 @@ from kickbench.results.metrics import load_metrics
 __all__ = ["RunDirectory", "atomic_file", "atomic_write_bytes", "atomic_write_text", "find_runs"]
 
 _SPEC_FILES = ("task.yaml", "method.yaml", "robot.yaml", "representations.yaml", "robot.xml")
-_TOP_FILES = ("metrics.json", "episodes.csv", "progress.csv", "checkpoint.pt", "policy.pt")
+_TOP_FILES = ("metrics.json", "episodes.csv", "progress.csv", "policy.pt")
 _EVENT_FILES = "events.out.tfevents.*"
+_CHECKPOINT_FILES = "iteration_*.pt"
 
 
 class RunDirectory:
@@ -75,9 +79,9 @@ class RunDirectory:
         return self.path / "progress.csv"
 
     @property
-    def checkpoint(self) -> Path:
-        """Everything that training needs to go on."""
-        return self.path / "checkpoint.pt"
+    def checkpoints(self) -> Path:
+        """Folder of the checkpoints: everything that training needs to go on."""
+        return self.path / "checkpoints"
 
     @property
     def policy(self) -> Path:
@@ -100,20 +104,45 @@ class RunDirectory:
             return False
         return True
 
+    @property
+    def holds_a_run(self) -> bool:
+        """Whether a run has left anything here, finished or not."""
+        return any(file.exists() for file in self._own_files())
+
+    @contextmanager
+    def occupied(self) -> Iterator[None]:
+        """Keeps other runs out of the folder; the system lets them in again however this process ends.
+
+        Raises:
+            KickbenchError: another process runs in it, or it cannot be made.
+        """
+        self._make(self.path)
+        descriptor = os.open(self.path, os.O_RDONLY)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            yield
+        except BlockingIOError:
+            raise KickbenchError(f"{self.path}: another process runs in it") from None
+        finally:
+            os.close(descriptor)
+
+    def reopen(self) -> None:
+        """Make a run ready to go on: remove its result and what a kill left half written, keep its training."""
+        for file in (self.metrics, self.episodes, self.policy, *self._half_written()):
+            file.unlink(missing_ok=True)
+
     def prepare(self, force: bool = False) -> None:
         """Make the folder ready for a run.
 
-        A run starts anew: what an unfinished one has left is removed, a finished one only with `force`. Files
-        that kickbench did not write stay.
+        Files that kickbench did not write stay.
 
         Args:
-            force: whether a run that is there, finished or not, is given up.
+            force: whether a run that is there, finished or not, is removed.
 
         Raises:
-            KickbenchError: a finished run is there and `force` is not set, or the path is not a folder.
+            KickbenchError: a run is there and `force` is not set, or the path is not a folder.
         """
-        if self.path.exists() and not self.path.is_dir():
-            raise KickbenchError(f"{self.path}: expected a folder for the run, found a file")
+        self._make(self.path)
         if self.metrics.exists() and not force:
             state = (
                 "a finished run"
@@ -121,9 +150,17 @@ class RunDirectory:
                 else "a run whose metrics.json is damaged or of another version"
             )
             raise KickbenchError(f"{self.path}: holds {state}; --force runs it again and overwrites it")
+        if self.holds_a_run and not force:
+            choice = "--resume goes on with it, --force starts again"
+            raise KickbenchError(f"{self.path}: holds an unfinished run; {choice}")
         self._remove_own_files()
+        self._make(self.specs)
+
+    def _make(self, folder: Path) -> None:
+        if self.path.exists() and not self.path.is_dir():
+            raise KickbenchError(f"{self.path}: expected a folder for the run, found a file")
         try:
-            self.specs.mkdir(parents=True, exist_ok=True)
+            folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise KickbenchError(f"{self.path}: cannot make the run's folder: {error.strerror}") from None
 
@@ -131,7 +168,7 @@ class RunDirectory:
         # metrics.json goes first: a run that is half removed must not look finished.
         for file in self._own_files():
             file.unlink(missing_ok=True)
-        for folder in (self.tensorboard, self.specs):
+        for folder in (self.tensorboard, self.checkpoints, self.specs):
             if folder.is_dir() and not any(folder.iterdir()):
                 folder.rmdir()
 
@@ -139,7 +176,11 @@ class RunDirectory:
         yield from (self.path / name for name in _TOP_FILES)
         yield from (self.specs / name for name in _SPEC_FILES)
         yield from self.tensorboard.glob(_EVENT_FILES)
-        for folder in (self.path, self.specs):
+        yield from self.checkpoints.glob(_CHECKPOINT_FILES)
+        yield from self._half_written()
+
+    def _half_written(self) -> Iterator[Path]:
+        for folder in (self.path, self.specs, self.checkpoints):
             yield from folder.glob(f"{TEMPORARY_PREFIX}*")
 
 

@@ -12,12 +12,18 @@ from kickbench.errors import SpecError
 from kickbench.scene.check import check_robot
 from kickbench.scene.layout import SceneLayout, read_layout
 from kickbench.scene.sensors import ALWAYS, ROBOT, SIDES, SensorGroup, plan_sensors, sole_site
+from kickbench.scene.servo import set_servo
 from kickbench.spec.load import Loaded
-from kickbench.spec.robot import ActuatorSpec, RobotSpec
+from kickbench.spec.robot import RobotSpec
 from kickbench.spec.task import BallSpec, SimulationSpec, TaskSpec
 
 _AXES = {"x": 0, "y": 1, "z": 2, "rx": 3, "ry": 4, "rz": 5}
 _BASE_SITE = "kickbench_base"
+_FOOT_PRIORITY = 1
+"""Feet decide their contact with the floor, else the larger friction would hide theirs; the ball decides all of its
+own; everything else has priority 0 (digest)."""
+_EVERYTHING = 0x7FFFFFFF
+"""Contact bits of ball and floor: whatever collides at all touches them (full-body contact, Table 3.1)."""
 _ENUMS = {
     "integrator": {
         "euler": mujoco.mjtIntegrator.mjINT_EULER,
@@ -78,14 +84,13 @@ def build_scene(task: TaskSpec, robot: Loaded[RobotSpec], needs: frozenset[Senso
     body = read_robot(robot)
     root = body.worldbody.first_body().name or "kickbench_root"
     body.worldbody.first_body().name = root
+    _strip(body, robot.spec)
     body_geoms = _name_body_geoms(body, robot.spec)
-    for item in (*body.actuators, *body.sensors, *body.keys):
-        body.delete(item)
     scene = mujoco.MjSpec()
     scene.modelname = "kickbench"
     _set_options(scene, task.simulation)
     # The options are the task's; MuJoCo would warn about every one that the robot's MJCF has otherwise.
-    body.option, body.memory = scene.option, scene.memory
+    body.option, body.memory, body.nuserdata = scene.option, scene.memory, scene.nuserdata
     _add_floor(scene, task)
     _add_soles(body, robot.spec)
     scene.attach(body, prefix=ROBOT, frame=scene.worldbody.add_frame())
@@ -104,18 +109,41 @@ def build_scene(task: TaskSpec, robot: Loaded[RobotSpec], needs: frozenset[Senso
     return Scene(scene, model, read_layout(model, robot.spec, plans))
 
 
+def _strip(body: mujoco.MjSpec, robot: RobotSpec) -> None:
+    """Leaves of a robot's MJCF the robot alone, with the scene's contact priorities and the robot file's servos."""
+    world = body.worldbody
+    own = (*world.geoms, *world.sites, *world.lights, *world.cameras)
+    skies = [texture for texture in body.textures if texture.type == mujoco.mjtTexture.mjTEXTURE_SKYBOX]
+    for item in (*body.actuators, *body.sensors, *body.keys, *own, *skies):
+        body.delete(item)
+    for geom in body.geoms:
+        geom.priority = 0
+    for geom in _foot_geoms(body, robot):
+        geom.priority = _FOOT_PRIORITY
+    driven = {spec.joint: spec for spec in robot.actuators.values() if spec.joint is not None}
+    for name, servo in driven.items():
+        joint = body.joint(name)
+        # A limit of the MJCF's own would cut the servo's effort.
+        joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
+        if servo.friction_loss is not None:
+            joint.frictionloss = servo.friction_loss
+
+
+def _foot_geoms(body: mujoco.MjSpec, robot: RobotSpec) -> list[mujoco.MjsGeom]:
+    feet = [getattr(robot.feet, side) for side in SIDES] if robot.feet else []
+    named = {name for foot in feet for name in foot.geoms}
+    whole = {foot.body for foot in feet if not foot.geoms}
+    return [geom for geom in body.geoms if geom.name in named or geom.parent.name in whole]
+
+
 def _name_body_geoms(body: mujoco.MjSpec, robot: RobotSpec) -> list[str]:
     """Names of the colliding geoms that belong to no foot; those without a name are given one."""
-    feet = [getattr(robot.feet, side) for side in SIDES] if robot.feet else []
-    of_feet = {name for foot in feet for name in foot.geoms}
-    foot_bodies = {foot.body for foot in feet if not foot.geoms}
+    feet = _foot_geoms(body, robot)
     names = []
     for index, geom in enumerate(body.geoms):
-        collides = geom.contype or geom.conaffinity
-        if not collides or geom.name in of_feet or geom.parent.name in foot_bodies:
-            continue
-        geom.name = geom.name or f"kickbench_geom_{index}"
-        names.append(geom.name)
+        if (geom.contype or geom.conaffinity) and geom not in feet:
+            geom.name = geom.name or f"kickbench_geom_{index}"
+            names.append(geom.name)
     return names
 
 
@@ -147,6 +175,8 @@ def _add_floor(scene: mujoco.MjSpec, task: TaskSpec) -> None:
         type=mujoco.mjtGeom.mjGEOM_PLANE,
         size=[0, 0, 1],
         friction=task.floor.friction,
+        contype=_EVERYTHING,
+        conaffinity=_EVERYTHING,
         material="grid",
     )
     scene.worldbody.add_light(pos=[0, 0, 4], dir=[0.2, 0.1, -1], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
@@ -165,6 +195,8 @@ def _add_ball(scene: mujoco.MjSpec, ball: BallSpec) -> None:
         condim=ball.condim,
         priority=ball.priority,
         solref=ball.solref,
+        contype=_EVERYTHING,
+        conaffinity=_EVERYTHING,
         rgba=[0.95, 0.95, 0.95, 1.0],
     )
 
@@ -203,22 +235,7 @@ def _add_actuators(scene: mujoco.MjSpec, robot: RobotSpec) -> None:
         elif spec.base_axis is not None:
             actuator.trntype, actuator.target = mujoco.mjtTrn.mjTRN_SITE, ROBOT + _BASE_SITE
             actuator.gear = [float(i == _AXES[spec.base_axis]) for i in range(6)]
-        _set_servo(actuator, spec)
-
-
-def _set_servo(actuator: mujoco.MjsActuator, spec: ActuatorSpec) -> None:
-    stiffness = spec.kp or 0.0
-    # A motor's back-EMF: tau = clip(kp (u - q) - (kd - slope) dq, +-effort) - slope dq. Until the servo saturates
-    # this is its own law, and then effort (1 - dq / velocity_limit). MuJoCo applies `damping` outside the clip. It
-    # would read a positive velocity coefficient as a damping ratio, so a servo damps no less than its back-EMF.
-    slope = spec.effort / spec.velocity_limit if spec.velocity_limit else 0.0
-    actuator.damping[0] = slope
-    actuator.gaintype, actuator.biastype = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_AFFINE
-    actuator.gainprm[0] = stiffness if spec.kind == "position" else spec.kd
-    actuator.biasprm[0:3] = [0.0, -stiffness, min(slope - spec.kd, 0.0)]
-    actuator.forcelimited, actuator.forcerange = True, [-spec.effort, spec.effort]
-    if spec.limits is not None:
-        actuator.ctrllimited, actuator.ctrlrange = True, spec.limits
+        set_servo(actuator, spec)
 
 
 def has_external_assets(path: str | Path) -> bool:

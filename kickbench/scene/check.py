@@ -20,6 +20,7 @@ def check_robot(robot: Loaded[RobotSpec], model: mujoco.MjSpec) -> list[Problem]
         model: Its MJCF as read, not attached yet.
     """
     check = _Checker(robot, model)
+    check.model(model)
     check.bodies()
     check.joints()
     check.symmetry()
@@ -38,8 +39,6 @@ class _Checker:
         self.has_free_base = any(joint.type == free for joint in model.joints)
         self.body_names = [body.name for body in model.bodies if body.name != "world"]
         self.geom_names = [geom.name for geom in model.geoms if geom.name]
-        if not self.body_names:
-            self.problems.append(self.document.problem(("model",), "the model has no body"))
 
     def _known(self, path: KeyPath, kind: str, name: str, known: Iterable[str]) -> None:
         known = list(known)
@@ -48,6 +47,18 @@ class _Checker:
         guess = nearest(name, known)
         hint = f"did you mean '{guess}'?" if guess else f"the model has: {', '.join(known)}"
         self.problems.append(self.document.problem(path, f"the robot's model has no {kind} '{name}'", hint))
+
+    def model(self, model: mujoco.MjSpec) -> None:
+        """The model is one robot, and attaching it to a scene does not change it."""
+        roots = [body.name or "without a name" for body in model.worldbody.bodies]
+        if not roots:
+            self._report(("model",), "the model has no body")
+        if len(roots) > 1:
+            what = f"the model has {len(roots)} bodies in its world ({', '.join(roots)}); expected the robot alone"
+            self._report(("model",), what)
+        if model.compiler.settotalmass > 0.0:
+            what = "the compiler setting `settotalmass` does not reach a scene; expected masses of the bodies"
+            self._report(("model",), what)
 
     def bodies(self) -> None:
         self._known(("base",), "body", self.spec.base, self.body_names)

@@ -10,11 +10,15 @@ import mujoco
 import numpy as np
 
 from kickbench.scene.sensors import ROBOT, SIDES, SensorPlan
+from kickbench.scene.servo import ServoTable, servo_table
 from kickbench.spec.robot import ActuatorSpec, RobotSpec
 from kickbench.symmetry.mirror import Coordinate
 
 Indices = np.ndarray
 """Integer index array."""
+
+LEFT, RIGHT, MIDDLE, NO_SIDE = 0, 1, 2, -1
+"""Which side of the robot a part belongs to; NO_SIDE: it is none of the robot's."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +42,9 @@ class SceneLayout:
         forces: Contact channel -> places of the net forces [parts, 3], where the channel reports them.
         foot_geoms: Geoms of the left and of the right foot.
         base_body: Body id of the base.
+        body_sides: Side of every body [nbody]: that of the nearest joint towards the root.
+        actuator_sides: Side of every actuator [nu]: that of its joint.
+        servos: Gains and limits of the actuators.
         obstacles: What a ball on the floor could overlap in the default pose: ground rectangles of the robot's
             low colliding geoms [K, 4], each x low, x high, y low, y high, m.
     """
@@ -58,6 +65,9 @@ class SceneLayout:
     forces: Mapping[str, Indices]
     foot_geoms: tuple[Indices, ...]
     base_body: int
+    body_sides: Indices
+    actuator_sides: Indices
+    servos: ServoTable
     obstacles: np.ndarray
 
 
@@ -67,6 +77,7 @@ def read_layout(model: mujoco.MjModel, robot: RobotSpec, plans: Sequence[SensorP
     by_name = {c.name: c for c in coordinates}
     driven = [spec.joint for spec in robot.actuators.values() if spec.joint is not None]
     default = _default_qpos(model, robot, by_name)
+    sides = _body_sides(model, robot)
     frames, contacts, forces = _sensor_maps(model, plans)
     return SceneLayout(
         coordinates=coordinates,
@@ -87,7 +98,10 @@ def read_layout(model: mujoco.MjModel, robot: RobotSpec, plans: Sequence[SensorP
         forces=forces,
         foot_geoms=tuple(_foot_geoms(model, robot, side) for side in SIDES) if robot.feet else (),
         base_body=model.body(ROBOT + robot.base).id,
-        obstacles=_obstacles(model, default),
+        body_sides=sides,
+        actuator_sides=np.array([_side(spec.joint, robot) for spec in robot.actuators.values()]),
+        servos=servo_table(tuple(robot.actuators.values())),
+        obstacles=_obstacles(model, default, sides),
     )
 
 
@@ -129,6 +143,25 @@ def _foot_geoms(model: mujoco.MjModel, robot: RobotSpec, side: str) -> Indices:
     return np.flatnonzero(model.geom_bodyid == model.body(ROBOT + foot.body).id)
 
 
+def _side(joint: str | None, robot: RobotSpec) -> int:
+    pairs = (robot.symmetry.regular, robot.symmetry.regular_sign)
+    if any(joint in pair.left for pair in pairs):
+        return LEFT
+    return RIGHT if any(joint in pair.right for pair in pairs) else MIDDLE
+
+
+def _body_sides(model: mujoco.MjModel, robot: RobotSpec) -> Indices:
+    sides = np.full(model.nbody, NO_SIDE, dtype=np.int64)
+    for body in range(1, model.nbody):  # parents come before their children
+        inherited = sides[model.body_parentid[body]]
+        if inherited == NO_SIDE and not model.body(body).name.startswith(ROBOT):
+            continue
+        joints = np.flatnonzero(model.jnt_bodyid == body)
+        own = [_side(model.joint(joint).name.removeprefix(ROBOT), robot) for joint in joints]
+        sides[body] = own[0] if own else inherited
+    return sides
+
+
 def _sensor_maps(
     model: mujoco.MjModel, plans: Sequence[SensorPlan]
 ) -> tuple[dict[str, Indices], dict[str, Indices], dict[str, Indices]]:
@@ -149,7 +182,7 @@ def _sensor_maps(
     return places_of_frames, contacts, {name: np.stack(places) for name, places in force.items()}
 
 
-def _obstacles(model: mujoco.MjModel, qpos: np.ndarray) -> np.ndarray:
+def _obstacles(model: mujoco.MjModel, qpos: np.ndarray, sides: Indices) -> np.ndarray:
     """Ground rectangles of the robot's colliding geoms that reach below the top of the ball."""
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
@@ -158,7 +191,7 @@ def _obstacles(model: mujoco.MjModel, qpos: np.ndarray) -> np.ndarray:
     boxes = []
     for geom in range(model.ngeom):
         collides = model.geom_contype[geom] or model.geom_conaffinity[geom]
-        if not collides or not model.geom(geom).name.startswith(ROBOT):
+        if not collides or sides[model.geom_bodyid[geom]] == NO_SIDE:
             continue
         # The axis-aligned box of a rotated box: centre and half sizes through the absolute rotation.
         rotation = data.geom_xmat[geom].reshape(3, 3)

@@ -26,6 +26,7 @@ from kickbench.spec.problems import problems_of
 from kickbench.yamlio import Document, unreadable
 
 __all__ = [
+    "Bounds",
     "FileRef",
     "FloatList",
     "Fraction",
@@ -34,6 +35,7 @@ __all__ = [
     "NonNegativeInt",
     "PositiveFloat",
     "PositiveInt",
+    "PositiveRange",
     "Range",
     "Spec",
     "Vector3",
@@ -135,6 +137,16 @@ def _not_negative(value: tuple[float, float]) -> tuple[float, float]:
 
 NonNegativeRange = Annotated[Range, AfterValidator(_not_negative)]
 """A `Range` of numbers of at least 0."""
+
+
+def _positive(value: tuple[float, float]) -> tuple[float, float]:
+    if value[0] <= 0:
+        raise ValueError(f"expected numbers above 0, found {value[0]:g}")
+    return value
+
+
+PositiveRange = Annotated[Range, AfterValidator(_positive)]
+"""A `Range` of numbers above 0."""
 
 FileRef = Annotated[str, FileMarker()]
 """Path of a file, relative to the file that has it; made absolute and checked by `validate`."""

@@ -76,8 +76,11 @@ class AlgorithmSpec(Spec):
 class NetworkSpec(Spec):
     """Actor and critic."""
 
-    type: Literal["mlp", "equivariant"]
-    """mlp: plain. equivariant: tied weights, equivariant actor and invariant critic (thesis 3.3)."""
+    type: Literal["mlp", "equivariant", "relaxed_equivariant"]
+    """mlp: plain. equivariant: tied weights, equivariant actor and invariant critic (thesis 3.3). relaxed_equivariant:
+    the same with a small free residual in every layer (thesis 5.1)."""
+    residual_scale: PositiveFloat | None = None
+    """Scale of the relaxed network's residual against its equivariant part; the residual starts at zero."""
     actor_hidden: tuple[PositiveInt, ...] = Field(min_length=1, strict=False)
     """Width of the actor's hidden layers."""
     critic_hidden: tuple[PositiveInt, ...] = Field(min_length=1, strict=False)
@@ -94,10 +97,18 @@ class NetworkSpec(Spec):
     @model_validator(mode="after")
     def _even_widths(self) -> NetworkSpec:
         odd = [w for w in (*self.actor_hidden, *self.critic_hidden) if w % 2]
-        if self.type == "equivariant" and odd:
+        if self.type != "mlp" and odd:
             raise ValueError(
                 f"hidden widths of an equivariant network are even (regular fields); found {odd[0]}"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _residual_is_of_the_relaxed(self) -> NetworkSpec:
+        if self.type == "relaxed_equivariant" and self.residual_scale is None:
+            raise ValueError("a network of type relaxed_equivariant needs a residual_scale")
+        if self.type != "relaxed_equivariant" and self.residual_scale is not None:
+            raise ValueError(f"residual_scale is for the type relaxed_equivariant; the type is {self.type}")
         return self
 
 
@@ -106,10 +117,13 @@ class SymmetrySpec(Spec):
 
     augmentation: bool = False
     """Append the mirrored sample to every sample of a mini-batch (Mittal et al. 2024, thesis 3.2.4)."""
+    mirror_loss_coefficient: NonNegativeFloat = 0.0
+    """Weight of the mirror loss, the mean squared difference between the actor's mean on mirrored observations and
+    the mirror image of its mean on the originals (Mittal et al. 2024); 0: off."""
     symmetric_normalization: bool = False
-    """Average observation statistics over the group; always on for the equivariant network."""
+    """Average observation statistics over the group; always on for the equivariant networks."""
     tied_std: bool = False
-    """Mirrored actions share a standard deviation; always on for the equivariant network."""
+    """Mirrored actions share a standard deviation; always on for the equivariant networks."""
 
 
 class MethodSpec(Spec):

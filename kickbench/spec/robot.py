@@ -31,6 +31,8 @@ class ActuatorSpec(Spec):
     """No-load speed of a position servo, rad/s or m/s: the largest torque falls linearly from `effort` at rest to 0
     there, as a motor's does. Below it the servo's law is unchanged, save that its damping is at least
     effort / velocity_limit. Without it, the largest torque does not depend on speed."""
+    friction_loss: NonNegativeFloat | None = None
+    """Dry friction of the driven joint, N m (N on a slide); default: as in the MJCF."""
     scale: PositiveFloat
     """Action scale: target = default + scale * action, rad, m, rad/s or m/s."""
     limits: Range | None = None
@@ -44,6 +46,8 @@ class ActuatorSpec(Spec):
             raise ValueError("a position servo needs `kp` and `joint`")
         if self.kind == "velocity" and self.kp is not None:
             raise ValueError("a velocity servo has no `kp`")
+        if self.friction_loss is not None and self.joint is None:
+            raise ValueError("only a joint has a `friction_loss`")
         if self.velocity_limit is not None and self.kind != "position":
             raise ValueError("only a position servo has a `velocity_limit`")
         if self.limits is not None and self.limits[0] == self.limits[1]:
@@ -137,7 +141,8 @@ class RobotSpec(Spec):
     """A robot: an MJCF file and everything about it that is not geometry."""
 
     model: FileRef
-    """MJCF file. Its actuators, sensors and keyframes are dropped: this file defines them."""
+    """MJCF file. Of it the robot alone is used: floor, lights and cameras of its world, options, actuators, sensors and
+    keyframes are dropped, and contact priorities are the scene's."""
     base: str
     """Body whose frame carries the observations (the trunk)."""
     initial: InitialSpec = InitialSpec()

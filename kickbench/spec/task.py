@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
 from kickbench.spec.base import (
+    Bounds,
     FileRef,
     NonNegativeFloat,
     NonNegativeInt,
@@ -109,6 +111,27 @@ class TargetSampling(Spec):
     angle: Range
     """Angle from straight ahead, rad; left is positive."""
 
+    def extent(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Smallest and largest x and y of the region, m."""
+        low, high = self.angle
+        quarter = math.pi / 2
+        axes = [k * quarter for k in range(math.ceil(low / quarter), math.floor(high / quarter) + 1)]
+        points = [(r * math.cos(a), r * math.sin(a)) for r in self.distance for a in (low, high, *axes)]
+        x, y = zip(*points, strict=True)
+        return (min(x), max(x)), (min(y), max(y))
+
+
+class FieldSpec(Spec):
+    """The playing field, in the robot's start frame.
+
+    It has no walls and no lines: a ball may roll off it. Sampling regions that leave it are errors.
+    """
+
+    x: Bounds
+    """Forward extent, m."""
+    y: Bounds
+    """Lateral extent, m; left is positive."""
+
 
 class SamplingSpec(Spec):
     """Start distribution of an episode."""
@@ -156,6 +179,8 @@ class TaskSpec(Spec):
     """Ball."""
     floor: FloorSpec = FloorSpec()
     """Floor."""
+    field: FieldSpec | None = None
+    """Playing field that ball and target must start within; default: as large as the regions ask for."""
     simulation: SimulationSpec
     """Time discretisation and solver."""
     episode: EpisodeSpec
@@ -172,3 +197,8 @@ class TaskSpec(Spec):
     """Randomisation terms."""
     evaluation: EvaluationSpec
     """Evaluation protocol."""
+
+    @property
+    def seconds(self) -> float:
+        """Length of an episode that runs out of time, s."""
+        return self.episode.max_steps * self.simulation.control_interval

@@ -8,12 +8,15 @@ change here.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import Annotated, Any, Self, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Self, TypeVar
 
 from pydantic import ModelWrapValidatorHandler, PrivateAttr, model_validator
 
 from kickbench.errors import KeyPath
 from kickbench.spec.base import NameList, NonNegativeFloat, Range, Spec
+
+if TYPE_CHECKING:
+    from kickbench.spec.task import TaskSpec
 
 
 class _JointMarker:
@@ -28,6 +31,10 @@ JointNames = Annotated[NameList, _JointMarker()]
 
 class TermParams(Spec):
     """Parameters of a term; a term without parameters is written `{}`."""
+
+    def misfits(self, task: TaskSpec) -> Iterator[tuple[str, str]]:
+        """Parameters that make no sense in the task, each with the reason; a term overrides it where it has some."""
+        yield from ()
 
     def named_joints(self) -> Iterator[tuple[KeyPath, str]]:
         """Every observed joint that the parameters name, with the path of the key that names it."""

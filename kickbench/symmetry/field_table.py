@@ -5,8 +5,21 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any, Protocol, TypeVar
 
 from kickbench.symmetry.representation import Representation, direct_sum
+
+
+class _Sliceable(Protocol):
+    """A numpy array or a torch tensor; this module knows neither."""
+
+    @property
+    def shape(self) -> Any: ...
+
+    def __getitem__(self, index: Any, /) -> Any: ...
+
+
+Array = TypeVar("Array", bound=_Sliceable)
 
 
 @dataclass(frozen=True)
@@ -73,6 +86,16 @@ class FieldTable:
         """Representation of one field."""
         self.slice(name)  # for its error message
         return dict(self.fields)[name]
+
+    def split(self, vector: Array) -> dict[str, Array]:
+        """The fields of ``vector [..., dim]`` by name, as views ``[..., field dim]``.
+
+        Raises:
+            ValueError: If the last axis has another length.
+        """
+        if vector.shape[-1] != self.dim:
+            raise ValueError(f"a vector of {vector.shape[-1]} numbers, but the fields have {self.dim}")
+        return {name: vector[..., where] for name, where in self.slices.items()}
 
     def lines(self) -> tuple[str, ...]:
         """The table for people: one line a field with its range, dimension and representation."""

@@ -15,12 +15,14 @@ numpy only: specifications, the audit and the networks all read the same tables.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
+
+from kickbench.symmetry.group import C2
 
 
 class Multiplicities(NamedTuple):
@@ -128,29 +130,79 @@ class Representation:
     def isotypic(self) -> tuple[np.ndarray, np.ndarray]:
         r"""Orthonormal bases of the subspaces on which s acts as +1 and as -1.
 
-        A pair with sign c spans :math:`(e_i + c\,e_j)/\sqrt2` (even) and :math:`(e_i - c\,e_j)/\sqrt2` (odd);
-        a fixed coordinate is even or odd by its sign. Columns follow the order of :meth:`orbits`.
+        Each orbit's first unit vector is projected on every irreducible representation :math:`\chi` of the group,
+        :math:`\sum_g \chi(g)\rho(g) e_i`, and normalised. So a pair with sign c spans :math:`(e_i + c\,e_j)/\sqrt2`
+        (even) and :math:`(e_i - c\,e_j)/\sqrt2` (odd); a fixed coordinate is even or odd by its sign. Columns follow
+        the order of :meth:`orbits`.
 
         Returns:
             ``[dim, n_even]`` and ``[dim, n_odd]``; together their columns are an orthonormal basis of the
             space.
         """
-        even, odd = [], []
-        unit = np.eye(self.dim)
-        for orbit in self.orbits():
-            sign = self.signs[orbit[0]]
-            if len(orbit) == 1:
-                (even if sign == 1 else odd).append(unit[orbit[0]])
-            else:
-                left, right = unit[orbit[0]], sign * unit[orbit[1]]
-                even.append((left + right) / np.sqrt(2.0))
-                odd.append((left - right) / np.sqrt(2.0))
+        images = np.stack([np.eye(self.dim), self.matrix()])  # rho(g), in the order of the group's elements
+        even, odd = (
+            [images[:, :, orbit[0]].T @ np.array(character) for orbit in self.orbits()]
+            for character in C2.characters.values()
+        )
         return _columns(even, self.dim), _columns(odd, self.dim)
+
+    def change_of_basis(self) -> np.ndarray:
+        r"""Orthogonal matrix T ``[dim, dim]`` to the isotypic (sum and difference) coordinates: y = T x, x = T^T y.
+
+        In them the mirror is diagonal, :math:`T \rho(s) T^T = \mathrm{diag}(1, \dots, -1, \dots)`: even coordinates
+        first, then the odd ones, each in the order of :meth:`orbits`.
+        """
+        return np.hstack(self.isotypic()).T
+
+    def isotypic_form(self) -> Representation:
+        """The same representation in isotypic coordinates: trivial ones, then signs.
+
+        Two representations are equivalent, one the other in another basis, exactly if their forms are equal.
+        """
+        even, odd = (basis.shape[1] for basis in self.isotypic())
+        return Representation(tuple(range(self.dim)), (1,) * even + (-1,) * odd)
 
     def multiplicities(self) -> Multiplicities:
         """Number of trivial, sign, regular and regular_sign summands."""
         kinds = [(len(orbit), self.signs[orbit[0]]) for orbit in self.orbits()]
         return Multiplicities(*(kinds.count(kind) for kind in ((1, 1), (1, -1), (2, 1), (2, -1))))
+
+    def describe(self, names: Sequence[str] | None = None) -> tuple[str, ...]:
+        """One line an orbit: ``x -> x``, ``y -> -y``, ``left <-> right``, ``left <-> -right``.
+
+        Args:
+            names: Names of the coordinates; default: ``x0``, ``x1``, ...
+
+        Raises:
+            ValueError: If there is not one name a coordinate.
+        """
+        names = self._named(names)
+        arrows = {1: "->", 2: "<->"}
+        return tuple(
+            f"{names[orbit[0]]} {arrows[len(orbit)]} {'-' if self.signs[orbit[0]] < 0 else ''}{names[orbit[-1]]}"
+            for orbit in self.orbits()
+        )
+
+    def describe_isotypic(self, names: Sequence[str] | None = None) -> tuple[str, ...]:
+        """One line a coordinate of the isotypic form, in the order of :meth:`change_of_basis`.
+
+        ``even: (left + right)/sqrt2``, ``odd: y``; arguments and errors as for :meth:`describe`.
+        """
+        names = self._named(names)
+        lines = []
+        for parity, basis in zip(C2.characters, self.isotypic(), strict=True):
+            for column in basis.T.tolist():
+                places = [i for i, value in enumerate(column) if value]
+                terms = "".join(f" {'-' if column[i] < 0 else '+'} {names[i]}" for i in places)[3:]
+                lines.append(f"{parity}: {terms if len(places) == 1 else f'({terms})/sqrt{len(places)}'}")
+        return tuple(lines)
+
+    def _named(self, names: Sequence[str] | None) -> Sequence[str]:
+        if names is None:
+            return [f"x{i}" for i in range(self.dim)]
+        if len(names) != self.dim:
+            raise ValueError(f"{len(names)} names for {self.dim} coordinates")
+        return names
 
     def __str__(self) -> str:
         counts = self.multiplicities()._asdict()
@@ -158,7 +210,10 @@ class Representation:
 
 
 def _columns(vectors: list[np.ndarray], dim: int) -> np.ndarray:
-    return np.stack(vectors, axis=1) if vectors else np.zeros((dim, 0))
+    """Those of the vectors ``[dim]`` that are not zero, normalised, as columns."""
+    lengths = [np.linalg.norm(vector) for vector in vectors]
+    kept = [vector / length for vector, length in zip(vectors, lengths, strict=True) if length]
+    return np.stack(kept, axis=1) if kept else np.zeros((dim, 0))
 
 
 def direct_sum(representations: Iterable[Representation]) -> Representation:

@@ -1,8 +1,10 @@
-"""Checkpoints: everything a training needs to go on, in tensors and plain numbers (never unpickled code)."""
+"""Checkpoints and policies as files: tensors and plain values, never unpickled code."""
 
 from __future__ import annotations
 
 import io
+import sys
+import zipfile
 from pathlib import Path
 from pickle import UnpicklingError
 from typing import Any
@@ -10,31 +12,67 @@ from typing import Any
 import torch
 from rsl_rl.models import MLPModel
 
-from kickbench.env import KickEnv
-from kickbench.errors import KickbenchError
+from kickbench.errors import KickbenchError, shown
 from kickbench.results.atomic import atomic_write_bytes
-from kickbench.train.ppo import BoundedPPO
 
-FORMAT = 1
-"""Version of the files' layout."""
+FORMAT = 2
+"""Version of a checkpoint's layout."""
+_POLICY_FORMAT = 1
 
 
-def save_checkpoint(path: Path, ppo: BoundedPPO, env: KickEnv, iteration: int) -> None:
-    """Writes models, optimiser, learning rate, random states and counters, atomically."""
-    content = {
-        "format": FORMAT,
-        "iteration": iteration,
-        **ppo.save(),
-        "learning_rate": ppo.learning_rate,
-        "torch_rng": torch.get_rng_state(),
-        "env_rng": env.generator.get_state(),
-    }
-    _write(path, content)
+class Checkpoints:
+    """The last two checkpoints of a run, files named by the iterations done.
+
+    A checkpoint appears whole or not at all, and the one before stays beside it: if the newer cannot be read, a
+    run goes on from the older.
+    """
+
+    _KEPT = 2
+
+    def __init__(self, folder: Path) -> None:
+        """Remembers the folder, which is made with the first checkpoint."""
+        self.folder = Path(folder)
+
+    def save(self, iteration: int, state: dict[str, Any]) -> None:
+        """Writes a checkpoint, then removes all but the last two.
+
+        Those of later iterations go too: they were damaged, and the run has been taken up before them.
+        """
+        _write(self.folder / f"iteration_{iteration:06d}.pt", {"format": FORMAT, **state})
+        older = [file for file in self.files() if _iteration(file) <= iteration]
+        for file in set(self.files()) - set(older[-self._KEPT :]):
+            file.unlink(missing_ok=True)
+
+    def files(self) -> list[Path]:
+        """The checkpoints, in the order of their iterations."""
+        return sorted(self.folder.glob("iteration_*.pt"), key=_iteration)
+
+    def load(self) -> dict[str, Any] | None:
+        """Reads the newest checkpoint that is whole, None if there are no checkpoints; a damaged one is reported.
+
+        Raises:
+            KickbenchError: There are some and all are damaged, or the newest is of another version.
+        """
+        files = self.files()
+        for file in reversed(files):
+            try:
+                state = _read(file)
+            # Whatever goes wrong in reading means that the file is damaged, and damage takes every shape.
+            except Exception as error:
+                print(f"{shown(file)}: damaged, it is left out: {error}", file=sys.stderr)
+                continue
+            if state.get("format") != FORMAT:
+                found = f"format {state.get('format')}"
+                raise KickbenchError(f"{shown(file)}: {found}; this version of kickbench reads {FORMAT}")
+            return state
+        if files:
+            raise KickbenchError(f"{shown(self.folder)}: every checkpoint is damaged")
+        return None
 
 
 def save_policy(path: Path, policy: MLPModel) -> None:
     """Writes the policy alone: normaliser, network and standard deviation."""
-    _write(path, {"format": FORMAT, "actor_state_dict": policy.state_dict()})
+    _write(path, {"format": _POLICY_FORMAT, "actor_state_dict": policy.state_dict()})
 
 
 def load_policy(path: Path, policy: MLPModel) -> None:
@@ -53,7 +91,23 @@ def load_policy(path: Path, policy: MLPModel) -> None:
     policy.eval()
 
 
+def _iteration(file: Path) -> int:
+    digits = file.stem.removeprefix("iteration_")
+    return int(digits) if digits.isdecimal() else -1
+
+
 def _write(path: Path, content: dict[str, Any]) -> None:
     buffer = io.BytesIO()
     torch.save(content, buffer)
     atomic_write_bytes(path, buffer.getvalue())
+
+
+def _read(path: Path) -> dict[str, Any]:
+    data = io.BytesIO(path.read_bytes())
+    # torch writes check sums, and does not look at them when it reads.
+    with zipfile.ZipFile(data) as archive:
+        wrong = archive.testzip()
+    if wrong is not None:
+        raise ValueError(f"the check sum of {wrong} is wrong")
+    data.seek(0)
+    return torch.load(data, weights_only=True, map_location="cpu")

@@ -13,9 +13,10 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from kickbench.experiment import Experiment
+from kickbench.experiment import Symmetry as Reflection
 from kickbench.nets.augmentation import Augmentation
 from kickbench.nets.build import build_actor, build_critic
-from kickbench.spec.method import AlgorithmSpec
+from kickbench.spec.method import AlgorithmSpec, SymmetrySpec
 
 
 class BoundedPPO(PPO):
@@ -58,11 +59,23 @@ def build_ppo(experiment: Experiment, observations: TensorDict, device: torch.de
     envs, actions = observations.batch_size[0], symmetry.actions.dim
     storage = RolloutStorage("rl", envs, settings.steps_per_env, observations, [actions], str(device))
     ppo = BoundedPPO(actor, critic, storage, device=str(device), **_settings(settings))
-    if method.symmetry.augmentation:
-        tables = {name: table.representation for name, table in symmetry.groups.items()}
-        augment = Augmentation(tables, symmetry.actions)
-        ppo.symmetry = _AugmentationOnly(None, augment, use_data_augmentation=True)  # type: ignore[arg-type]
+    ppo.symmetry = _build_symmetry(method.symmetry, symmetry)
     return ppo
+
+
+def _build_symmetry(spec: SymmetrySpec, reflection: Reflection) -> Symmetry | None:
+    """rsl_rl's extension with what the method asks for: mirrored samples, the mirror loss, both or nothing."""
+    if not spec.augmentation and not spec.mirror_loss_coefficient:
+        return None
+    tables = {name: table.representation for name, table in reflection.groups.items()}
+    extension = Symmetry if spec.mirror_loss_coefficient else _AugmentationOnly
+    return extension(
+        None,  # type: ignore[arg-type]
+        Augmentation(tables, reflection.actions),
+        use_data_augmentation=spec.augmentation,
+        use_mirror_loss=spec.mirror_loss_coefficient > 0.0,
+        mirror_loss_coeff=spec.mirror_loss_coefficient,
+    )
 
 
 def _settings(spec: AlgorithmSpec) -> dict[str, Any]:

@@ -10,7 +10,7 @@ import math
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol, TextIO
 
@@ -37,6 +37,7 @@ class IterationRecord:
         collect_seconds: wall-clock time of collecting [s].
         update_seconds: wall-clock time of the update [s].
         resets_nonfinite: worlds reset in this iteration because their state was not finite.
+        residual_shares: share of the asymmetric residual in the norm of a relaxed network's weights, by network.
     """
 
     iteration: int
@@ -54,6 +55,7 @@ class IterationRecord:
     collect_seconds: float
     update_seconds: float
     resets_nonfinite: int
+    residual_shares: Mapping[str, float] = field(default_factory=dict)
 
 
 class Progress(Protocol):

@@ -38,6 +38,7 @@ def flatten(record: IterationRecord) -> dict[str, float]:
         "reward": record.rewards,
         "reward_raw": record.rewards_raw,
         "loss": record.losses,
+        "residual_share": record.residual_shares,
     }
     for group, values in groups.items():
         flat.update({f"{group}/{name}": value for name, value in values.items()})
@@ -100,14 +101,14 @@ class TensorBoardProgress:
         self._writer: Any = None
 
     def start(self, total_iterations: int, first_iteration: int) -> None:
-        """Open an event file; on a resume, events from `first_iteration` on are purged."""
+        """Open an event file; events from `first_iteration` on that a killed run has left are purged."""
         try:
             # Slow to import, and not needed by anything else.
             from torch.utils.tensorboard.writer import SummaryWriter
         except ImportError:
             print("tensorboard is not installed: no event files are written", file=sys.stderr)
             return
-        self._writer = SummaryWriter(str(self._folder), purge_step=first_iteration or None)
+        self._writer = SummaryWriter(str(self._folder), purge_step=first_iteration)
 
     def update(self, record: IterationRecord) -> None:
         """Write one scalar for each figure that is a number; a rate that is not known yet is left out."""
@@ -116,6 +117,8 @@ class TensorBoardProgress:
         for name, value in flatten(record).items():
             if name != "iteration" and not math.isnan(value):
                 self._writer.add_scalar(name if "/" in name else f"train/{name}", value, record.iteration)
+        # A process that is killed later leaves what it has told, as in the table.
+        self._writer.flush()
 
     def close(self) -> None:
         """Write out what is buffered and close the event file."""

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -12,10 +13,13 @@ from torch import Tensor
 from kickbench.env import KickEnv
 from kickbench.errors import KickbenchError
 from kickbench.experiment import Experiment
+from kickbench.nets.relaxed import residual_share
 from kickbench.nets.threads import torch_threads
-from kickbench.train.checkpoint import save_checkpoint
+from kickbench.results.history import RunHistory
+from kickbench.train.checkpoint import Checkpoints
 from kickbench.train.ppo import BoundedPPO, build_ppo
 from kickbench.train.progress import IterationRecord, Progress
+from kickbench.train.stop import StopRequest
 
 
 @dataclass(frozen=True)
@@ -23,29 +27,38 @@ class TrainingResult:
     """How a training ended.
 
     Attributes:
-        iterations: Iterations done.
-        env_steps: Control steps done, over all worlds.
-        seconds: Wall-clock time, s.
+        iterations: Iterations done and kept, those before a resume included.
+        env_steps: Their control steps, over all worlds.
+        seconds: Their wall-clock time, s.
+        horizon: Iterations over which the method's schedules run.
         interrupted: It was stopped by the keyboard.
     """
 
     iterations: int
     env_steps: int
     seconds: float
+    horizon: int
     interrupted: bool
 
 
 class Trainer:
-    """Trains one experiment with one seed."""
+    """Trains one experiment with one seed.
+
+    Its state between two iterations is all there is: N iterations, a checkpoint, and M iterations in another
+    process give the very bits of N + M iterations on the CPU (at the same number of update threads; the time that
+    things took differs, of course).
+    """
 
     def __init__(
         self,
         experiment: Experiment,
         env: KickEnv,
         progress: Progress,
-        checkpoint: Path,
+        checkpoints: Checkpoints,
+        history: RunHistory,
         update_threads: int = 1,
         checkpoint_every: int = 50,
+        checkpoint_seconds: float = 300.0,
     ) -> None:
         """Builds the networks; seed torch before.
 
@@ -53,15 +66,20 @@ class Trainer:
             experiment: What to train.
             env: Environments, already seeded.
             progress: Told after every iteration.
-            checkpoint: File that holds everything needed to go on; rewritten now and then and at the end.
+            checkpoints: Where everything needed to go on is kept, at the start, now and then, and at the end.
+            history: What the run is and how it was made; kept in the checkpoints.
             update_threads: Threads of torch during updates; collecting takes one.
-            checkpoint_every: Iterations between two checkpoints.
+            checkpoint_every: Iterations between two checkpoints, at most.
+            checkpoint_seconds: Time between two checkpoints, at most (to the end of an iteration), s.
         """
         self.experiment, self.env, self.progress = experiment, env, progress
         self.ppo: BoundedPPO = build_ppo(experiment, env.get_observations(), torch.device(env.device))
         self.iteration = 0
         self._update_threads = update_threads
-        self._checkpoint, self._every = checkpoint, checkpoint_every
+        self._horizon, self._seconds = 0, 0.0
+        self._checkpoints, self._history = checkpoints, history
+        self._every = (checkpoint_every, checkpoint_seconds)
+        self._kept: TrainingResult | None = None
         self._steps_per_iteration = experiment.method.spec.algorithm.steps_per_env * env.num_envs
 
     @property
@@ -70,32 +88,89 @@ class Trainer:
         return self.iteration * self._steps_per_iteration
 
     def train(self, iterations: int) -> TrainingResult:
-        """Trains until `iterations` are done in all. Ctrl-C ends it cleanly after saving a checkpoint."""
-        started, interrupted = time.perf_counter(), False
+        """Trains until `iterations` are done in all.
+
+        The method's schedules run over the iterations that the first call asked for, and end at their last value:
+        a run that is extended keeps what it has already annealed.
+
+        Ctrl-C ends the training after the present iteration, with a checkpoint; pressed again, at once, and the
+        last checkpoint counts.
+        """
+        self._horizon = self._horizon or iterations
+        if self.iteration >= iterations:
+            return self._result()
+        interrupted, self._clock = False, time.perf_counter()
+        if self.iteration == 0:
+            self.save()
         self.progress.start(iterations, self.iteration)
         self.ppo.train_mode()
         try:
-            while self.iteration < iterations:
-                self._anneal(iterations)
-                self._iterate()
-                if self.iteration % self._every == 0:
-                    self.save()
+            with StopRequest() as stop:
+                while self.iteration < iterations and not stop.requested:
+                    self._anneal()
+                    self._iterate()
+                    self._count_time()
+                    if self._is_due() or stop.requested or self.iteration == iterations:
+                        self.save()
+                interrupted = stop.requested
         except KeyboardInterrupt:
             interrupted = True
         finally:
             self.progress.close()
-        self.save()
-        seconds = time.perf_counter() - started
-        return TrainingResult(self.iteration, self.env_steps, seconds, interrupted)
+        assert self._kept is not None
+        return replace(self._kept, interrupted=interrupted)
 
     def save(self) -> None:
-        """Writes the checkpoint, atomically."""
-        save_checkpoint(self._checkpoint, self.ppo, self.env, self.iteration)
+        """Writes a checkpoint."""
+        self._checkpoints.save(self.iteration, self.state_dict())
+        self._kept, self._kept_at = self._result(), time.monotonic()
 
-    def _anneal(self, iterations: int) -> None:
+    def state_dict(self) -> dict[str, Any]:
+        """Everything that later iterations depend on, and what the run is: tensors and plain values."""
+        return {
+            "run": self._history.state_dict(self.env_steps),
+            "iteration": self.iteration,
+            "horizon": self._horizon,
+            "seconds": self._seconds,
+            "learner": {**self.ppo.save(), "learning_rate": self.ppo.learning_rate},
+            "rng": _rng_states(self.env.device),
+            "env": self.env.state_dict(),
+        }
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Goes to where another trainer of the same experiment was.
+
+        Raises:
+            KickbenchError: The state is that of another experiment or of another version of kickbench.
+        """
+        try:
+            learner = dict(state["learner"])
+            self.ppo.load(learner, None, strict=True)
+            self.ppo.learning_rate = learner["learning_rate"]
+            self.env.load_state_dict(state["env"])
+            self.iteration, self._horizon, self._seconds = (
+                state[key] for key in ("iteration", "horizon", "seconds")
+            )
+            _set_rng_states(state["rng"], self.env.device)
+        except (LookupError, RuntimeError, TypeError, ValueError) as error:
+            raise KickbenchError(f"the checkpoint is not one of this experiment: {error}") from error
+        self._kept, self._kept_at = self._result(), time.monotonic()
+
+    def _result(self) -> TrainingResult:
+        return TrainingResult(self.iteration, self.env_steps, self._seconds, self._horizon, False)
+
+    def _count_time(self) -> None:
+        now = time.perf_counter()
+        self._seconds, self._clock = self._seconds + now - self._clock, now
+
+    def _is_due(self) -> bool:
+        iterations, seconds = self._every
+        return self.iteration % iterations == 0 or time.monotonic() - self._kept_at >= seconds
+
+    def _anneal(self) -> None:
         spec = self.experiment.method.spec.algorithm
         if spec.final_desired_kl is not None:
-            fraction = self.iteration / max(iterations - 1, 1)
+            fraction = min(self.iteration / max(self._horizon - 1, 1), 1.0)
             self.ppo.desired_kl = spec.desired_kl + fraction * (spec.final_desired_kl - spec.desired_kl)
 
     def _iterate(self) -> None:
@@ -151,4 +226,22 @@ class Trainer:
             collect_seconds=collect,
             update_seconds=update,
             resets_nonfinite=int(finished.failures),
+            residual_shares=self._residual_shares(),
         )
+
+    def _residual_shares(self) -> dict[str, float]:
+        networks = {"actor": self.ppo.get_policy(), "critic": self.ppo.critic}
+        shares = {name: residual_share(network) for name, network in networks.items()}
+        return {name: float(share) for name, share in shares.items() if share is not None}
+
+
+def _rng_states(device: torch.device) -> dict[str, Tensor]:
+    """States of torch's own generators, which draw actions and mini-batches."""
+    states = {"cpu": torch.get_rng_state()}
+    return states | {"cuda": torch.cuda.get_rng_state(device)} if device.type == "cuda" else states
+
+
+def _set_rng_states(states: Mapping[str, Tensor], device: torch.device) -> None:
+    torch.set_rng_state(states["cpu"])
+    if device.type == "cuda":
+        torch.cuda.set_rng_state(states["cuda"], device)

@@ -26,5 +26,4 @@ def describe_start(ball: np.ndarray, target: np.ndarray) -> str:
         target: Position of the target [2], m.
     """
     distance, angle = math.hypot(*target), math.degrees(math.atan2(target[1], target[0]))
-    words = f"ball ({ball[0]:.2f}, {ball[1]:+.2f}) m, target {distance:.2f} m at {angle:+.0f}°"
-    return words.replace("-", "−")
+    return f"ball ({ball[0]:.2f}, {ball[1]:+.2f}) m, target {distance:.2f} m at {angle:+.0f}°"

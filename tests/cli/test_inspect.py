@@ -239,3 +239,17 @@ def test_list_of_a_folder_that_does_not_exist_is_an_error(place, capsys):
 def test_a_table_of_no_runs_is_an_error(place, capsys):
     assert main(["table", "runs"]) == 2
     assert capsys.readouterr().err == "no finished run in runs\n"
+
+
+def test_show_fields_prints_how_everything_that_is_seen_and_done_mirrors(printed):
+    text = printed("show", "tasks/mini_home_field.yaml", "--fields", "methods/mini/equivariant.yaml")
+    observed, criticised, actions, isotypic = text.split("\n\n")
+    assert re.search(r"^ball_position +6:9 +3  2 trivial \+ 1 sign$", observed, re.MULTILINE)
+    assert re.search(r"^total +0:39 ", criticised, re.MULTILINE)
+    assert "left_hip_yaw <-> -right_hip_yaw" in actions.splitlines()
+    assert "odd: (left_hip_yaw + right_hip_yaw)/sqrt2" in isotypic.splitlines()
+
+
+def test_show_fields_of_a_missing_method_is_an_error_that_names_it(capsys):
+    assert main(["show", "tasks/mini_home_field.yaml", "--fields", "methods/mini/equivariantt.yaml"]) == 2
+    assert "did you mean 'equivariant.yaml'" in capsys.readouterr().err

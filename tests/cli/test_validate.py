@@ -12,6 +12,7 @@ import pytest
 from kickbench.cli import main
 
 TASK, HOME = "tasks/mini_general.yaml", "tasks/mini_home_field.yaml"
+K1 = "tasks/k1_general.yaml"
 ROBOT, XML = "assets/mini_kicker/robot.yaml", "assets/mini_kicker/mini_kicker.xml"
 BASELINE, EQUIVARIANT = "methods/mini/baseline.yaml", "methods/mini/equivariant.yaml"
 TABLE = "methods/representations/mini_kicker.yaml"
@@ -53,8 +54,8 @@ MALFORMED = {
         [HOME],
         (HOME, "sampling:", "samplings:"),
         (HOME, "¦samplings:"),
-        "samplings: unknown key 'samplings'; expected one of: description, robot, ball, floor, simulation, episode, "
-        "sampling, observations, rewards, terminations, randomization, evaluation (did you mean 'sampling'?)",
+        "samplings: unknown key 'samplings'; expected one of: description, robot, ball, floor, field, simulation, "
+        "episode, sampling, observations, rewards, terminations, randomization, evaluation (did you mean 'sampling'?)",
     ),
     "wrong type": Case(
         [TASK],
@@ -243,6 +244,80 @@ MALFORMED = {
         (TASK, "control_interval: 0.02 ", "control_interval: 0.022 "),
         (TASK, "\n¦simulation:"),
         "simulation: control_interval 0.022 s is not a whole multiple of timestep 0.005 s (ratio 4.4)",
+    ),
+    "time step that does not divide the control interval": Case(
+        [K1],
+        (K1, "  timestep: 0.002 ", "  timestep: 0.003 "),
+        (K1, "\n¦simulation:"),
+        "simulation: control_interval 0.02 s is not a whole multiple of timestep 0.003 s (ratio 6.66667)",
+    ),
+    "region without a valid start": Case(
+        [K1],
+        (K1, "    x: [0.15, 1.0]                 # m\n    y: [-0.5, 0.5]", "    x: 0.0\n    y: [-0.1, 0.1]"),
+        (K1, "  ¦ball:                            # 3.1"),
+        "sampling.ball: the ball would overlap the robot everywhere in this region "
+        "(at least 10 % of it must be clear of the robot in its default pose)",
+    ),
+    "region with little room": Case(
+        [K1],
+        (K1, "    x: [0.15, 1.0]                 # m\n    y: [-0.5, 0.5]", "    x: [-0.05, 0.2]\n    y: [-0.12, 0.12]"),
+        (K1, "  ¦ball:                            # 3.1"),
+        "sampling.ball: the ball would overlap the robot in 95 % of this region",
+    ),
+    "delay in milliseconds": Case(
+        [K1],
+        (K1, "delay: [0.010, 0.040]", "delay: [10, 40]"),
+        (K1, "{¦delay: [10, 40]"),
+        "randomization.action_delay.delay: a delay of 40 s outlasts the episode of 8 s: commands would never act",
+    ),
+    "delay that holds no physics step": Case(
+        [K1],
+        (K1, "delay: [0.010, 0.040]", "delay: [0.0105, 0.0115]"),
+        (K1, "{¦delay: [0.0105"),
+        "randomization.action_delay.delay: no multiple of the time step of 0.002 s lies between 0.0105 and 0.0115 s",
+    ),
+    "target off the field": Case(
+        [K1],
+        (K1, "\nepisode: ", "\nfield: {x: [-1.0, 8.0], y: [-6.0, 6.0]}\nepisode: "),
+        (K1, "  ¦target:                          # 4.2.1"),
+        "sampling.target: the target may lie off the field: x from 1.35076 to 8.5 m (the field's x is [-1, 8])",
+    ),
+    "ball off the field": Case(
+        [HOME],
+        (HOME, "\nsampling:", "\nfield: {x: [0.3, 9.0], y: [-9.0, 9.0]}\nsampling:"),
+        (TASK, "¦x: [0.25, 0.55]"),
+        "sampling.ball.x: the ball may lie off the field: x from 0.25 to 0.55 m (the field's x is [0.3, 9])",
+    ),
+    "field turned inside out": Case(
+        [HOME],
+        (HOME, "\nsampling:", "\nfield: {x: [9.0, 0.0], y: [-9.0, 9.0]}\nsampling:"),
+        (HOME, "x: ¦[9.0, 0.0]"),
+        "field.x: the range [9.0, 0.0] is reversed: low must be less than high",
+    ),
+    "factor of hardware that is not positive": Case(
+        [K1],
+        (K1, "\nrandomization: ", "\nrandomization:\n  link_mass: {left: [0.0, 1.0]}\n#"),
+        (K1, "left: ¦[0.0, 1.0]"),
+        "randomization.link_mass.left: expected numbers above 0, found 0",
+    ),
+    "joint that the robot lacks, in a reward": Case(
+        [K1],
+        (K1, "left: ALeft_Shoulder_Pitch", "left: Left_Shoulder_Pitch"),
+        (K1, "¦left: Left_Shoulder_Pitch"),
+        "rewards.arm_swing.left: the robot robot.yaml drives no joint 'Left_Shoulder_Pitch' "
+        "(did you mean 'ALeft_Shoulder_Pitch'?)",
+    ),
+    "negative mass of the ball": Case(
+        [K1],
+        (K1, "  mass: 0.1 ", "  mass: -0.1 "),
+        (K1, "mass: ¦-0.1"),
+        "ball.mass: expected a number greater than 0, found the number -0.1",
+    ),
+    "negative mass in the MJCF": Case(
+        [TASK],
+        (XML, 'mass="0.3"', 'mass="-0.3"'),
+        (ROBOT, "\n¦model:"),
+        "model: MuJoCo cannot compile the scene of this model: Error: mass, inertia or density are negative",
     ),
     "odd width of an equivariant network": Case(
         [EQUIVARIANT],

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from kickbench.mdp.delay import ActionDelay
+from kickbench.mdp.delay import ActionDelay, whole_steps
 
 
 def make_delay(
@@ -69,3 +69,17 @@ def test_a_reset_forgets_the_commands_of_its_worlds_only():
     seen = delay(torch.full((2, 1), 9.0))[:, :, 0]
     assert seen[0].tolist() == [0, 0, 0, 0]
     assert seen[1].tolist() == [3, 3, 3, 3]
+
+
+@pytest.mark.parametrize(
+    ("delay", "timestep", "steps"),
+    [
+        ((0.010, 0.040), 0.002, (5, 20)),
+        ((0.010, 0.040), 0.005, (2, 8)),
+        ((0.010, 0.040), 0.004, (3, 10)),
+        ((0.0, 0.0), 0.005, (0, 0)),
+        ((0.011, 0.014), 0.005, (3, 2)),
+    ],
+)
+def test_lags_lie_within_the_range_whatever_the_time_step(delay, timestep, steps):
+    assert whole_steps(delay, timestep) == steps

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from kickbench.mdp.catalog import catalog
-from kickbench.mdp.starts import Starts, StartSampler, with_foot_friction
+from kickbench.mdp.starts import Starts, StartSampler, free_share, overlaps
 from kickbench.spec.task import BallSampling, BallSpec, SamplingSpec, TargetSampling
 from kickbench.symmetry.torch_ops import Mirror
 
@@ -97,13 +97,13 @@ def test_starts_are_float64_so_that_mirror_images_are_exact(sample):
 
 
 def test_friction_is_as_compiled_without_randomisation(sample):
-    assert sample(count=2).foot_friction is None
+    assert sample(count=2).by_side == {}
 
 
 def test_friction_is_drawn_for_each_foot_and_episode(sample):
     params = FRICTION.params(range=(0.3, 1.2))
     starts = sample(randomizers=(lambda starts, draw: FRICTION.function(starts, params, draw),))
-    left, right = starts.foot_friction.numpy().T
+    left, right = starts.by_side["foot_friction"].numpy().T
     assert_fills(left, 0.3, 1.2)
     assert_fills(right, 0.3, 1.2)
     assert abs(np.corrcoef(left, right)[0, 1]) < 0.15
@@ -126,14 +126,22 @@ def moving(sample) -> Starts:
     moved = Starts(
         starts.qpos + noise(starts.qpos), starts.qvel + noise(starts.qvel), starts.target, starts.joints
     )
-    return with_foot_friction(moved, 1.0 + noise(starts.target))
+    factors = torch.stack([1.0 + noise(starts.target[:, 0]) for _ in range(3)], dim=1)
+    return moved.varied("foot_friction", 1.0 + noise(starts.target)).varied("link_mass", factors)
+
+
+FIELDS = ("qpos", "qvel", "target", "foot_friction", "link_mass")
+
+
+def part(starts: Starts, name: str) -> torch.Tensor:
+    return starts.by_side[name] if name in starts.by_side else getattr(starts, name)
 
 
 def test_mirroring_twice_gives_the_start_back_bit_for_bit(moving, mirror):
     back = mirror(mirror(moving))
-    for name in ("qpos", "qvel", "target", "foot_friction"):
-        assert torch.equal(getattr(back, name), getattr(moving, name)), name
-        assert not torch.equal(getattr(mirror(moving), name), getattr(moving, name)), name
+    for name in FIELDS:
+        assert torch.equal(part(back, name), part(moving, name)), name
+        assert not torch.equal(part(mirror(moving), name), part(moving, name)), name
 
 
 def test_the_mirror_image_has_ball_and_target_on_the_other_side(moving, mirror, mini):
@@ -142,8 +150,9 @@ def test_the_mirror_image_has_ball_and_target_on_the_other_side(moving, mirror, 
     assert image.target.numpy() == pytest.approx(moving.target.numpy() * [1, -1])
 
 
-def test_the_mirror_image_swaps_the_friction_of_the_feet(moving, mirror):
-    assert torch.equal(mirror(moving).foot_friction, moving.foot_friction[:, [1, 0]])
+def test_the_mirror_image_swaps_what_differs_by_side_and_keeps_the_middle(moving, mirror):
+    assert torch.equal(part(mirror(moving), "foot_friction"), part(moving, "foot_friction")[:, [1, 0]])
+    assert torch.equal(part(mirror(moving), "link_mass"), part(moving, "link_mass")[:, [1, 0, 2]])
 
 
 def test_the_mirror_image_swaps_the_legs(moving, mirror, mini):
@@ -156,11 +165,32 @@ def test_the_mirror_image_swaps_the_legs(moving, mirror, mini):
 def test_rows_can_be_taken_in_any_order(moving):
     taken = moving.take(torch.tensor([3, 0, 3]))
     assert len(taken) == 3
-    for name in ("qpos", "qvel", "target", "foot_friction"):
-        assert torch.equal(getattr(taken, name)[0], getattr(moving, name)[3])
-        assert torch.equal(getattr(taken, name)[1], getattr(moving, name)[0])
-    assert moving.take(torch.tensor([1])).foot_friction.shape == (1, 2)
+    for name in FIELDS:
+        assert torch.equal(part(taken, name)[0], part(moving, name)[3])
+        assert torch.equal(part(taken, name)[1], part(moving, name)[0])
+    assert part(moving.take(torch.tensor([1])), "foot_friction").shape == (1, 2)
 
 
 def test_rows_without_friction_stay_without(sample):
-    assert sample(count=3).take(torch.tensor([2])).foot_friction is None
+    assert sample(count=3).take(torch.tensor([2])).by_side == {}
+
+
+# Regions that the robot stands in
+
+
+def test_no_ball_overlaps_the_robot_though_most_of_its_region_does(sample, mini):
+    crowded = region(x=(-0.1, 0.2), y=(-0.24, 0.24))
+    obstacles = torch.as_tensor(mini.scene.layout.obstacles)
+    assert 0.1 < free_share(crowded.ball, obstacles, 0.08) < 0.25
+    x, y = torch.as_tensor(ball(sample(crowded, count=20_000), mini)[:, :2]).T
+    assert not overlaps(x, y, obstacles, 0.08).any()
+
+
+def test_the_free_share_is_that_of_random_places(sample, mini):
+    obstacles = torch.as_tensor(mini.scene.layout.obstacles)
+    for bounds in (((-0.1, 0.3), (-0.3, 0.3)), ((0.0, 0.2), (0.0, 0.1)), ((0.25, 0.5), (-0.3, 0.3))):
+        ball = BallSampling(x=bounds[0], y=bounds[1])
+        unit = torch.rand(2, 40_000, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+        x, y = (low + (high - low) * u for (low, high), u in zip(bounds, unit, strict=True))
+        free = 1.0 - float(overlaps(x, y, obstacles, 0.08).double().mean())
+        assert free_share(ball, obstacles, 0.08) == pytest.approx(free, abs=0.02)

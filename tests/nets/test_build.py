@@ -9,6 +9,7 @@ from kickbench.nets.build import build_actor, build_critic
 from kickbench.nets.distribution import TiedGaussianDistribution
 from kickbench.nets.models import EquivariantModel
 from kickbench.nets.normalizer import SymmetricNormalization
+from kickbench.nets.relaxed import residual_share
 
 
 def networks(chosen):
@@ -38,6 +39,15 @@ def test_the_equivariant_method_has_all_of_it(experiment):
     assert isinstance(critic, EquivariantModel)
     assert isinstance(actor.distribution, TiedGaussianDistribution)
     assert isinstance(actor.obs_normalizer, SymmetricNormalization)
+
+
+def test_the_relaxed_method_has_symmetric_statistics_and_noise_and_a_residual_at_zero(experiment):
+    for network in networks(experiment("mini_home_field", "relaxed_equivariant")):
+        assert isinstance(network, EquivariantModel)
+        assert isinstance(network.obs_normalizer, SymmetricNormalization)
+        assert residual_share(network) == 0
+    actor, _ = networks(experiment("mini_home_field", "relaxed_equivariant"))
+    assert isinstance(actor.distribution, TiedGaussianDistribution)
 
 
 def test_the_baseline_knows_nothing_of_symmetry(experiment):

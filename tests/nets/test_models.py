@@ -229,6 +229,17 @@ def test_exports_hold_plain_dense_layers():
         torch.testing.assert_close(exported(obs["policy"]), actor(obs), atol=1e-5, rtol=1e-5)
 
 
+def test_a_relaxed_model_is_exported_with_its_residual():
+    torch.manual_seed(0)
+    actor = build("actor", ACTION.dim, actor_config(residual_scale=0.3))
+    train_a_little(actor)
+    obs = sample(64)
+    assert equivariance_error(actor, obs) > 1e-2
+    exported = actor.as_jit()
+    assert not any(isinstance(module, EquivariantLinear) for module in exported.modules())
+    torch.testing.assert_close(exported(obs["policy"]), actor(obs), atol=1e-5, rtol=1e-5)
+
+
 def test_a_model_can_be_copied_after_acting():
     actor = build("actor", ACTION.dim, actor_config())
     obs = sample(8)

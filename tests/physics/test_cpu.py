@@ -10,7 +10,8 @@ import pytest
 import torch
 
 from kickbench.env import make_engine
-from kickbench.physics.cpu import usable_cores
+from kickbench.physics.cpu import CpuEngine, usable_cores
+from kickbench.physics.engine import ModelField
 from kickbench.symmetry.torch_ops import Mirror
 
 WORLDS = 8
@@ -150,37 +151,55 @@ def test_the_number_of_threads_changes_nothing(task):
         torch.testing.assert_close(other, results[0], rtol=0, atol=0)
 
 
-def test_friction_is_set_for_the_masked_worlds_and_groups_only(task):
-    engine = make_engine(task, WORLDS)
-    geoms = tuple(tuple(int(g) for g in ids) for ids in task.scene.layout.foot_geoms)
-    mask = torch.arange(WORLDS) < 3
-    values = torch.rand(WORLDS, 2, dtype=torch.float64)
-    compiled = task.scene.model.geom_friction[geoms[0][0], 0]
-    engine.set_friction(mask, geoms, values)
-    for group, ids in enumerate(geoms):
-        found = engine.friction(ids[0])
-        np.testing.assert_array_equal(found[:3], values[:3, group])
-        np.testing.assert_array_equal(found[3:], compiled)
-    assert task.scene.model.geom_friction[geoms[0][0], 0] == compiled, "the shared model is untouched"
+def test_a_field_is_set_in_the_masked_worlds_and_given_rows_only(task):
+    engine, compiled = make_engine(task, WORLDS), task.scene.model
+    mask, ids = torch.arange(WORLDS) < 3, torch.as_tensor(np.concatenate(task.scene.layout.foot_geoms))
+    friction = torch.rand(WORLDS, len(ids), dtype=torch.float64)
+    inertia = torch.rand(WORLDS, 2, 3, dtype=torch.float64)
+    fields = [
+        ModelField("geom_friction", ids, friction, column=0),
+        ModelField("body_inertia", torch.tensor([1, 2]), inertia),
+    ]
+    before = compiled.geom_friction.copy(), compiled.body_inertia.copy()
+    engine.set_model(mask, fields)
+    expected = np.stack([before[0]] * WORLDS), np.stack([before[1]] * WORLDS)
+    expected[0][:3, ids.numpy(), 0] = friction[:3]
+    expected[1][:3, [1, 2]] = inertia[:3]
+    np.testing.assert_array_equal(engine.model_field("geom_friction"), expected[0])
+    np.testing.assert_array_equal(engine.model_field("body_inertia"), expected[1])
+    np.testing.assert_array_equal(compiled.geom_friction, before[0], "the shared model is untouched")
+
+
+BOXES = """<mujoco><option timestep="0.002"/><worldbody><geom type="plane" size="0 0 1" friction="0.1 0 0"/>
+  <body pos="0 0 0.05"><freejoint/><geom name="box" type="box" size=".05 .05 .05" priority="1"/></body>
+  </worldbody></mujoco>"""
 
 
 def test_friction_of_a_world_acts_in_that_world():
     """Two boxes slide on frictions of their own."""
-    from kickbench.physics.cpu import CpuEngine
-
-    xml = """<mujoco><option timestep="0.002"/><worldbody><geom type="plane" size="0 0 1" friction="0.1 0 0"/>
-      <body pos="0 0 0.05"><freejoint/><geom name="box" type="box" size=".05 .05 .05" priority="1"/></body>
-      </worldbody></mujoco>"""
-    model = mujoco.MjModel.from_xml_string(xml)
+    model = mujoco.MjModel.from_xml_string(BOXES)
     engine = CpuEngine(model, 2, 10)
     qpos, qvel = engine.qpos.clone(), engine.qvel.clone()
     qvel[:, 0] = 1.0
     engine.reset(everywhere(2), qpos, qvel)
-    engine.set_friction(everywhere(2), ((model.geom("box").id,),), torch.tensor([[0.2], [0.8]]))
+    box = torch.tensor([model.geom("box").id])
+    engine.set_model(
+        everywhere(2), [ModelField("geom_friction", box, torch.tensor([[0.2], [0.8]]), column=0)]
+    )
     for _ in range(5):
         engine.step(torch.zeros(2, 0))
     slowed = (1.0 - engine.qvel[:, 0]).numpy()
     np.testing.assert_allclose(slowed, np.array([0.2, 0.8]) * 9.81 * 0.1, rtol=0.1)
+
+
+def test_what_mujoco_derives_from_masses_follows_them():
+    model = mujoco.MjModel.from_xml_string(BOXES)
+    engine = CpuEngine(model, 2, 10)
+    mass = model.body_mass[1] * torch.tensor([[1.0], [3.0]], dtype=torch.float64)
+    engine.set_model(everywhere(2), [ModelField("body_mass", torch.tensor([1]), mass)])
+    np.testing.assert_allclose(engine.model_field("body_subtreemass")[:, 1], mass[:, 0])
+    weights = engine.model_field("dof_invweight0")[:, 0]
+    assert weights[0] == pytest.approx(3.0 * weights[1])
 
 
 def test_a_world_with_bad_numbers_is_reported_and_can_be_reset(task):
@@ -228,8 +247,6 @@ def test_the_shared_model_is_not_changed_by_the_kinematic_twin(task):
 
 
 def test_a_push_acts_on_its_body_in_its_world_until_changed():
-    from kickbench.physics.cpu import CpuEngine
-
     xml = """<mujoco><option timestep="0.002" gravity="0 0 0"/><worldbody>
       <body name="a"><freejoint/><geom size=".1" mass="2"/></body>
       <body name="b" pos="1 0 0"><freejoint/><geom size=".1" mass="4"/></body></worldbody></mujoco>"""

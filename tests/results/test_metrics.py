@@ -49,6 +49,16 @@ def make_table() -> EpisodeTable:
     )
 
 
+def mirrored(table: EpisodeTable) -> EpisodeTable:
+    """The same episodes seen in a mirror. A ball at y = 0 stays on the left: the tests do not put one there."""
+    swap = {"left": "right", "right": "left"}
+    return replace(
+        table,
+        start_ball_y=-table.start_ball_y,
+        kick_foot=np.array([swap.get(foot, foot) for foot in table.kick_foot.tolist()]),
+    )
+
+
 def make_metrics() -> Metrics:
     provenance = Provenance(
         versions={"python": "3.11.7"},
@@ -71,7 +81,7 @@ def make_metrics() -> Metrics:
         iterations=10,
         env_steps=1000,
         training_seconds=100.0,
-        evaluation=summarise_sides(EpisodeSides(make_table(), make_table()), 0.35),
+        evaluation=summarise_sides(EpisodeSides(make_table(), mirrored(make_table())), 0.35),
         provenance=provenance,
     )
 
@@ -100,13 +110,7 @@ def test_kicks_are_counted_by_foot_and_side_of_the_ball() -> None:
 
 def test_mirroring_every_episode_swaps_the_kicks_and_keeps_the_rest() -> None:
     table = replace(make_table(), start_ball_y=np.array(BALL_Y) + 0.01)
-    swap = {"left": "right", "right": "left"}
-    mirrored = replace(
-        table,
-        start_ball_y=-table.start_ball_y,
-        kick_foot=np.array([swap.get(foot, foot) for foot in FEET]),
-    )
-    here, there = summarise(table, 0.35), summarise(mirrored, 0.35)
+    here, there = summarise(table, 0.35), summarise(mirrored(table), 0.35)
     assert there.kicks.ball_left.left_foot == here.kicks.ball_right.right_foot
     assert there.kicks.same_side_share == here.kicks.same_side_share
     assert there.model_dump(exclude={"kicks"}) == here.model_dump(exclude={"kicks"})
@@ -144,8 +148,15 @@ def test_a_file_gives_back_the_metrics_and_reads_as_promised(tmp_path: Path) -> 
     raw = json.loads(path.read_text())
     assert raw["schema_version"] == 1
     assert raw["evaluation"]["in_distribution"]["success_ci"] == pytest.approx(list(wilson(3, 8)))
-    assert raw["evaluation"]["mirrored"]["kicks"]["ball_left"]["left_foot"] == 2
+    assert raw["evaluation"]["mirrored"]["kicks"]["ball_right"]["left_foot"] == 1
     assert raw["provenance"]["commit"] is None
+
+
+def test_a_file_from_before_the_asymmetry_was_measured_is_loaded(tmp_path: Path) -> None:
+    raw = json.loads(make_metrics().model_dump_json())
+    assert raw["evaluation"].pop("asymmetry")["pairs"]["agreement"] == 1.0
+    (tmp_path / "metrics.json").write_text(json.dumps(raw))
+    assert load_metrics(tmp_path / "metrics.json").evaluation.asymmetry is None
 
 
 def test_the_json_schema_describes_the_file() -> None:

@@ -33,7 +33,8 @@ def make_run(folder: Path, metrics: str = "{}") -> RunDirectory:
     run = RunDirectory(folder)
     for file in (
         *(run.task_spec, run.method_spec, run.robot_spec, run.representations_spec, run.robot_xml),
-        *(run.episodes, run.progress, run.checkpoint, run.policy),
+        *(run.episodes, run.progress, run.policy),
+        *(run.checkpoints / f"iteration_{n:06d}.pt" for n in (50, 100)),
         run.tensorboard / "events.out.tfevents.1.host.2.0",
         folder / "notes.txt",
         run.specs / "mine.yaml",
@@ -88,7 +89,7 @@ def test_a_finished_run_is_not_overwritten_without_force(tmp_path: Path) -> None
     run = make_run(tmp_path / "run")
     with pytest.raises(KickbenchError, match=r"finished run.*--force"):
         run.prepare()
-    assert run.checkpoint.exists()
+    assert run.policy.exists()
     assert run.is_finished
 
 
@@ -99,25 +100,53 @@ def test_force_removes_what_kickbench_wrote_and_nothing_else(tmp_path: Path) -> 
     left = sorted(str(file.relative_to(run.path)) for file in run.path.rglob("*") if file.is_file())
     assert left == ["notes.txt", "specs/mine.yaml"]
     assert not run.tensorboard.exists()
+    assert not run.checkpoints.exists()
     assert run.specs.is_dir()
 
 
-def test_what_an_unfinished_run_has_left_makes_room_for_a_new_one(tmp_path: Path) -> None:
-    run = make_run(tmp_path / "run", metrics="{}")
+def test_an_unfinished_run_is_not_overwritten_without_force(tmp_path: Path) -> None:
+    run = make_run(tmp_path / "run")
     run.metrics.unlink()
-    (run.path / "notes.txt").write_text("mine")
+    with pytest.raises(KickbenchError, match=r"unfinished run.*--resume.*--force"):
+        run.prepare()
+    assert run.policy.exists()
+    run.prepare(force=True)
+    assert not run.policy.exists()
+
+
+def test_a_folder_with_other_files_holds_no_run(tmp_path: Path) -> None:
+    run = RunDirectory(tmp_path)
+    (tmp_path / "notes.txt").write_text("mine")
+    assert not run.holds_a_run
     run.prepare()
-    assert not run.checkpoint.exists()
-    assert (run.path / "notes.txt").read_text() == "mine"
+    assert (tmp_path / "notes.txt").read_text() == "mine"
+
+
+def test_a_reopened_run_is_unfinished_and_keeps_its_training(tmp_path: Path) -> None:
+    run = make_run(tmp_path / "run")
+    (run.checkpoints / ".partial-iteration_000150.pt-0123").write_text("x")
+    run.reopen()
+    assert not run.is_finished
+    assert run.progress.exists()
+    assert len(list(run.checkpoints.iterdir())) == 2
 
 
 def test_a_run_with_damaged_metrics_is_not_overwritten_without_force(tmp_path: Path) -> None:
     run = make_run(tmp_path / "run", metrics="{")
     with pytest.raises(KickbenchError, match=r"damaged.*--force"):
         run.prepare()
-    assert run.checkpoint.read_text() == "x"
+    assert run.policy.read_text() == "x"
     run.prepare(force=True)
-    assert not run.checkpoint.exists()
+    assert not run.policy.exists()
+
+
+def test_a_folder_is_one_process_at_a_time(tmp_path: Path) -> None:
+    path = tmp_path / "run"
+    with RunDirectory(path).occupied(), pytest.raises(KickbenchError, match="another process"):
+        RunDirectory(path).occupied().__enter__()
+    with RunDirectory(path).occupied():
+        pass
+    assert list(path.iterdir()) == []
 
 
 def test_a_new_run_gets_its_folders(tmp_path: Path) -> None:

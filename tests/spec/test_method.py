@@ -85,3 +85,34 @@ def test_the_bounds_of_the_learning_rate_are_a_range(complaints):
 def test_an_unknown_activation_names_the_nearest(complaints):
     (complaint,) = complaints(MethodSpec, METHOD, "network.activation=ELU")
     assert complaint.endswith("found the string 'ELU' (did you mean 'elu'?)")
+
+
+def relaxed(scale: str = "") -> str:
+    even = METHOD.replace("[7, 4]", "[8, 4]").replace("[5]", "[4]")
+    return even.replace("type: mlp", f"type: relaxed_equivariant{scale}")
+
+
+def test_a_relaxed_network_has_a_residual_of_some_size(complaints, read):
+    network = read(MethodSpec, relaxed(", residual_scale: 0.1")).network
+    assert (network.type, network.residual_scale) == ("relaxed_equivariant", 0.1)
+    what = "a network of type relaxed_equivariant needs a residual_scale"
+    assert complaints(MethodSpec, relaxed()) == [f"a.yaml:2:1: network: {what}"]
+    (complaint,) = complaints(MethodSpec, relaxed(", residual_scale: 0.1"), "network.residual_scale=0")
+    assert complaint.endswith("network.residual_scale: expected a number greater than 0, found the number 0")
+    (complaint,) = complaints(MethodSpec, relaxed(", residual_scale: 0.1"), "network.actor_hidden=[9]")
+    assert complaint.endswith("found 9")
+
+
+def test_other_networks_have_no_residual(complaints):
+    (complaint,) = complaints(MethodSpec, METHOD, "network.residual_scale=0.1")
+    assert complaint.endswith("residual_scale is for the type relaxed_equivariant; the type is mlp")
+
+
+def test_the_mirror_loss_is_off_until_it_has_a_weight(complaints, read):
+    assert read(MethodSpec, METHOD).symmetry.mirror_loss_coefficient == 0.0
+    text = f"{METHOD}symmetry: {{mirror_loss_coefficient: 0.5}}\n"
+    assert read(MethodSpec, text).symmetry.mirror_loss_coefficient == 0.5
+    (complaint,) = complaints(MethodSpec, text, "symmetry.mirror_loss_coefficient=-1")
+    assert complaint.endswith("expected a number of at least 0, found the number -1")
+    (complaint,) = complaints(MethodSpec, text.replace("coefficient", "coeficient"))
+    assert "did you mean 'mirror_loss_coefficient'?" in complaint

@@ -1,8 +1,11 @@
+import math
 import re
 
+import numpy as np
 import pytest
 
 from kickbench.mdp.catalog import task_model
+from kickbench.spec.task import TargetSampling
 from kickbench.spec.terms import ObservationParams, TermParams
 
 TASK = """\
@@ -154,3 +157,24 @@ def test_the_parts_of_a_task_are_required(wrong, key):
     assert text != TASK
     (line,) = wrong(text)
     assert f": {key}: missing key '{key}'" in line
+
+
+@pytest.mark.parametrize(
+    ("distance", "angle", "extent"),
+    [
+        ((1.0, 2.0), (0.0, 0.0), ((1.0, 2.0), (0.0, 0.0))),
+        ((1.0, 2.0), (-1.0, 1.0), ((math.cos(1.0), 2.0), (-2 * math.sin(1.0), 2 * math.sin(1.0)))),
+        ((2.5, 8.5), (0.0, math.pi), ((-8.5, 8.5), (0.0, 8.5))),
+        ((1.0, 3.0), (3.0, 4.0), ((-3.0, math.cos(4.0)), (3 * math.sin(4.0), 3 * math.sin(3.0)))),
+        ((0.0, 1.0), (-10.0, 10.0), ((-1.0, 1.0), (-1.0, 1.0))),
+    ],
+)
+def test_the_extent_of_targets_is_that_of_their_sector(distance, angle, extent):
+    assert np.array(TargetSampling(distance=distance, angle=angle).extent()) == pytest.approx(
+        np.array(extent), abs=1e-12
+    )
+
+
+def test_a_task_has_no_field_unless_it_gives_one(task):
+    assert task().field is None
+    assert task(TASK, "field.x=[-1, 9]", "field.y=[-3, 3]").field.x == (-1.0, 9.0)

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+import torch
 
 from kickbench.symmetry import REGULAR, SIGN, TRIVIAL, FieldTable, tensor
 
@@ -36,3 +37,13 @@ def test_the_printed_table_has_a_line_a_field():
     assert len(lines) == 1 + 3 + 1
     assert lines[1].split() == ["ball", "0:3", "3", "2", "trivial", "+", "1", "sign"]
     assert lines[-1].split()[:3] == ["total", "0:11", "11"]
+
+
+def test_a_vector_is_split_into_its_fields_by_name():
+    x = np.arange(22.0).reshape(2, 11)
+    parts = TABLE.split(x)
+    assert list(parts) == ["ball", "hips", "feet"]
+    assert parts["hips"].tolist() == [[3.0, 4.0], [14.0, 15.0]]
+    assert torch.equal(TABLE.split(torch.arange(11))["feet"], torch.arange(5, 11))
+    with pytest.raises(ValueError, match="a vector of 10 numbers, but the fields have 11"):
+        TABLE.split(x[:, :10])

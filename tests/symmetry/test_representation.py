@@ -85,6 +85,58 @@ def test_the_character_counts_even_minus_odd(representation):
     assert np.trace(representation.matrix()) == even.shape[1] - odd.shape[1]
 
 
+@given(sums)
+def test_the_change_of_basis_makes_the_mirror_diagonal_and_can_be_undone(representation):
+    change = representation.change_of_basis()
+    np.testing.assert_allclose(change @ change.T, np.eye(representation.dim), atol=1e-12)
+    form = representation.isotypic_form()
+    np.testing.assert_allclose(change @ representation.matrix() @ change.T, form.matrix(), atol=1e-12)
+    assert list(form.signs) == sorted(form.signs, reverse=True), "even first, then odd"
+
+
+def test_isotypic_coordinates_are_sums_and_differences():
+    hips = TRIVIAL + REGULAR + REGULAR_SIGN
+    middle, total, across, difference, along = hips.change_of_basis() @ np.array([5.0, 3.0, 1.0, 4.0, 2.0])
+    assert middle == 5
+    np.testing.assert_allclose(np.sqrt(2) * np.array([total, difference]), [3 + 1, 3 - 1])
+    np.testing.assert_allclose(np.sqrt(2) * np.array([across, along]), [4 - 2, 4 + 2])
+
+
+@given(sums, sums)
+def test_forms_add_up_and_multiply(a, b):
+    even_a, odd_a = (basis.shape[1] for basis in a.isotypic())
+    even_b, odd_b = (basis.shape[1] for basis in b.isotypic())
+    assert sum((a + b).isotypic_form().signs) == even_a + even_b - odd_a - odd_b
+    assert sum(tensor(a, b).isotypic_form().signs) == (even_a - odd_a) * (even_b - odd_b)
+
+
+def test_a_pair_is_equivalent_to_one_even_and_one_odd_coordinate():
+    assert REGULAR.isotypic_form() == REGULAR_SIGN.isotypic_form() == TRIVIAL + SIGN
+    assert TRIVIAL.isotypic_form() != SIGN.isotypic_form()
+
+
+def test_a_representation_describes_itself_orbit_by_orbit():
+    representation = TRIVIAL + SIGN + REGULAR + REGULAR_SIGN
+    names = ["x", "y", "left_pitch", "right_pitch", "left_yaw", "right_yaw"]
+    assert representation.describe(names) == (
+        "x -> x",
+        "y -> -y",
+        "left_pitch <-> right_pitch",
+        "left_yaw <-> -right_yaw",
+    )
+    assert REGULAR.describe() == ("x0 <-> x1",)
+    assert representation.describe_isotypic(names) == (
+        "even: x",
+        "even: (left_pitch + right_pitch)/sqrt2",
+        "even: (left_yaw - right_yaw)/sqrt2",
+        "odd: y",
+        "odd: (left_pitch - right_pitch)/sqrt2",
+        "odd: (left_yaw + right_yaw)/sqrt2",
+    )
+    with pytest.raises(ValueError, match="2 names for 6 coordinates"):
+        representation.describe(["x", "y"])
+
+
 def test_orbits_are_singletons_and_pairs_in_order():
     assert (TRIVIAL + REGULAR + SIGN).orbits() == ((0,), (1, 2), (3,))
     assert regular(2).orbits() == ((0, 2), (1, 3))

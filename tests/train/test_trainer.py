@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import csv
 import math
+import signal
 
 import pytest
 import torch
+from tensordict import TensorDict
 
 from kickbench.env import KickEnv, make_engine
 from kickbench.errors import KickbenchError
 from kickbench.nets.build import build_actor
-from kickbench.train.checkpoint import load_policy, save_policy
+from kickbench.results.history import RunHistory
+from kickbench.symmetry.torch_ops import Mirror
+from kickbench.train.checkpoint import Checkpoints, load_policy, save_policy
 from kickbench.train.ppo import build_ppo
 from kickbench.train.progress import IterationRecord, ProgressGroup
 from kickbench.train.progress_files import CsvProgress
@@ -39,7 +43,7 @@ class Recorder:
     def update(self, record: IterationRecord) -> None:
         self.records.append(record)
         if record.iteration == self._interrupt_at:
-            raise KeyboardInterrupt
+            signal.raise_signal(signal.SIGINT)
 
     def close(self) -> None:
         self.closed = True
@@ -48,14 +52,17 @@ class Recorder:
 def make_trainer(chosen, folder, progress, seed: int = 0) -> Trainer:
     torch.manual_seed(seed)
     env = KickEnv(chosen.task, make_engine(chosen.task, chosen.method.spec.algorithm.num_envs), seed)
-    return Trainer(chosen, env, progress, folder / "checkpoint.pt")
+    history = RunHistory(chosen.task.name, chosen.method.name, seed, num_threads=1)
+    return Trainer(chosen, env, progress, Checkpoints(folder), history)
 
 
 def weights(trainer: Trainer) -> torch.Tensor:
     return torch.cat([p.detach().flatten() for p in trainer.ppo.get_policy().parameters()])
 
 
-@pytest.mark.parametrize("method", ["baseline", "augmentation", "equivariant"])
+@pytest.mark.parametrize(
+    "method", ["baseline", "augmentation", "equivariant", "mirror_loss", "relaxed_equivariant"]
+)
 def test_equal_seeds_give_equal_weights_and_others_do_not(experiment, tmp_path, method):
     chosen = experiment("mini_home_field", method, *SMALL)
 
@@ -101,10 +108,42 @@ def test_an_interrupt_ends_cleanly_with_a_checkpoint_of_what_was_done(experiment
     assert result.interrupted
     assert result.iterations == 2
     assert recorder.closed
-    content = torch.load(tmp_path / "checkpoint.pt", weights_only=True)
+    content = torch.load(tmp_path / "iteration_000002.pt", weights_only=True)
     assert content["iteration"] == 2
     for name, value in trainer.ppo.get_policy().state_dict().items():
-        assert torch.equal(content["actor_state_dict"][name], value)
+        assert torch.equal(content["learner"]["actor_state_dict"][name], value)
+
+
+def test_a_second_interrupt_ends_at_once_and_gives_the_iteration_up(experiment, tmp_path):
+    chosen = experiment("mini_home_field", "baseline", *SMALL)
+    trainer = make_trainer(chosen, tmp_path, Recorder(interrupt_at=1))
+    step, calls = trainer.env.step, []
+
+    def impatient(actions):
+        calls.append(0)
+        if len(calls) == 12:
+            signal.raise_signal(signal.SIGINT)
+            signal.raise_signal(signal.SIGINT)
+        return step(actions)
+
+    trainer.env.step = impatient
+    before = signal.getsignal(signal.SIGINT)
+    result = trainer.train(10)
+    assert (result.interrupted, result.iterations, result.env_steps) == (True, 0, 0)
+    assert Checkpoints(tmp_path).load()["iteration"] == 0
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+@pytest.mark.parametrize(
+    ("every", "seconds", "kept"), [(3, 1e9, [6, 7]), (1000, 0.0, [6, 7]), (5, 1e9, [5, 7])]
+)
+def test_checkpoints_are_due_by_iterations_or_by_time_and_at_the_end(
+    experiment, tmp_path, every, seconds, kept
+):
+    trainer = make_trainer(experiment("mini_home_field", "baseline", *SMALL), tmp_path, Recorder())
+    trainer._every = (every, seconds)
+    trainer.train(7)
+    assert [file.name for file in Checkpoints(tmp_path).files()] == [f"iteration_{k:06d}.pt" for k in kept]
 
 
 def test_a_policy_file_gives_the_same_actions_and_holds_no_code(experiment, tmp_path):
@@ -157,7 +196,7 @@ def test_the_desired_kl_is_annealed_linearly_over_the_run(experiment, tmp_path):
 
 
 def test_augmentation_learns_from_twice_the_samples_and_the_others_do_not(experiment):
-    for method, factor in (("baseline", 1), ("augmentation", 2), ("equivariant", 1)):
+    for method, factor in (("baseline", 1), ("augmentation", 2), ("equivariant", 1), ("mirror_loss", 1)):
         chosen = experiment("mini_home_field", method, *SMALL)
         env = KickEnv(chosen.task, make_engine(chosen.task, 32), 0)
         ppo = build_ppo(chosen, env.get_observations(), torch.device("cpu"))
@@ -176,6 +215,54 @@ def test_augmentation_learns_from_twice_the_samples_and_the_others_do_not(experi
         sizes.clear()
         ppo.update()
         assert set(sizes) == {factor * 32 * 8 // chosen.method.spec.algorithm.mini_batches}
+
+
+def test_the_mirror_loss_makes_the_policy_more_equivariant(experiment, tmp_path):
+    losses = {}
+    for coefficient in (0.0, 10.0):
+        overrides = (*SMALL, f"symmetry.mirror_loss_coefficient={coefficient}")
+        chosen, recorder = experiment("mini_home_field", "mirror_loss", *overrides), Recorder()
+        trainer = make_trainer(chosen, tmp_path, recorder)
+        trainer.train(6)
+        assert ("symmetry" in recorder.records[-1].losses) == (coefficient > 0)
+        losses[coefficient] = mirror_loss(chosen, trainer)
+    assert losses[10.0] < 0.5 * losses[0.0]
+
+
+def mirror_loss(chosen, trainer: Trainer) -> float:
+    """Mean squared difference of the mean action on mirrored observations from the mirrored mean action."""
+    actor, observations = trainer.ppo.get_policy().eval(), trainer.env.get_observations()
+    see, act = Mirror(chosen.symmetry.groups["actor"].representation), Mirror(chosen.symmetry.actions)
+    images = TensorDict({"actor": see(observations["actor"])}, batch_size=observations.batch_size)
+    with torch.no_grad():
+        return float((actor(images) - act(actor(observations))).square().mean())
+
+
+def test_the_mirror_loss_weighs_on_the_loss_and_goes_with_augmentation(experiment):
+    for augmentation in (False, True):
+        overrides = (*SMALL, f"symmetry.augmentation={str(augmentation).lower()}")
+        chosen = experiment("mini_home_field", "mirror_loss", *overrides)
+        env = KickEnv(chosen.task, make_engine(chosen.task, 32), 0)
+        symmetry = build_ppo(chosen, env.get_observations(), torch.device("cpu")).symmetry
+        assert symmetry is not None
+        assert symmetry.use_mirror_loss
+        assert symmetry.use_data_augmentation == augmentation
+        assert symmetry.mirror_loss_coeff == chosen.method.spec.symmetry.mirror_loss_coefficient
+
+
+def test_a_relaxed_training_logs_the_share_of_its_residuals_and_others_have_none(experiment, tmp_path):
+    recorder = Recorder()
+    group = ProgressGroup([recorder, CsvProgress(tmp_path / "progress.csv")])
+    make_trainer(experiment("mini_home_field", "relaxed_equivariant", *SMALL), tmp_path, group).train(3)
+    shares = [record.residual_shares for record in recorder.records]
+    assert all(set(share) == {"actor", "critic"} for share in shares)
+    assert all(0 < value < 0.5 for share in shares for value in share.values())
+    with open(tmp_path / "progress.csv") as file:
+        rows = list(csv.DictReader(file))
+    assert float(rows[-1]["residual_share/actor"]) == pytest.approx(shares[-1]["actor"], rel=1e-5)
+    recorder = Recorder()
+    make_trainer(experiment("mini_home_field", "equivariant", *SMALL), tmp_path, recorder).train(1)
+    assert recorder.records[0].residual_shares == {}
 
 
 def test_a_short_training_improves(experiment, tmp_path):

@@ -1,0 +1,454 @@
+"""Going on with a training: to the very bit, after any end, and never with another experiment."""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import yaml
+
+from kickbench import runner
+from kickbench.cli import main
+from kickbench.env import KickEnv, make_engine
+from kickbench.errors import KickbenchError
+from kickbench.experiment import load_experiment
+from kickbench.results.history import RunHistory
+from kickbench.results.metrics import load_metrics
+from kickbench.train.checkpoint import Checkpoints
+from kickbench.train.progress_files import CsvProgress
+from kickbench.train.trainer import Trainer
+
+ROOT = Path(__file__).parents[2]
+# Episodes so short that every world uses up its share of the pool of starts.
+SMALL = (
+    "algorithm.num_envs=16",
+    "algorithm.steps_per_env=8",
+    "network.actor_hidden=[16]",
+    "network.critic_hidden=[16]",
+    "episode.max_steps=4",
+)
+TIMES = ("steps_per_second", "collect_seconds", "update_seconds")
+
+
+def make_trainer(chosen, folder: Path, seed: int = 0) -> Trainer:
+    torch.manual_seed(seed)
+    env = KickEnv(chosen.task, make_engine(chosen.task, chosen.method.spec.algorithm.num_envs), seed)
+    history = RunHistory(chosen.task.name, chosen.method.name, seed, num_threads=1)
+    checkpoints = Checkpoints(folder / "checkpoints")
+    return Trainer(chosen, env, CsvProgress(folder / "progress.csv"), checkpoints, history)
+
+
+def rows(path: Path) -> list[dict[str, str]]:
+    """A progress table without what the clock has told."""
+    with open(path, encoding="utf-8", newline="") as file:
+        return [{k: v for k, v in row.items() if k not in TIMES} for row in csv.DictReader(file)]
+
+
+def assert_equal(one, other) -> None:
+    """Equality to the last bit of nested dicts and lists of tensors and numbers."""
+    assert type(one) is type(other)
+    if isinstance(one, torch.Tensor):
+        assert one.dtype == other.dtype
+        assert torch.equal(one, other)
+    elif isinstance(one, dict):
+        assert list(one) == list(other)
+        for key in one:
+            assert_equal(one[key], other[key])
+    elif isinstance(one, list | tuple):
+        assert len(one) == len(other)
+        for left, right in zip(one, other, strict=True):
+            assert_equal(left, right)
+    else:
+        assert one == other
+
+
+def without_clock(state: dict) -> dict:
+    return {key: value for key, value in state.items() if key not in ("run", "seconds")}
+
+
+@pytest.mark.parametrize("method", ["baseline", "augmentation", "equivariant"])
+def test_so_many_iterations_and_so_many_more_are_those_of_one_training(experiment, tmp_path, method):
+    chosen = experiment("mini_general", method, *SMALL)
+    whole = make_trainer(chosen, tmp_path / "whole")
+    whole.train(10)
+
+    first = make_trainer(chosen, tmp_path / "parts")
+    iterate = first._iterate
+
+    def iterate_and_interrupt() -> None:
+        iterate()
+        if first.iteration == 4:
+            signal.raise_signal(signal.SIGINT)
+
+    first._iterate = iterate_and_interrupt
+    assert first.train(10).interrupted
+    second = make_trainer(chosen, tmp_path / "parts", seed=99)
+    second.load_state_dict(Checkpoints(tmp_path / "parts/checkpoints").load())
+    result = second.train(10)
+
+    assert (result.iterations, result.env_steps, result.interrupted) == (10, 10 * 16 * 8, False)
+    assert_equal(without_clock(second.state_dict()), without_clock(whole.state_dict()))
+    assert rows(tmp_path / "parts/progress.csv") == rows(tmp_path / "whole/progress.csv")
+
+
+def test_delay_pushes_and_friction_of_the_k1_go_on_to_the_bit():
+    task = load_experiment(ROOT / "tasks/k1_general.yaml", ROOT / "methods/baseline.yaml").task
+    assert {bound.name for bound in task.processes} >= {"action_delay", "pushes"}
+    generator = torch.Generator().manual_seed(0)
+
+    def actions(env: KickEnv) -> torch.Tensor:
+        return 0.5 * torch.randn(env.num_envs, env.num_actions, generator=generator)
+
+    one, other = (KickEnv(task, make_engine(task, 8), seed) for seed in (3, 4))
+    for _ in range(60):
+        one.step(actions(one))
+    file = io.BytesIO()
+    torch.save(one.state_dict(), file)
+    file.seek(0)
+    other.load_state_dict(torch.load(file, weights_only=True))
+    here, there = (env.engine.model_field("geom_friction") for env in (one, other))
+    assert len(np.unique(here[:, task.scene.layout.foot_geoms[0], 0])) > 1
+    np.testing.assert_array_equal(here, there)
+    for _ in range(20):
+        action = actions(one)
+        (observed, *ours), (also_observed, *theirs) = one.step(action), other.step(action)
+        assert_equal(ours, theirs)
+        assert_equal(observed.to_dict(), also_observed.to_dict())
+    assert_equal(one.state_dict(), other.state_dict())
+
+
+def test_a_state_is_a_copy_and_does_not_follow_the_environment(experiment):
+    task = experiment("mini_general").task
+    env = KickEnv(task, make_engine(task, 8), 0)
+    state, before = env.state_dict(), env.state_dict()
+    for _ in range(30):
+        env.step(torch.ones(8, env.num_actions))
+    assert_equal(state, before)
+    env.load_state_dict(state)
+    env.step(torch.ones(8, env.num_actions))
+    assert_equal(state, before)
+
+
+def test_a_state_of_another_size_or_task_is_refused(experiment):
+    task = experiment("mini_general").task
+    state = KickEnv(task, make_engine(task, 8), 0).state_dict()
+    with pytest.raises(ValueError, match="expected"):
+        KickEnv(task, make_engine(task, 9), 0).load_state_dict(state)
+    k1 = load_experiment(ROOT / "tasks/k1_general_fast.yaml", ROOT / "methods/baseline.yaml").task
+    with pytest.raises(ValueError, match="expected"):
+        KickEnv(k1, make_engine(k1, 8), 0).load_state_dict(state)
+
+
+def test_a_schedule_ends_where_it_was_to_end_when_the_run_is_extended(experiment, tmp_path):
+    overrides = (*SMALL, "algorithm.desired_kl=0.04", "algorithm.final_desired_kl=0.01")
+    trainer = make_trainer(experiment("mini_general", "baseline", *overrides), tmp_path)
+    assert trainer.train(3).horizon == 3
+    seen: list[float] = []
+    iterate = trainer._iterate
+    trainer._iterate = lambda: (seen.append(trainer.ppo.desired_kl), iterate())
+    assert trainer.train(6).horizon == 3
+    assert seen == pytest.approx([0.01] * 3)
+
+
+# Checkpoints as files.
+
+
+def checkpoints_of(folder: Path, *iterations: int) -> Checkpoints:
+    checkpoints = Checkpoints(folder)
+    for iteration in iterations:
+        checkpoints.save(iteration, {"iteration": iteration, "numbers": torch.arange(1000.0)})
+    return checkpoints
+
+
+def test_the_last_two_are_kept(tmp_path):
+    checkpoints = checkpoints_of(tmp_path, 0, 50, 100, 1_000_000)
+    assert [file.name for file in checkpoints.files()] == ["iteration_000100.pt", "iteration_1000000.pt"]
+    assert checkpoints.load()["iteration"] == 1_000_000
+
+
+def truncate(file: Path) -> None:
+    file.write_bytes(file.read_bytes()[:-500])
+
+
+def empty(file: Path) -> None:
+    file.write_bytes(b"")
+
+
+def flip_a_bit(file: Path) -> None:
+    """In the middle of the numbers, where torch itself sees nothing."""
+    data = bytearray(file.read_bytes())
+    data[data.find(torch.arange(1000.0).numpy().tobytes()[400:480]) + 8] ^= 1
+    file.write_bytes(data)
+
+
+class Trap:
+    def __reduce__(self):
+        return os.mkdir, ("trapped",)
+
+
+def hide_code(file: Path) -> None:
+    torch.save({"format": 2, "iteration": 100, "trap": Trap()}, file)
+
+
+@pytest.mark.parametrize("damage", [truncate, empty, flip_a_bit, hide_code])
+def test_a_damaged_one_falls_back_to_the_one_before_and_says_so(tmp_path, monkeypatch, capsys, damage):
+    monkeypatch.chdir(tmp_path)
+    checkpoints = checkpoints_of(tmp_path, 50, 100)
+    damage(tmp_path / "iteration_000100.pt")
+    assert checkpoints.load()["iteration"] == 50
+    assert "iteration_000100.pt: damaged" in capsys.readouterr().err
+    assert not (tmp_path / "trapped").exists()
+    checkpoints.save(75, {"iteration": 75})
+    assert [file.name for file in checkpoints.files()] == ["iteration_000050.pt", "iteration_000075.pt"]
+
+
+def test_no_bit_of_a_checkpoint_flips_unseen(tmp_path):
+    checkpoints = checkpoints_of(tmp_path, 50)
+    file, truth = tmp_path / "iteration_000050.pt", checkpoints.load()
+    data = file.read_bytes()
+    for place in np.random.default_rng(0).integers(len(data), size=200):
+        damaged = bytearray(data)
+        damaged[place] ^= 1 << int(place % 8)
+        file.write_bytes(damaged)
+        try:
+            found = checkpoints.load()
+        except KickbenchError:
+            continue
+        assert_equal(found, truth)  # the bit was one that means nothing, such as padding
+
+
+def test_nothing_but_damaged_ones_is_an_error(tmp_path):
+    checkpoints = checkpoints_of(tmp_path, 50, 100)
+    for file in checkpoints.files():
+        truncate(file)
+    with pytest.raises(KickbenchError, match="every checkpoint is damaged"):
+        checkpoints.load()
+
+
+def test_one_of_another_version_is_an_error_and_not_left_out(tmp_path):
+    checkpoints = checkpoints_of(tmp_path, 50, 100)
+    torch.save({"format": 1}, tmp_path / "iteration_000100.pt")
+    with pytest.raises(KickbenchError, match="format 1"):
+        checkpoints.load()
+
+
+# Whole runs.
+
+TASK, METHOD = str(ROOT / "tasks/mini_general.yaml"), str(ROOT / "methods/mini/equivariant.yaml")
+QUICK = [f"--set={text}" for text in (*SMALL[1:], "algorithm.epochs=1", "evaluation.episodes=20")]
+
+
+def command(out: Path, *extra: str, iterations: int | None = 53, num_envs: int = 8) -> list[str]:
+    count = [] if iterations is None else ["--iterations", str(iterations)]
+    return ["run", TASK, METHOD, "--num-envs", str(num_envs), "--out", str(out), *count, *QUICK, *extra]
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory) -> Path:
+    out = tmp_path_factory.mktemp("runs") / "undisturbed"
+    assert main(command(out)) == 0
+    return out
+
+
+@pytest.fixture
+def copy(undisturbed, tmp_path) -> Path:
+    """A copy of the undisturbed run, to be broken."""
+    return Path(shutil.copytree(undisturbed, tmp_path / "run"))
+
+
+def assert_same_run(one: Path, other: Path) -> None:
+    policies = [torch.load(run / "policy.pt", weights_only=True) for run in (one, other)]
+    assert_equal(*policies)
+    assert rows(one / "progress.csv") == rows(other / "progress.csv")
+    assert (one / "episodes.csv").read_bytes() == (other / "episodes.csv").read_bytes()
+    ours, theirs = (load_metrics(run / "metrics.json") for run in (one, other))
+    assert ours.evaluation == theirs.evaluation
+    assert (ours.iterations, ours.env_steps) == (theirs.iterations, theirs.env_steps)
+    assert ours.schedule_iterations is None
+
+
+KILLED = """
+import importlib, os, signal, sys
+from kickbench.cli import main
+module, path, count = sys.argv[1], sys.argv[2].split("."), int(sys.argv[3])
+owner = importlib.import_module(module)
+for name in path[:-1]:
+    owner = getattr(owner, name)
+original, calls = getattr(owner, path[-1]), []
+def kill(*arguments, **named):
+    calls.append(0)
+    if len(calls) == count:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return original(*arguments, **named)
+setattr(owner, path[-1], kill)
+main(sys.argv[4:])
+"""
+
+
+def run_and_kill(where: str, count: int, arguments: list[str]) -> None:
+    """Runs the command line in a process that kills itself before the given call of a function."""
+    module, _, path = where.partition(":")
+    code = [sys.executable, "-c", KILLED, module, path, str(count), *arguments]
+    done = subprocess.run(code, capture_output=True, text=True, timeout=300)
+    assert done.returncode == -signal.SIGKILL, done.stderr
+
+
+@pytest.mark.parametrize(
+    ("where", "count", "iterations_kept"),
+    [
+        # Two rows beyond the checkpoint of iteration 50 are there.
+        ("kickbench.train.progress_files:CsvProgress.update", 53, 50),
+        # The next one after that of the start is to be written.
+        ("kickbench.train.checkpoint:atomic_write_bytes", 2, 0),
+        ("kickbench.evaluate.episodes:_ended", 3, 53),
+    ],
+)
+def test_a_killed_run_goes_on_to_the_same_result(
+    undisturbed, tmp_path, monkeypatch, where, count, iterations_kept
+):
+    out = tmp_path / "run"
+    run_and_kill(where, count, command(out))
+    kept = Checkpoints(out / "checkpoints").load()
+    assert kept["iteration"] == iterations_kept
+    monkeypatch.setattr(sys, "argv", ["kickbench", *command(out, "--resume")])
+    assert main(sys.argv[1:]) == 0
+    assert_same_run(out, undisturbed)
+    provenance = load_metrics(out / "metrics.json").provenance
+    (earlier,) = provenance.resumed_from
+    assert earlier.env_steps == iterations_kept * 8 * 8
+    assert provenance.env_steps == 53 * 8 * 8
+    assert provenance.started == earlier.started
+    assert provenance.seconds > earlier.seconds
+    assert "--resume" in provenance.command
+    assert "--resume" not in earlier.command
+    assert scalar_steps(out / "tensorboard", "train/learning_rate") == list(range(53))
+
+
+def scalar_steps(folder: Path, tag: str) -> list[int]:
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    events = EventAccumulator(str(folder))
+    events.Reload()
+    return [event.step for event in events.Scalars(tag)]
+
+
+def test_an_interrupted_evaluation_is_made_again_without_training(copy, undisturbed, monkeypatch, capsys):
+    for name in ("metrics.json", "episodes.csv"):
+        (copy / name).unlink()
+
+    def never(*_) -> None:
+        raise AssertionError("there is nothing left to train")
+
+    def interrupted(*_, **__) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Trainer, "_iterate", never)
+    with monkeypatch.context() as patch:
+        patch.setattr(runner, "evaluate", interrupted)
+        assert main(command(copy, "--resume")) == 130
+    assert "--resume" in capsys.readouterr().err
+    assert not (copy / "metrics.json").exists()
+    assert main(command(copy, "--resume")) == 0
+    assert_same_run(copy, undisturbed)
+
+
+def test_a_run_with_a_damaged_checkpoint_trains_from_the_one_before(copy, undisturbed, capsys):
+    (copy / "metrics.json").unlink()
+    truncate(copy / "checkpoints/iteration_000053.pt")
+    assert main(command(copy, "--resume")) == 0
+    assert "iteration_000053.pt: damaged" in capsys.readouterr().err
+    assert_same_run(copy, undisturbed)
+
+
+def test_a_finished_run_has_nothing_left_to_do(copy, capsys):
+    before = (copy / "metrics.json").read_bytes()
+    assert main(command(copy, "--resume")) == 0
+    assert "nothing left to do" in capsys.readouterr().out
+    assert (copy / "metrics.json").read_bytes() == before
+
+
+def test_a_finished_run_is_extended_by_more_iterations(copy):
+    assert main(command(copy, "--resume", iterations=55)) == 0
+    metrics = load_metrics(copy / "metrics.json")
+    assert (metrics.iterations, metrics.schedule_iterations) == (55, 53)
+    assert len(rows(copy / "progress.csv")) == 55
+    stored = yaml.safe_load((copy / "specs/method.yaml").read_text())
+    assert stored["algorithm"]["iterations"] == 55
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        (["--seed", "7"], "seed: 7, but the run has 0"),
+        (["--set", "rewards.action_rate.weight=-0.5"], "rewards.action_rate.weight: -0.5, but the run has"),
+        (["--set", "terminations.target_missed=null"], "terminations.target_missed: null, but the run has {"),
+        (["--set", "algorithm.gamma=0.9"], "algorithm.gamma: 0.9, but the run has 0.99"),
+        (["--num-envs", "16"], "algorithm.num_envs: 16, but the run has 8"),
+        (["--iterations", "20"], "algorithm.iterations: 20, but the run has 53"),
+    ],
+)
+@pytest.mark.parametrize("finished", [True, False])
+def test_another_experiment_is_refused_with_the_keys_that_differ(copy, capsys, change, complaint, finished):
+    if not finished:
+        (copy / "metrics.json").unlink()
+    before = {file: file.read_bytes() for file in copy.rglob("*") if file.is_file()}
+    assert main(command(copy, "--resume", *change)) == 2
+    error = capsys.readouterr().err
+    assert "holds another run" in error
+    assert complaint in error
+    assert error.count("but the run has") == 1
+    assert {file: file.read_bytes() for file in copy.rglob("*") if file.is_file()} == before
+
+
+def test_iterations_are_not_extended_by_leaving_them_out(copy, capsys):
+    assert main(command(copy, "--resume", iterations=None)) == 2
+    assert "algorithm.iterations: 450, but the run has 53 (--iterations 53" in capsys.readouterr().err
+
+
+def test_another_order_of_terms_and_another_robot_are_other_experiments(copy, tmp_path, capsys):
+    for name in ("assets", "tasks", "methods"):
+        shutil.copytree(ROOT / name, tmp_path / name)
+    task = tmp_path / "tasks/mini_general.yaml"
+    content = yaml.safe_load(task.read_text())
+    content["rewards"] = dict(reversed(content["rewards"].items()))
+    task.write_text(yaml.safe_dump(content, sort_keys=False))
+    model = tmp_path / "assets/mini_kicker/mini_kicker.xml"
+    model.write_text(model.read_text().replace("<mujoco", "<!-- changed --><mujoco", 1))
+    arguments = [str(task) if argument == TASK else argument for argument in command(copy, "--resume")]
+    assert main(arguments) == 2
+    error = capsys.readouterr().err
+    assert "rewards: the run has them in another order" in error
+    assert "model: the run has another MJCF" in error
+
+
+def test_a_run_in_the_way_is_an_error_that_names_both_ways_on(copy, capsys):
+    (copy / "metrics.json").unlink()
+    assert main(command(copy)) == 2
+    error = capsys.readouterr().err
+    assert "--resume" in error
+    assert "--force" in error
+
+
+def test_a_resume_of_nothing_begins_and_one_without_checkpoints_is_refused(tmp_path, capsys):
+    out = tmp_path / "run"
+    assert main(command(out, "--resume", iterations=2)) == 0
+    (out / "metrics.json").unlink()
+    shutil.rmtree(out / "checkpoints")
+    assert main(command(out, "--resume", iterations=2)) == 2
+    assert "without a checkpoint; --force" in capsys.readouterr().err
+    assert (out / "policy.pt").exists()
+
+
+def test_resume_and_force_exclude_each_other(tmp_path, capsys):
+    with pytest.raises(SystemExit):
+        main(command(tmp_path / "run", "--resume", "--force"))
+    assert "not allowed with" in capsys.readouterr().err
