@@ -137,8 +137,8 @@ def _motion_row(name: str, off: np.ndarray, scale: float, unit: str, peak: float
 def _contact_rows(recording: Recording, exact: np.ndarray) -> Iterator[Row]:
     """Contacts of the mirrored step, in the steps that mirror exactly."""
     few = int(exact.sum()) < _FEW
-    for pairs in (*recording.touches, *recording.forces):
-        is_force = pairs in recording.forces
+    channels = [(False, pairs) for pairs in recording.touches] + [(True, pairs) for pairs in recording.forces]
+    for is_force, pairs in channels:
         name = f"{'force' if is_force else 'contact'} {pairs.name}"
         if few:
             yield Row("dynamics", name, "not compared", detail="too few steps mirror exactly")
@@ -191,7 +191,8 @@ def field_rows(recording: Recording, symmetry: Symmetry, own: Mapping[str, Repre
         if repeated.count(name) > 1:
             name = f"{name} ({' and '.join(pairs.groups)})"
         declared = symmetry.groups[pairs.groups[0]][pairs.name]
-        found = measure(pairs.original, pairs.image, declared, _FIELD, 1e-7)
+        peak = float(np.abs(pairs.original).max(initial=0.0))
+        found = judge_misfits(pairs.misfit, declared, max(_FIELD * peak, 1e-7), peak)
         yield _field_row(name, pairs, found, own, components(recording.task, pairs))
 
 
