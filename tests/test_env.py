@@ -159,23 +159,26 @@ def test_clipping_bounds_a_field(experiment):
     assert values.max() == 0.5
 
 
-def test_mirrored_starts_and_actions_give_the_mirrored_environment(experiment):
-    """150 steps of 256 worlds with kicks: observations, rewards and endings mirror to float32 precision."""
+def test_an_environment_mirrored_mid_episode_goes_on_as_the_mirror_image(experiment):
+    """100 more steps of 256 worlds with kicks and new starts: all mirrors to float32 precision."""
     chosen = experiment("mini_general", "equivariant")
     symmetry, task, worlds = chosen.symmetry, chosen.task, 256
-    source = make_env(task, worlds, seed=1)
-    starts = source.sampler.sample(worlds)
-    images = starts.mirrored(Mirror(symmetry.qpos), Mirror(symmetry.qvel))
+    mirror_q, mirror_v, act = (Mirror(r) for r in (symmetry.qpos, symmetry.qvel, symmetry.actions))
+    starts = make_env(task, worlds, seed=1).sampler.sample(worlds)
     env = make_env(task, worlds, starts=lambda mask: starts)
+    images = starts.mirrored(mirror_q, mirror_v)
     image = make_env(task, worlds, starts=lambda mask: images)
-    action_map = Mirror(symmetry.actions)
+    for k in range(50):
+        env.step(random_actions(env, k))
+    assert env.episode.contact_count.any(), "in the middle of episodes, kicks included"
+    image.restore(env.snapshot().mirrored(mirror_q, mirror_v, act))
     group_maps = {name: Mirror(table.representation) for name, table in symmetry.groups.items()}
     kicks = endings = 0
     exact = torch.ones(worlds, dtype=torch.bool)
-    for k in range(150):
+    for k in range(50, 150):
         actions = random_actions(env, k)
         observations, rewards, done, _ = env.step(actions)
-        mirrored, mirrored_rewards, mirrored_done, _ = image.step(action_map(actions))
+        mirrored, mirrored_rewards, mirrored_done, _ = image.step(act(actions))
         for name, group_map in group_maps.items():
             error = (mirrored[name] - group_map(observations[name])).abs().amax(dim=1)
             exact &= error < 1e-5
@@ -188,3 +191,23 @@ def test_mirrored_starts_and_actions_give_the_mirrored_environment(experiment):
     assert exact.float().mean() >= 0.98
     assert kicks > 50
     assert endings > 50
+
+
+def test_a_reset_of_some_worlds_leaves_the_others_alone(experiment):
+    env = make_env(experiment().task)
+    for k in range(5):
+        env.step(random_actions(env, k))
+    before, mask = env.engine.qpos.clone(), torch.arange(env.num_envs) < 3
+    env.reset(mask)
+    assert torch.equal(env.engine.qpos[~mask], before[~mask])
+    assert not torch.equal(env.engine.qpos[mask], before[mask])
+    assert torch.equal(env.episode.step, torch.where(mask, 0, 5))
+
+
+def test_advancing_is_a_step_without_its_end(experiment):
+    """The state that terms are evaluated on; nothing is reset yet."""
+    task = experiment("mini_general", "baseline", "episode.max_steps=1").task
+    env = make_env(task)
+    state = env.advance(torch.zeros(env.num_envs, env.num_actions))
+    assert state.timed_out.all()
+    assert (env.episode.step == 1).all()

@@ -17,11 +17,11 @@ from kickbench.symmetry.representation import Representation
 
 _EXACT = 1e-6
 """Relative velocity error of a step that mirrors exactly."""
-_WORST = 0.01
-"""Relative velocity error that a single step may have: MuJoCo's contacts between convex shapes are found by iteration,
-which is not mirror-symmetric to the last digit."""
-_SHARE = 0.8
-"""Share of steps that must mirror exactly."""
+_SHARE, _MOST = 0.8, 0.99
+"""Share of steps that must mirror exactly, and share that must do so within `_LOOSE`. MuJoCo finds contacts between
+convex shapes by iteration, which is not mirror-symmetric to the last digit; where they press hard, that shows."""
+_LOOSE = 1e-3
+"""Relative velocity error."""
 _FIELD, _REWARD = 1e-5, 1e-4
 """Relative tolerances in float32: of an entry, and of a sum whose order changes."""
 _SLIDE = 2  # MuJoCo's mjJNT_SLIDE
@@ -118,14 +118,16 @@ def slide_joints(task: CompiledTask) -> Iterator[str]:
 
 
 def _motion_row(name: str, off: np.ndarray, scale: float, unit: str, peak: float) -> Row:
-    """Judges the errors of all steps; the row shows the error and the tolerance of the criterion that decides."""
-    worst, typical = float(off.max(initial=0.0)), float(np.quantile(off, _SHARE)) if len(off) else 0.0
-    error, tolerance, verdict = worst, _WORST * scale, "ok"
-    detail = f"{100 * float((off <= _EXACT * scale).mean()):.1f} % of steps exact"
+    """Judges all steps; the row has the error that 99 % of them keep within, or 80 % where that is what fails."""
+    worst = float(off.max(initial=0.0))
+    typical, error = (float(np.quantile(off, q)) if len(off) else 0.0 for q in (_SHARE, _MOST))
+    tolerance, verdict = _LOOSE * scale, "ok"
+    exact = 100.0 * float((off <= _EXACT * scale).mean()) if len(off) else 0.0
+    detail = f"{exact:.1f} % of steps exact, worst {worst:.2g} {unit}"
     if typical > _EXACT * scale:
         error, tolerance, verdict = typical, _EXACT * scale, "FAIL"
-        detail += f"; typical error {typical:.2g}, worst {worst:.2g} {unit}"
-    elif worst > tolerance:
+        detail = f"only {detail}"
+    elif error > tolerance:
         verdict = "FAIL"
     elif peak == 0.0:
         verdict = "never excited"
@@ -135,8 +137,8 @@ def _motion_row(name: str, off: np.ndarray, scale: float, unit: str, peak: float
 def _contact_rows(recording: Recording, exact: np.ndarray) -> Iterator[Row]:
     """Contacts of the mirrored step, in the steps that mirror exactly."""
     few = int(exact.sum()) < _FEW
-    for pairs in (*recording.touches, *recording.forces):
-        is_force = pairs in recording.forces
+    channels = [(False, pairs) for pairs in recording.touches] + [(True, pairs) for pairs in recording.forces]
+    for is_force, pairs in channels:
         name = f"{'force' if is_force else 'contact'} {pairs.name}"
         if few:
             yield Row("dynamics", name, "not compared", detail="too few steps mirror exactly")
@@ -189,7 +191,8 @@ def field_rows(recording: Recording, symmetry: Symmetry, own: Mapping[str, Repre
         if repeated.count(name) > 1:
             name = f"{name} ({' and '.join(pairs.groups)})"
         declared = symmetry.groups[pairs.groups[0]][pairs.name]
-        found = measure(pairs.original, pairs.image, declared, _FIELD, 1e-7)
+        peak = float(np.abs(pairs.original).max(initial=0.0))
+        found = judge_misfits(pairs.misfit, declared, max(_FIELD * peak, 1e-7), peak)
         yield _field_row(name, pairs, found, own, components(recording.task, pairs))
 
 

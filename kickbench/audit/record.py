@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 import torch
 from tensordict import TensorDict
 from torch import Tensor
 
+from kickbench.audit.measure import misfits
 from kickbench.audit.states import VariedActions, VariedStarts, vary_episodes
 from kickbench.env import KickEnv, make_engine
 from kickbench.mdp.compile import Bound, CompiledTask
@@ -21,7 +23,10 @@ from kickbench.symmetry.torch_ops import Mirror
 
 Policy = Callable[[TensorDict], Tensor]
 
-_WORLDS = 128
+_WORLDS, _STEPS = 128, 32
+"""Most worlds, and steps of each that they are traded for: a fall takes its time."""
+_KINDS = 24
+"""Worlds that it takes to have every kind of start with every kind of action."""
 _LYING = 15
 """Steps for which worlds of one kind go on after their episode's end."""
 
@@ -58,7 +63,7 @@ class Reflection:
         return snapshot.mirrored(self.qpos, self.qvel, self.actions)
 
 
-@dataclass
+@dataclass(eq=False)
 class Pairs:
     """A quantity in every state and in every state's mirror image; filled step by step, then read.
 
@@ -81,15 +86,20 @@ class Pairs:
         self._originals.append(original[keep].clone())
         self._images.append(image[keep].clone())
 
-    @property
+    @cached_property
     def original(self) -> np.ndarray:
         """Of the states [N, ...], float64."""
         return torch.cat(self._originals).double().numpy()
 
-    @property
+    @cached_property
     def image(self) -> np.ndarray:
         """Of their mirror images [N, ...], float64."""
         return torch.cat(self._images).double().numpy()
+
+    @cached_property
+    def misfit(self) -> np.ndarray:
+        """How badly every signed permutation's entries fit; see `measure.misfits`."""
+        return misfits(self.original, self.image)
 
 
 @dataclass
@@ -161,7 +171,7 @@ class _Recorder:
     ) -> None:
         self.task, self.reflection = task, reflection
         actions = len(task.scene.layout.actuator_names)
-        worlds = max(min(_WORLDS, states), 2 * actions + 1)
+        worlds = max(min(_WORLDS, states // _STEPS), _KINDS, 2 * actions + 1)
         starts = VariedStarts(task, seed)
         engines = [make_engine(task, worlds, num_threads=threads) for _ in range(2)]
         self.env = KickEnv(task, engines[0], seed, noise=False, starts=starts)

@@ -29,7 +29,8 @@ class Row:
         check: Key of `CHECKS`.
         name: Field, term, joint, body, ...
         verdict: See `Verdict`.
-        error: Worst error, in `unit`; None where there is nothing to measure.
+        error: Worst error, in `unit`; of motions the error that 99 % of the steps keep within; None where there is
+            nothing to measure.
         tolerance: What is allowed.
         unit: Unit of both.
         excited: How much the quantity took part.
@@ -112,12 +113,13 @@ class Report:
         yield self.conclusion
 
 
-_HEADER = ("", "worst error", "tolerance", "excited", "verdict", "")
+_ERROR = {"dynamics": "99 % below"}
+"""What the column of errors has, where it is not the worst error."""
 _NAME = 52
 
 
 def _cells(rows: Sequence[Row]) -> Iterator[tuple[str, ...]]:
-    yield _HEADER
+    yield "", _ERROR.get(rows[0].check, "worst error"), "tolerance", "excited", "verdict", ""
     for row in rows:
         error = "-" if row.error is None else f"{row.error:.2g} {row.unit}".rstrip()
         tolerance = "-" if row.tolerance is None else f"{row.tolerance:.1g}"

@@ -191,7 +191,7 @@ def test_without_a_method_the_robot_s_own_table_is_taken_and_json_says_it_all(ca
     found = json.loads(capsys.readouterr().out)
     assert found["table"].endswith("methods/representations/mini_kicker.yaml")
     assert found["passed"] is True
-    assert found["states"] == 128
+    assert found["states"] >= 128, "whole steps of all worlds"
     keys = {"check", "name", "verdict", "error", "tolerance", "unit", "excited", "detail"}
     assert all(set(row) == keys for row in found["rows"])
 

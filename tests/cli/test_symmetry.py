@@ -1,0 +1,108 @@
+"""`kickbench symmetry derive`, and `validate` where a robot file contradicts its geometry."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import yaml
+
+from kickbench.cli import main
+
+K1, XML = "assets/booster_k1/robot.yaml", "assets/booster_k1/booster_k1.xml"
+MINI, MINI_XML = "assets/mini_kicker/robot.yaml", "assets/mini_kicker/mini_kicker.xml"
+QUADRUPED = Path(__file__).parents[1] / "symmetry/quadruped.xml"
+
+
+def printed(capsys, *arguments: str, code: int = 0) -> str:
+    assert main(list(arguments)) == code
+    return capsys.readouterr().out
+
+
+def test_the_printed_block_goes_into_a_robot_file_as_it_is(place, edit, capsys):
+    block = printed(capsys, "symmetry", "derive", MINI_XML)
+    text = Path(MINI).read_text()
+    head, _, _ = text.partition("# How each joint coordinate")
+    Path(MINI).write_text(head + block)
+    assert "fine (robot)" in printed(capsys, "validate", MINI)
+
+
+def test_a_model_with_a_joint_that_has_no_image_is_printed_and_fails(capsys):
+    out = printed(capsys, "symmetry", "derive", str(QUADRUPED), code=1)
+    assert "# NOT DERIVED: joint 'lamp_tilt': its body has no partner" in out
+    assert "lamp_tilt" not in str(yaml.safe_load(out))
+
+
+def test_a_missing_model_and_one_that_is_none_are_errors(place, capsys):
+    assert main(["symmetry", "derive", "none.xml"]) == 2
+    assert capsys.readouterr().err == "none.xml: no such file\n"
+    Path("bad.xml").write_text("<mujoco><nothing/></mujoco>")
+    assert main(["symmetry", "derive", "bad.xml"]) == 2
+    assert "bad.xml: MuJoCo cannot read this model" in capsys.readouterr().err
+    Path("empty.xml").write_text("<mujoco/>")
+    assert main(["symmetry", "derive", "empty.xml"]) == 2
+    assert capsys.readouterr().err == "empty.xml: the model has no body\n"
+
+
+CONTRADICTIONS = {
+    "sign": (
+        "sign: [AAHead_yaw]",
+        "sign: []",
+        "trivial: [Head_pitch]",
+        "trivial: [Head_pitch, AAHead_yaw]",
+        "symmetry.trivial.1: the joint 'AAHead_yaw' is declared trivial, but by its geometry it is sign",
+    ),
+    "swapped partners": (
+        "left: [ALeft_Shoulder_Pitch, Left_Elbow_Pitch,",
+        "left: [Left_Elbow_Pitch, ALeft_Shoulder_Pitch,",
+        "",
+        "",
+        "symmetry.regular.left.0: the joint 'Left_Elbow_Pitch' is declared regular with 'ARight_Shoulder_Pitch', "
+        "but by its geometry it is regular with 'Right_Elbow_Pitch'",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", CONTRADICTIONS)
+@pytest.mark.parametrize("file", [K1, "tasks/k1_general.yaml"])
+def test_a_joint_that_geometry_contradicts_is_named_where_it_is_declared(place, edit, capsys, case, file):
+    old, new, other_old, other_new, message = CONTRADICTIONS[case]
+    lines = edit(K1, old, new)
+    if other_old:
+        lines = edit(K1, other_old, other_new)
+    assert main(["validate", file]) == 2
+    first = capsys.readouterr().err.splitlines()[0]
+    assert message in first
+    line = int(first.split(":")[1])
+    assert message.split("'")[1] in lines[line - 1]
+    assert f"`kickbench symmetry derive {XML}` prints the table" in first
+
+
+def test_feet_that_are_not_each_other_s_image_are_contradictions(place, edit, capsys):
+    edit(K1, "right: {body: right_foot_link", "right: {body: Right_Shank")
+    assert main(["validate", K1]) == 2
+    err = capsys.readouterr().err
+    assert (
+        "feet.right.body: 'Right_Shank' is declared the right foot, but the mirror image of the left one is"
+        in err
+    )
+
+
+def test_feet_on_the_wrong_side_are_contradictions(place, edit, capsys):
+    edit(MINI, "left:  {body: left_leg,  geoms: [left_foot]", "left:  {body: right_leg,  geoms: [right_foot]")
+    edit(MINI, "right: {body: right_leg, geoms: [right_foot]", "right: {body: left_leg, geoms: [left_foot]")
+    assert main(["validate", MINI]) == 2
+    err = capsys.readouterr().err
+    assert "feet.left.body: 'right_leg' lies on the other side: left is y > 0" in err
+
+
+def test_what_geometry_does_not_tell_is_noted_and_no_error(place, edit, capsys):
+    """A leg far from where its image should be: the declared pair stands, and the reader knows."""
+    edit(MINI_XML, '<body name="right_leg" pos="0 -0.10 0">', '<body name="right_leg" pos="0 -0.15 0">')
+    out = printed(capsys, "validate", MINI)
+    assert f"{MINI}: fine (robot)" in out
+    assert "note: joint 'left_hip_yaw': its mirror image is not derived: its body has no partner" in out
+
+
+def test_the_slightly_asymmetric_robot_is_fine(place, capsys):
+    assert printed(capsys, "validate", "assets/booster_k1/asymmetric.yaml").count("\n") == 1
