@@ -114,15 +114,17 @@ def test_a_fallen_robot_is_seen_penalised_and_ended():
 def test_every_reward_is_recorded_by_name_weighted_and_raw():
     chosen = k1()
     env = KickEnv(chosen.task, make_engine(chosen.task, 16), 0)
+    paid = torch.zeros(16)
     for step in range(8):
-        env.step(torch.randn(16, 22, generator=torch.Generator().manual_seed(step)))
+        paid += env.step(torch.randn(16, 22, generator=torch.Generator().manual_seed(step)))[1]
     names = [bound.name for bound, _ in chosen.task.rewards]
     weights = torch.tensor([weight for _, weight in chosen.task.rewards])
     assert len(names) == len(set(names)) == 14, "thesis Table 4.1, and illegal contact with weight 0"
-    record = env.record
-    torch.testing.assert_close(record.by_reward, record.by_reward_raw * weights * 0.02)
-    torch.testing.assert_close(record.by_reward.sum(dim=1), record.returned)
-    raw = dict(zip(names, record.by_reward_raw.mean(dim=0).tolist(), strict=True))
+    assert env.outcome is not None
+    raw_sums = env.outcome.record.by_reward_raw
+    torch.testing.assert_close(env.outcome.rewards, raw_sums * weights * 0.02)
+    torch.testing.assert_close(env.outcome.rewards.sum(dim=1), paid)
+    raw = dict(zip(names, raw_sums.mean(dim=0).tolist(), strict=True))
     assert raw["survival"] == 8.0, "a step each"
     assert raw["action_rate"] > 100.0
 
