@@ -10,9 +10,10 @@ from rsl_rl.models import MLPModel
 from tensordict import TensorDict
 from torch import Tensor
 
-from kickbench.audit.record import Policy, Recording
+from kickbench.audit.record import Recording
 from kickbench.audit.report import Row, Verdict
 from kickbench.errors import KickbenchError
+from kickbench.evaluate.episodes import Policy
 from kickbench.experiment import Experiment, Symmetry
 from kickbench.mdp.compile import CompiledTask
 from kickbench.nets.build import build_critic

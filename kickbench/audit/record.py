@@ -2,26 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 import torch
-from tensordict import TensorDict
 from torch import Tensor
 
 from kickbench.audit.measure import misfits
 from kickbench.audit.states import VariedActions, VariedStarts, vary_episodes
 from kickbench.env import KickEnv, make_engine
+from kickbench.evaluate.episodes import Policy
 from kickbench.mdp.compile import Bound, CompiledTask
 from kickbench.mdp.snapshot import Snapshot
 from kickbench.mdp.state import State
 from kickbench.nets.threads import torch_threads
 from kickbench.symmetry.mirror import Image, mirror_actions, mirror_qpos, mirror_qvel
 from kickbench.symmetry.torch_ops import Mirror
-
-Policy = Callable[[TensorDict], Tensor]
 
 _WORLDS, _STEPS = 128, 32
 """Most worlds, and steps of each that they are traded for: a fall takes its time."""

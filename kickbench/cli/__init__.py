@@ -194,7 +194,7 @@ def _add_audit(verbs: argparse._SubParsersAction) -> None:
         "methods/representations/<robot's folder>.yaml beside or above the task)",
     )
     verb.add_argument("--policy", type=Path, metavar="RUN", help="run directory: measure its policy too")
-    verb.add_argument("--states", type=_positive, default=4096, help="states to visit (default: 4096)")
+    verb.add_argument("--states", type=_positive, metavar="N", help="states to visit (default: 4096)")
     verb.add_argument("--seed", type=_natural, default=0, help="seed of starts and actions (default: 0)")
     verb.add_argument("--json", action="store_true", help="print the report as JSON")
     _add_set(verb)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 
-from kickbench.audit.run import AuditRequest, audit
+from kickbench.audit.run import STATES, AuditRequest, audit
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -15,7 +15,7 @@ def run(arguments: argparse.Namespace) -> int:
             task=arguments.task,
             table=arguments.method,
             run=arguments.policy,
-            states=arguments.states,
+            states=arguments.states or STATES,
             seed=arguments.seed,
             overrides=tuple(arguments.overrides),
             threads=arguments.threads,

@@ -267,7 +267,7 @@ class _Deriving:
         if len(fits) > 1:
             fits = [other for other in fits if prefer(element, other)] or fits
         if not fits:
-            return Match(element.name, reason=_nearest(costs)), None
+            return Match(element.name, reason=_nearest(element.name, costs)), None
         best, *others = fits
         if others and costs[others[0].name] <= _CLEARLY * costs[best.name] + _NOTHING:
             what = f"ambiguous: '{best.name}' and '{others[0].name}' both lie where its mirror image would"
@@ -323,10 +323,11 @@ def _table(matches: Sequence[Match]) -> dict[str, Match]:
     return {match.name: match for match in matches}
 
 
-def _nearest(costs: Mapping[str, float]) -> str:
+def _nearest(part: str, costs: Mapping[str, float]) -> str:
     if not costs:
         return "no partner: its body's partner has no such part"
     name = min(costs, key=lambda key: costs[key])
     if not np.isfinite(costs[name]):
         return "no partner of its kind"
-    return f"no partner: the nearest, '{name}', is {costs[name]:.3g} times the tolerance off"
+    which = "the part itself" if name == part else f"'{name}'"
+    return f"no partner: what fits best, {which}, differs by {costs[name]:.3g} times the tolerance"
