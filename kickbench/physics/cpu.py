@@ -241,5 +241,7 @@ def _as_slice(places: np.ndarray) -> slice | np.ndarray:
 def _without_frame_sensors(model: mujoco.MjModel) -> mujoco.MjModel:
     """A copy whose frame sensors belong to no stage of the computation: they are read from the skeleton."""
     quiet = copy.copy(model)
-    quiet.sensor_needstage[model.sensor_type != mujoco.mjtSensor.mjSENS_CONTACT] = mujoco.mjtStage.mjSTAGE_NONE
+    quiet.sensor_needstage[model.sensor_type != mujoco.mjtSensor.mjSENS_CONTACT] = (
+        mujoco.mjtStage.mjSTAGE_NONE
+    )
     return quiet
