@@ -130,15 +130,13 @@ def _parts(
     parts: dict[str, list[RunTerms]] = {}
     lacks: list[str] = []
     for arm in dict.fromkeys(operand.arm for _, operand in contrast.terms):
-        parts[arm] = []
-        for run in measured.arms[arm]:
-            terms = run_terms(run, claim, contrast)
-            if terms is not None:
-                parts[arm].append(terms)
-            if run.lack:
-                lacks.append(f"{arm} seed {run.seed}: {run.lack}")
-            elif terms is None:
-                lacks.append(f"{arm} seed {run.seed}: has no {claim.metric}")
+        runs = measured.arms[arm]
+        given = {run.seed: run_terms(run, claim, contrast) for run in runs}
+        parts[arm] = [terms for terms in given.values() if terms is not None]
+        without = {run.seed: run.lack or (None if given[run.seed] else f"no {claim.metric}") for run in runs}
+        for lack in dict.fromkeys(filter(None, without.values())):
+            seeds = [str(seed) for seed, found in without.items() if found == lack]
+            lacks.append(f"{arm} seed{'s' * (len(seeds) > 1)} {', '.join(seeds)}: {lack}")
     return parts, lacks
 
 
