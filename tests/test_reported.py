@@ -64,7 +64,8 @@ task: {root}/tasks/mini_general.yaml
 seeds: [0, 1]
 arms:
   baseline: {{method: {root}/methods/mini/baseline.yaml}}
-  other: {{method: {root}/methods/mini/equivariant.yaml, task: {root}/tasks/mini_home_field.yaml, seeds: [7], iterations: 3}}
+  other: {{method: {root}/methods/mini/equivariant.yaml, task: {root}/tasks/mini_home_field.yaml, seeds: [7],
+          iterations: 3}}
 claims:
   c: {{statement: S, kind: at_least, metric: success_rate, value: {{arm: baseline}}, bound: 0.5}}
 """
@@ -119,22 +120,22 @@ VALUE, METRIC = "value: {arm: baseline}", "metric: success_rate"
 @pytest.mark.parametrize(
     ("old", "new", "complaint"),
     [
-        (VALUE, "value: {arm: basline}", "x.yaml:7:70: claims.c.value.arm: no such arm 'basline'; "
+        (VALUE, "value: {arm: basline}", "x.yaml:8:67: claims.c.value.arm: no such arm 'basline'; "
          "the arms: baseline, other (did you mean 'baseline'?)"),
-        (VALUE, "value: {arm: baseline, side: mirrored}", "x.yaml:7:85: claims.c.value.side: "
+        (VALUE, "value: {arm: baseline, side: mirrored}", "x.yaml:8:82: claims.c.value.side: "
          "the task mini_general has no mirrored evaluation"),
-        (VALUE, "value: {arm: baseline, task: mini_home_field}", "x.yaml:7:85: claims.c.value.task: "
+        (VALUE, "value: {arm: baseline, task: mini_home_field}", "x.yaml:8:82: claims.c.value.task: "
          "the arm baseline is not evaluated on 'mini_home_field'; on: mini_general"),
-        (METRIC, "metric: termination_share, terminations: [time_ot]", "x.yaml:7:80: claims.c.terminations.0: "
+        (METRIC, "metric: termination_share, terminations: [time_ot]", "x.yaml:8:77: claims.c.terminations.0: "
          "the task mini_general has no termination 'time_ot'; it has: time_out, target_hit, target_missed, "
          "double_touch (did you mean 'time_out'?)"),
-        (METRIC, "metric: raw_reward, reward: upright", "x.yaml:7:59: claims.c.reward: the task mini_general has no "
+        (METRIC, "metric: raw_reward, reward: upright", "x.yaml:8:56: claims.c.reward: the task mini_general has no "
          "reward 'upright'; it has: target_distance, ball_approach_target, agent_approach_ball, ball_not_moving, "
          "action_rate"),
-        ("kind: at_least", "kind: near_reported", "x.yaml:7:67: claims.c.value: no success_rate of in_distribution was "
+        ("kind: at_least", "kind: near_reported", "x.yaml:8:64: claims.c.value: no success_rate of in_distribution was "
          "reported of the arm baseline"),
         (f"at_least, {METRIC}, {VALUE}, bound: 0.5", f"greater_than, {METRIC}, seeds: each, {VALUE}, "
-         "than: {arm: other}", "x.yaml:7:66: claims.c.seeds: each seed of two arms cannot be compared: seeds of the "
+         "than: {arm: other}", "x.yaml:8:63: claims.c.seeds: each seed of two arms cannot be compared: seeds of the "
          "same number share nothing but it"),
         ("seeds: [0, 1]", f"seeds: [0]\nevaluation: {{also: [{ROOT}/tasks/mini_general.yaml]}}",
          "x.yaml:3:14: evaluation.also: the arm baseline is trained on mini_general, and evaluated on it anyway"),
