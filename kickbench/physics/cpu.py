@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import os
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 
 # pyright: reportAttributeAccessIssue=false
 import mujoco
@@ -188,6 +189,10 @@ class CpuEngine:
         if any(field.name in _INERTIAL for field in fields):
             for row in rows:
                 mujoco.mj_setConst(self._models[row], self._data[0])
+
+    def recording(self) -> AbstractContextManager[None]:
+        """See `Engine.recording`."""
+        return nullcontext()
 
     def state_dict(self) -> dict[str, Tensor]:
         """See `Engine.state_dict`."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -74,6 +75,13 @@ class Engine(Protocol):
         """Sets fields of the model in the worlds in `mask` [B] bool; what MuJoCo derives from them follows.
 
         A field keeps its value until it is set again: a reset does not touch it.
+        """
+        ...
+
+    def recording(self) -> AbstractContextManager[None]:
+        """Entered while torch records what runs on its current stream: a step recorded in it can be replayed.
+
+        Only for engines on a CUDA device; elsewhere it does nothing.
         """
         ...
 
