@@ -164,9 +164,11 @@ def _recording(graph: torch.cuda.CUDAGraph, pool: torch.cuda.MemPool, engine: En
     it ends torch's recording and resumes it under another identity, by which torch would no longer know what memory
     belongs to the graph: so all memory of the block comes from a pool, which must live as long as the graph does.
     """
+    device = engine.device
     with (
-        torch.cuda.graph(graph, capture_error_mode="thread_local"),
-        torch.cuda.use_mem_pool(pool, engine.device),
-        engine.recording(),
+        torch.cuda.device(device),
+        torch.cuda.graph(graph, stream=torch.cuda.Stream(device)),
+        torch.cuda.use_mem_pool(pool, device),
+        engine.capturing(),
     ):
         yield

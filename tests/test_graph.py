@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 import torch
 from torch import Tensor
-from torch.utils._python_dispatch import TorchDispatchMode
+from torch.utils._python_dispatch import TorchDispatchMode, _disable_current_modes
 
 from kickbench.env import KickEnv, make_engine
 from kickbench.experiment import load_experiment
@@ -134,8 +134,7 @@ def test_every_tensor_that_a_step_replaces_is_known():
         return dict(replaceable(parts, "", set()))
 
     history(env, env.step, 15)
-    before = everything()
-    kept = [value for table in env.tensors().values() for value in table.values()]
+    before, _kept = everything(), env.tensors()
     history(env, env.step, 1)
     replaced = {path for path, number in everything().items() if before.get(path) != number}
     assert replaced
@@ -147,4 +146,168 @@ def test_every_tensor_that_a_step_replaces_is_known():
         for name in table
     }
     assert replaced <= known
-    assert kept
+
+
+# No host round trip
+
+SYNCING = {
+    "_local_scalar_dense": "reads a number back (.item(), bool(tensor), int(tensor))",
+    "is_nonzero": "reads a number back",
+    "equal": "reads a number back",
+    "nonzero": "its size depends on the data",
+    "masked_select": "its size depends on the data",
+    "unique_dim": "its size depends on the data",
+    "_unique2": "its size depends on the data",
+    "repeat_interleave": "its size depends on the data",
+    "bincount": "its size depends on the data",
+    "lift_fresh": "a new tensor from the host's numbers (torch.tensor(...))",
+}
+
+
+class NoHostRoundTrip(TorchDispatchMode):
+    """Fails on every operation for which a GPU and its host would have to wait for each other."""
+
+    def __torch_dispatch__(self, func, types, args=(), kwargs=None):
+        kwargs = kwargs or {}
+        name = func.overloadpacket.__name__
+        if name in SYNCING:
+            raise AssertionError(f"{func}: {SYNCING[name]}")
+        if name in ("index", "index_put", "index_put_"):
+            masks = [i for i in args[1] if isinstance(i, Tensor) and i.dtype in (torch.bool, torch.uint8)]
+            assert not masks, f"{func}: a mask as an index; its size depends on the data"
+        result = func(*args, **kwargs)
+        if name in ("_to_copy", "copy_", "_copy_from"):
+            devices = {t.device for t in (*args, result) if isinstance(t, Tensor)}
+            assert len(devices) == 1, f"{func}: from one device to another: {devices}"
+        return result
+
+
+class Unwatched:
+    """The CPU's engine, which is on the host by nature; all but the engine is watched."""
+
+    def __init__(self, engine: Any) -> None:
+        self._engine = engine
+
+    def __getattr__(self, name: str) -> Any:
+        value = getattr(self._engine, name)
+        if not callable(value) or isinstance(value, Tensor):
+            return value
+
+        def call(*args: Any) -> Any:
+            with _disable_current_modes():
+                return value(*args)
+
+        return call
+
+
+@pytest.mark.parametrize(
+    "sync",
+    [
+        lambda x: x.sum().item(),
+        lambda x: bool(x.any()),
+        lambda x: int(x.sum()),
+        lambda x: x.nonzero(),
+        lambda x: x[x > 0],
+        lambda x: x.index_put_((x > 0,), x.new_zeros(())),
+        lambda x: torch.tensor([1.0, 2.0]),
+        lambda x: x.to("meta"),
+    ],
+)
+def test_the_watch_for_host_round_trips_sees_them(sync):
+    with pytest.raises(AssertionError), NoHostRoundTrip():
+        sync(torch.arange(4.0))
+
+
+@pytest.mark.parametrize("name", ["mini", "k1"])
+def test_a_resident_step_makes_no_host_round_trip(name):
+    env = make_env(name)
+    env.engine = Unwatched(env.engine)
+    captured = CapturedStep(env)
+    history(env, captured.step, 3)  # columns of named joints and the like are made once
+    actions = [actions_of(env, k) for k in range(30)]
+    done = []
+    with NoHostRoundTrip():
+        for action in actions:
+            done.append(captured.step(action)[2])
+    assert torch.stack(done).any(), "resets are part of it"
+
+
+def test_the_pool_of_starts_is_what_a_resident_environment_must_not_have():
+    env = make_env("mini", resident=False)
+    env.engine = Unwatched(env.engine)
+    with pytest.raises(AssertionError, match="reads a number back"), NoHostRoundTrip():
+        env.step(torch.zeros(env.num_envs, env.num_actions))
+
+
+# What happens between steps
+
+
+def test_starts_in_a_resident_environment_come_from_the_same_regions():
+    env = make_env("k1", 64)
+    assert isinstance(env._starts, FreshStarts)
+    low_x, high_x = env.cfg.sampling.ball.x
+    ball = env.state().ball_pos
+    assert ((low_x - 1e-6 <= ball[:, 0]) & (ball[:, 0] <= high_x + 1e-6)).all()
+    assert len(ball[:, 0].unique()) == 64, "every world has a start of its own"
+
+
+def test_a_captured_environment_goes_on_from_a_checkpoint_bit_for_bit():
+    first, second = (CapturedStep(make_env("k1", seed=seed)) for seed in (1, 2))
+    history(first.env, first.step, 10)
+    history(second.env, second.step, 7)
+    second.env.load_state_dict(first.env.state_dict())
+    assert differing(flat(first.get_observations()), flat(second.get_observations())) == set()
+    pairs = zip(history(first.env, first.step, 10), history(second.env, second.step, 10), strict=True)
+    assert [differing(a, b) for a, b in pairs] == [set()] * 10
+
+
+def test_a_snapshot_of_a_captured_environment_is_not_written_to_and_can_be_gone_back_to():
+    captured = CapturedStep(make_env("k1"))
+    env = captured.env
+    history(env, captured.step, 8)
+    snapshot = env.snapshot()
+    before = flat(snapshot)
+    first = history(env, captured.step, 10)
+    assert differing(before, flat(snapshot)) == set()
+    env.restore(snapshot)
+    again = history(env, captured.step, 10)
+    totals = {name for name in first[0] if ".totals." in name}
+    assert all(differing(a, b) <= totals for a, b in zip(first, again, strict=True)), "totals go on counting"
+    assert differing(before, flat(snapshot)) == set()
+
+
+def test_what_a_step_returns_is_the_callers_to_keep():
+    captured = CapturedStep(make_env("mini"))
+    kept = captured.get_observations()
+    copies = [flat(kept)]
+    returned = [kept]
+    for k in range(5):
+        observations, rewards, done, extras = captured.step(actions_of(captured.env, k))
+        returned.append({"observations": observations, "rewards": rewards, "done": done, **extras})
+        copies.append(flat(returned[-1]))
+    assert [differing(a, flat(b)) for a, b in zip(copies, returned, strict=True)] == [set()] * 6
+
+
+def test_buffers_take_over_tensors_that_are_each_others_buffers():
+    env = make_env("mini")
+    static = StaticTensors(env)
+    env.episode.action.fill_(1.0)
+    env.episode.previous_action.fill_(2.0)
+    env.episode.action, env.episode.previous_action = env.episode.previous_action, env.episode.action
+    static.adopt()
+    assert (env.episode.action == 2.0).all()
+    assert (env.episode.previous_action == 1.0).all()
+
+
+def test_a_tensor_of_another_shape_or_type_is_refused():
+    env = make_env("mini")
+    static = StaticTensors(env)
+    env.episode.step = env.episode.step.float()
+    with pytest.raises(ValueError, match=r"episode\.step: expected torch\.int64 \[12\], found torch\.float32"):
+        static.adopt()
+
+
+def test_the_obstacle_to_graphs_is_named():
+    assert "CUDA" in (graph_obstacle(torch.device("cpu")) or "")
+    if not torch.cuda.is_available():
+        assert "no CUDA device" in (graph_obstacle(torch.device("cuda")) or "")

@@ -158,7 +158,7 @@ class StartSampler:
         ball, target = self._sampling.ball, self._sampling.target
         qpos = self._default.repeat(count, 1)
         qpos[:, self._place : self._place + 2] = self._draw_ball(count, ball)
-        qpos[:, self._place + 2] = self._ball.radius
+        qpos[:, self._place + 2].fill_(self._ball.radius)
         distance, angle = self.draw(*target.distance, count), self.draw(*target.angle, count)
         goal = torch.stack([distance * angle.cos(), distance * angle.sin()], dim=1)
         starts = Starts(qpos, qpos.new_zeros(count, self._nv), goal, self._joints)

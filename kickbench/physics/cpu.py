@@ -190,8 +190,8 @@ class CpuEngine:
             for row in rows:
                 mujoco.mj_setConst(self._models[row], self._data[0])
 
-    def recording(self) -> AbstractContextManager[None]:
-        """See `Engine.recording`."""
+    def capturing(self) -> AbstractContextManager[None]:
+        """See `Engine.capturing`."""
         return nullcontext()
 
     def state_dict(self) -> dict[str, Tensor]:

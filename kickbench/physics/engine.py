@@ -78,8 +78,8 @@ class Engine(Protocol):
         """
         ...
 
-    def recording(self) -> AbstractContextManager[None]:
-        """Entered while torch records what runs on its current stream: a step recorded in it can be replayed.
+    def capturing(self) -> AbstractContextManager[None]:
+        """Entered while torch records a CUDA graph on its present stream: what runs in it becomes part of the graph.
 
         Only for engines on a CUDA device; elsewhere it does nothing.
         """
