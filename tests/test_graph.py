@@ -17,6 +17,9 @@ from kickbench.env import KickEnv, make_engine
 from kickbench.experiment import load_experiment
 from kickbench.graph import CapturedStep, StaticTensors, graph_obstacle
 from kickbench.mdp.starts import FreshStarts
+from kickbench.results.history import RunHistory
+from kickbench.train.checkpoint import Checkpoints
+from kickbench.train.trainer import Trainer
 
 ROOT = Path(__file__).parent.parent
 VARIED = (
@@ -237,6 +240,94 @@ def test_the_pool_of_starts_is_what_a_resident_environment_must_not_have():
     env.engine = Unwatched(env.engine)
     with pytest.raises(AssertionError, match="reads a number back"), NoHostRoundTrip():
         env.step(torch.zeros(env.num_envs, env.num_actions))
+
+
+class Silent:
+    def __init__(self) -> None:
+        self.records = []
+
+    def start(self, total_iterations: int, first_iteration: int) -> None: ...
+
+    def update(self, record: Any) -> None:
+        self.records.append(record)
+
+    def close(self) -> None: ...
+
+
+def make_trainer(method: str, folder: Path, seed: int = 0, device: str = "cpu", graph: bool = True) -> Trainer:
+    overrides = (
+        "algorithm.num_envs=16",
+        "algorithm.steps_per_env=8",
+        "network.actor_hidden=[16]",
+        "network.critic_hidden=[16]",
+        "episode.max_steps=10",
+    )
+    chosen = load_experiment(ROOT / "tasks/mini_general.yaml", ROOT / f"methods/mini/{method}.yaml", overrides)
+    torch.manual_seed(seed)
+    env = KickEnv(chosen.task, make_engine(chosen.task, 16, device), seed, resident=True)
+    history = RunHistory(chosen.task.name, method, seed, num_threads=1, device=device)
+    return Trainer(chosen, env, Silent(), Checkpoints(folder), history, graph=graph)
+
+
+@pytest.mark.parametrize("method", ["baseline", "equivariant", "relaxed_equivariant"])
+def test_collecting_makes_no_host_round_trip(method, tmp_path):
+    """rsl_rl's runner looks for NaN and finished episodes in every step; what replaces it must not."""
+    trainer = make_trainer(method, tmp_path)
+    trainer.train(1)
+    trainer.env.engine = Unwatched(trainer.env.engine)
+    with NoHostRoundTrip():
+        trainer._collect()
+
+
+@pytest.mark.parametrize("method", ["baseline", "equivariant"])
+def test_a_training_on_captured_steps_is_that_on_plain_steps_bit_for_bit(method, tmp_path):
+    """Also the observations that PPO holds on to while the step is made, and what is told of the episodes."""
+    plain, captured = make_trainer(method, tmp_path / "a"), make_trainer(method, tmp_path / "b")
+    captured._steps = CapturedStep(captured.env)
+    for trainer in (plain, captured):
+        torch.manual_seed(1)
+        trainer.train(4)
+    weights = [flat(trainer.ppo.save()["actor_state_dict"]) for trainer in (plain, captured)]
+    assert differing(*weights) == set()
+    timed = ("steps_per_second", "collect_seconds", "update_seconds")
+    told = [
+        [{k: v for k, v in vars(record).items() if k not in timed} for record in trainer.progress.records]
+        for trainer in (plain, captured)
+    ]
+    assert repr(told[0]) == repr(told[1])  # there is NaN in the first
+    assert told[0][-1]["terminations"]["time_out"] > 0
+
+
+def test_mean_return_and_length_are_those_of_the_finished_episodes(tmp_path):
+    """Against the sums that rsl_rl's logger keeps: of rewards and of steps, read when an episode ends."""
+    trainer = make_trainer("baseline", tmp_path)
+    steps, returns, lengths = trainer._steps, torch.zeros(16), torch.zeros(16)
+    ended: list[tuple[list[float], list[float]]] = []
+
+    class Watched:
+        get_observations = staticmethod(steps.get_observations)
+
+        def step(self, actions: Tensor) -> Any:
+            result = steps.step(actions)
+            returns.add_(result[1])
+            lengths.add_(1)
+            ended.append((returns[result[2]].tolist(), lengths[result[2]].tolist()))
+            returns[result[2]] = lengths[result[2]] = 0.0
+            return result
+
+    trainer._steps = Watched()
+    trainer.train(5)
+    compared = 0
+    for record, first in zip(trainer.progress.records, range(0, 40, 8), strict=True):
+        of_iteration = ended[first : first + 8]
+        of_returns = [value for values, _ in of_iteration for value in values]
+        of_lengths = [value for _, values in of_iteration for value in values]
+        if not of_returns:
+            continue
+        compared += 1
+        assert record.mean_return == pytest.approx(sum(of_returns) / len(of_returns), rel=1e-4, abs=1e-4)
+        assert record.mean_episode_steps == pytest.approx(sum(of_lengths) / len(of_lengths), rel=1e-6)
+    assert compared >= 3
 
 
 # What happens between steps
