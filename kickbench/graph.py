@@ -11,6 +11,7 @@ tests that carry the marker `cuda` are what to run first on a GPU.
 
 from __future__ import annotations
 
+import ctypes
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -38,6 +39,8 @@ class Steps(Protocol):
         ...
 
 
+_LEAST_DRIVER = (12, 4)
+"""CUDA of the first drivers with loops in graphs, by which mujoco_warp's solver ends when all worlds have converged."""
 _WARM_UP = 3
 """Steps before the recording: libraries load kernels and make workspaces in their first calls, which a graph cannot
 hold."""
@@ -49,9 +52,23 @@ def graph_obstacle(device: torch.device) -> str | None:
         return f"CUDA graphs need a CUDA device, not {device.type}"
     if not torch.cuda.is_available():
         return "torch sees no CUDA device"
+    version = driver_version()
+    if version is None or version < _LEAST_DRIVER:
+        has, needs = (f"{major}.{minor}" for major, minor in (version or (0, 0), _LEAST_DRIVER))
+        return f"the driver knows CUDA {has}; the solver's loop needs the graphs of {needs}"
     if not hasattr(torch.cuda.CUDAGraph, "register_generator_state"):
         return f"torch {torch.__version__} cannot draw random numbers from its own generators in a graph"
     return None
+
+
+def driver_version() -> tuple[int, int] | None:
+    """Newest version of CUDA that the NVIDIA driver here knows, major and minor; None: there is no driver."""
+    number = ctypes.c_int()
+    try:
+        failed = ctypes.CDLL("libcuda.so.1").cuDriverGetVersion(ctypes.byref(number))
+    except (OSError, AttributeError):
+        return None
+    return None if failed else (number.value // 1000, number.value % 1000 // 10)
 
 
 class WithoutGraphs(UserWarning):
