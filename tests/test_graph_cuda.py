@@ -85,10 +85,13 @@ class Drift:
 
     def set_model(self, mask: Tensor, fields: Sequence[ModelField]) -> None:
         size = torch.stack([field.values.float().abs().flatten(1).mean(dim=1) for field in fields]).mean(dim=0)
-        self._gain.copy_(torch.where(mask, size, self._gain[:, 0]).unsqueeze(1))
+        self._gain.copy_(torch.where(mask, size / (1.0 + size), self._gain[:, 0]).unsqueeze(1))
 
     def capturing(self) -> AbstractContextManager[None]:
         return nullcontext()
+
+    def take_load(self) -> None:
+        """There are no contacts to find room for."""
 
     def _state(self) -> dict[str, Tensor]:
         names = ("qpos", "qvel", "sensors", "failed", "_force")
