@@ -22,6 +22,7 @@ from kickbench.env import KickEnv, make_engine
 from kickbench.experiment import Experiment, load_experiment
 from kickbench.graph import CapturedStep, WithoutGraphs
 from kickbench.mdp.compile import CompiledTask
+from kickbench.mdp.engines import make_warp_engine
 from kickbench.mdp.starts import FreshStarts, StartSampler
 from kickbench.physics.engine import ModelField
 from kickbench.results.history import RunHistory
@@ -206,6 +207,19 @@ def test_the_made_up_engine_resets_pushes_and_differs_from_world_to_world():
     assert env.totals.take().episodes > 64
     assert env.engine.sensors[:, 0].unique().numel() > 32
     assert env.tensors()["pushes"]["_force"].any()
+
+
+def test_mujoco_warps_engine_steps_between_buffers_as_it_does_without():
+    """On warp's CPU device: the eager part of what a graph holds, with all of an engine's tensors where they were."""
+    task = k1().task
+    envs = [KickEnv(task, make_warp_engine(task, 2, "cpu"), 3, resident=True) for _ in range(2)]
+    plain, wrapped = envs
+    engine = wrapped.engine
+    names = ("qpos", "qvel", "sensors", "failed")
+    before = {name: getattr(engine, name).data_ptr() for name in names}
+    assert_equal(trajectory(plain, plain, 12), trajectory(wrapped, CapturedStep(wrapped), 12))
+    assert {name: getattr(engine, name).data_ptr() for name in names} == before
+    assert wrapped.totals.take().episodes > 0
 
 
 # With a GPU
