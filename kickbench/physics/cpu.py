@@ -138,7 +138,7 @@ class CpuEngine:
         due = (self.decimation - 0.5) * self.model.opt.timestep
         clock, numbers = self._state[:, 0], self._state.ravel()
         # One look at all worlds together tells that none has failed, as is nearly always so. NaN compares false.
-        if clock.min() > due and np.einsum("i,i->", numbers, numbers) < _HUGE**2:
+        if clock.min() > due and np.einsum("i,i->", numbers, numbers) < HUGE**2:
             self.failed.zero_()
             return
         # A warning in the last substep comes too late to cut the rollout short. The largest number is found by the
