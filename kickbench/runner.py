@@ -126,7 +126,7 @@ def _run_in(directory: RunDirectory, experiment: Experiment, request: RunRequest
     training = trainer.train(experiment.method.spec.algorithm.iterations)
     if training.interrupted:
         return RunOutcome(directory, training, None)
-    # Every policy is evaluated by the CPU's engine, wherever it was trained: figures compare, and `eval` gives them again.
+    # Wherever a policy was trained, the CPU's engine evaluates it: figures compare, and `eval` gives them again.
     policy = trainer.ppo.get_policy().eval().cpu()
     save_policy(directory.policy, policy)
     try:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
@@ -254,7 +253,9 @@ class Silent:
     def close(self) -> None: ...
 
 
-def make_trainer(method: str, folder: Path, seed: int = 0, device: str = "cpu", graph: bool = True) -> Trainer:
+def make_trainer(
+    method: str, folder: Path, seed: int = 0, device: str = "cpu", graph: bool = True
+) -> Trainer:
     overrides = (
         "algorithm.num_envs=16",
         "algorithm.steps_per_env=8",
@@ -262,7 +263,9 @@ def make_trainer(method: str, folder: Path, seed: int = 0, device: str = "cpu", 
         "network.critic_hidden=[16]",
         "episode.max_steps=10",
     )
-    chosen = load_experiment(ROOT / "tasks/mini_general.yaml", ROOT / f"methods/mini/{method}.yaml", overrides)
+    chosen = load_experiment(
+        ROOT / "tasks/mini_general.yaml", ROOT / f"methods/mini/{method}.yaml", overrides
+    )
     torch.manual_seed(seed)
     env = KickEnv(chosen.task, make_engine(chosen.task, 16, device), seed, resident=True)
     history = RunHistory(chosen.task.name, method, seed, num_threads=1, device=device)
@@ -394,7 +397,9 @@ def test_a_tensor_of_another_shape_or_type_is_refused():
     env = make_env("mini")
     static = StaticTensors(env)
     env.episode.step = env.episode.step.float()
-    with pytest.raises(ValueError, match=r"episode\.step: expected torch\.int64 \[12\], found torch\.float32"):
+    with pytest.raises(
+        ValueError, match=r"episode\.step: expected torch\.int64 \[12\], found torch\.float32"
+    ):
         static.adopt()
 
 
