@@ -18,6 +18,7 @@ from kickbench.mdp.starts import Starts
 from kickbench.nets.build import build_actor
 from kickbench.nets.threads import update_threads
 from kickbench.physics.cpu import usable_cores
+from kickbench.physics.devices import check_device
 from kickbench.results.asymmetry import EquivarianceError
 from kickbench.results.episodes import EpisodeSides, EpisodeTable, write_episodes
 from kickbench.results.history import RunHistory, earlier_parts
@@ -44,6 +45,7 @@ class RunRequest:
         num_envs: Parallel environments; default: the method's.
         out: Run directory; default: `runs/<task>/<method>/seed<k>`.
         device: Where to train.
+        graph: Whether steps are recorded as CUDA graphs, on devices that have them.
         threads: Threads of physics and torch; default: the cores this process may use.
         force: Overwrite a run that is there.
         resume: Go on with a run that is there; begin it if there is none.
@@ -59,6 +61,7 @@ class RunRequest:
     num_envs: int | None = None
     out: Path | None = None
     device: str = "cpu"
+    graph: bool = True
     threads: int | None = None
     force: bool = False
     resume: bool = False
@@ -84,18 +87,6 @@ class RunOutcome:
     directory: RunDirectory
     training: TrainingResult | None
     metrics: Metrics | None
-
-
-def check_device(device: str) -> None:
-    """Checks that the device is available.
-
-    Raises:
-        KickbenchError: It is not.
-    """
-    if device != "cpu":
-        raise KickbenchError(
-            f"--device {device}: this version of kickbench has a CPU engine only; use --device cpu"
-        )
 
 
 def run(request: RunRequest) -> RunOutcome:
@@ -128,7 +119,9 @@ def _run_in(directory: RunDirectory, experiment: Experiment, request: RunRequest
         argv=request.command,
         earlier=earlier_parts(taken.state["run"]) if taken.state else (),
     )
-    trainer = make_trainer(experiment, directory, request.seed, threads, history)
+    trainer = make_trainer(
+        experiment, directory, request.seed, threads, history, device=request.device, graph=request.graph
+    )
     if taken.state:
         trainer.load_state_dict(taken.state)
         directory.reopen()
@@ -136,7 +129,8 @@ def _run_in(directory: RunDirectory, experiment: Experiment, request: RunRequest
     training = trainer.train(experiment.method.spec.algorithm.iterations)
     if training.interrupted:
         return RunOutcome(directory, training, None)
-    policy = trainer.ppo.get_policy().eval()
+    # Wherever a policy was trained, the CPU's engine evaluates it: figures compare, and `eval` gives them again.
+    policy = trainer.ppo.get_policy().eval().cpu()
     save_policy(directory.policy, policy)
     try:
         sides, equivariance = evaluate(experiment, policy, threads=threads)
@@ -177,16 +171,25 @@ def _metrics(
 
 
 def make_trainer(
-    experiment: Experiment, directory: RunDirectory, seed: int, threads: int, history: RunHistory
+    experiment: Experiment,
+    directory: RunDirectory,
+    seed: int,
+    threads: int,
+    history: RunHistory,
+    *,
+    device: str = "cpu",
+    graph: bool = True,
 ) -> Trainer:
     """Seeds everything and builds environments, networks and progress displays."""
     torch.manual_seed(seed)
-    engine = make_engine(experiment.task, experiment.method.spec.algorithm.num_envs, num_threads=threads)
+    worlds = experiment.method.spec.algorithm.num_envs
+    engine = make_engine(experiment.task, worlds, device, num_threads=threads)
     env = KickEnv(experiment.task, engine, seed)
     title = f"{experiment.task.name} / {experiment.method.name} / seed {seed}"
     progress = standard_progress(directory.progress, directory.tensorboard, title)
     update = update_threads(experiment.method.spec, threads)
-    return Trainer(experiment, env, progress, Checkpoints(directory.checkpoints), history, update)
+    checkpoints = Checkpoints(directory.checkpoints)
+    return Trainer(experiment, env, progress, checkpoints, history, update, graph=graph)
 
 
 def evaluate(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import os
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 
 # pyright: reportAttributeAccessIssue=false
 import mujoco
@@ -13,18 +14,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from kickbench.physics.engine import ModelField
+from kickbench.physics.engine import HUGE, INERTIAL_FIELDS, ModelField
 from kickbench.physics.skeleton import Skeleton
 
 _FULL = mujoco.mjtState.mjSTATE_FULLPHYSICS
 _CTRL = mujoco.mjtState.mjSTATE_CTRL
 _WRENCH = mujoco.mjtState.mjSTATE_XFRC_APPLIED
-_HUGE = 1e6
-"""A state whose norm (m, rad, m/s, rad/s) reaches this is an explosion, though finite."""
 _PACKED = 8
 """Worlds in one skeleton: `rollout` takes some 2 us to look at a model, more than a skeleton's step."""
-_INERTIAL = ("body_mass", "body_inertia")
-"""Fields that MuJoCo derives others from: the inverse weights that scale its constraints."""
 
 
 def usable_cores() -> int:
@@ -141,13 +138,13 @@ class CpuEngine:
         due = (self.decimation - 0.5) * self.model.opt.timestep
         clock, numbers = self._state[:, 0], self._state.ravel()
         # One look at all worlds together tells that none has failed, as is nearly always so. NaN compares false.
-        if clock.min() > due and np.einsum("i,i->", numbers, numbers) < _HUGE**2:
+        if clock.min() > due and np.einsum("i,i->", numbers, numbers) < HUGE**2:
             self.failed.zero_()
             return
         # A warning in the last substep comes too late to cut the rollout short. The largest number is found by the
         # norm, which reads the state once. NaN and overflow compare false as well.
         squares = np.einsum("ij,ij->i", self._state, self._state)
-        self.failed = torch.from_numpy(~(clock > due) | ~(squares < _HUGE**2))
+        self.failed = torch.from_numpy(~(clock > due) | ~(squares < HUGE**2))
 
     def _sense_frames(self, rows: slice | np.ndarray) -> None:
         """Evaluates the frame sensors in the current states of some worlds; `rows` are their indices."""
@@ -194,9 +191,13 @@ class CpuEngine:
             place = ids if field.column is None else (ids, field.column)
             for row in rows:
                 getattr(self._models[row], field.name)[place] = values[row]
-        if any(field.name in _INERTIAL for field in fields):
+        if any(field.name in INERTIAL_FIELDS for field in fields):
             for row in rows:
                 mujoco.mj_setConst(self._models[row], self._data[0])
+
+    def capturing(self) -> AbstractContextManager[None]:
+        """See `Engine.capturing`."""
+        return nullcontext()
 
     def state_dict(self) -> dict[str, Tensor]:
         """See `Engine.state_dict`."""
@@ -224,11 +225,14 @@ class CpuEngine:
         return self._state.copy()
 
     def model_field(self, name: str) -> np.ndarray:
-        """A field of the model in every world [B, ...]."""
+        """See `Engine.model_field`."""
         return np.stack([getattr(model, name) for model in self._models])
 
+    def take_load(self) -> None:
+        """See `Engine.take_load`: MuJoCo makes room as it needs it."""
+
     def close(self) -> None:
-        """Ends the thread pool."""
+        """See `Engine.close`: ends the thread pool."""
         self._pool.close()
 
 

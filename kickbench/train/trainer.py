@@ -13,6 +13,7 @@ from torch import Tensor
 from kickbench.env import KickEnv
 from kickbench.errors import KickbenchError
 from kickbench.experiment import Experiment
+from kickbench.graph import fastest_steps
 from kickbench.nets.relaxed import residual_share
 from kickbench.nets.threads import torch_threads
 from kickbench.results.history import RunHistory
@@ -59,6 +60,7 @@ class Trainer:
         update_threads: int = 1,
         checkpoint_every: int = 50,
         checkpoint_seconds: float = 300.0,
+        graph: bool = True,
     ) -> None:
         """Builds the networks; seed torch before.
 
@@ -71,8 +73,10 @@ class Trainer:
             update_threads: Threads of torch during updates; collecting takes one.
             checkpoint_every: Iterations between two checkpoints, at most.
             checkpoint_seconds: Time between two checkpoints, at most (to the end of an iteration), s.
+            graph: Whether steps are recorded and replayed on devices that can.
         """
         self.experiment, self.env, self.progress = experiment, env, progress
+        self._steps = fastest_steps(env, graph=graph)
         self.ppo: BoundedPPO = build_ppo(experiment, env.get_observations(), torch.device(env.device))
         self.iteration = 0
         self._update_threads = update_threads
@@ -192,11 +196,12 @@ class Trainer:
         self.progress.update(record)
 
     def _collect(self) -> None:
+        """Nothing in it waits for a number from the device; those are read once an iteration, afterwards."""
         with torch.no_grad():
-            observations = self.env.get_observations()
+            observations = self._steps.get_observations()
             for _ in range(self.experiment.method.spec.algorithm.steps_per_env):
                 actions = self.ppo.act(observations)
-                observations, rewards, dones, extras = self.env.step(actions)
+                observations, rewards, dones, extras = self._steps.step(actions)
                 self.ppo.process_env_step(observations, rewards, dones, extras)
             self.ppo.compute_returns(observations)
 
@@ -227,7 +232,14 @@ class Trainer:
             update_seconds=update,
             resets_nonfinite=int(finished.failures),
             residual_shares=self._residual_shares(),
+            load=self._load(),
         )
+
+    def _load(self) -> dict[str, float]:
+        load = self.env.engine.take_load()
+        if load is None:
+            return {}
+        return {name: getattr(load, name) for name in ("contacts", "constraints", "short_share")}
 
     def _residual_shares(self) -> dict[str, float]:
         networks = {"actor": self.ppo.get_policy(), "critic": self.ppo.critic}
