@@ -17,6 +17,7 @@ from kickbench.experiment import Symmetry as Reflection
 from kickbench.nets.augmentation import Augmentation
 from kickbench.nets.build import build_actor, build_critic
 from kickbench.spec.method import AlgorithmSpec, SymmetrySpec
+from kickbench.train.ranks import ALONE, Ranks
 
 
 class BoundedPPO(PPO):
@@ -44,13 +45,16 @@ class _AugmentationOnly(Symmetry):
         return torch.zeros((), device=batch.actions.device) if batch.actions is not None else torch.zeros(())
 
 
-def build_ppo(experiment: Experiment, observations: TensorDict, device: torch.device) -> BoundedPPO:
+def build_ppo(
+    experiment: Experiment, observations: TensorDict, device: torch.device, ranks: Ranks = ALONE
+) -> BoundedPPO:
     """Builds networks, storage and PPO of an experiment.
 
     Args:
         experiment: The experiment.
         observations: Example observations {group: [B, width]}.
         device: Where to train.
+        ranks: The processes that train together.
     """
     method, symmetry = experiment.method.spec, experiment.symmetry
     settings = method.algorithm
@@ -58,7 +62,8 @@ def build_ppo(experiment: Experiment, observations: TensorDict, device: torch.de
     critic = build_critic(method, symmetry.groups["critic"])
     envs, actions = observations.batch_size[0], symmetry.actions.dim
     storage = RolloutStorage("rl", envs, settings.steps_per_env, observations, [actions], str(device))
-    ppo = BoundedPPO(actor, critic, storage, device=str(device), **_settings(settings))
+    shared = {"device": str(device), "multi_gpu_cfg": ranks.rsl_rl()}
+    ppo = BoundedPPO(actor, critic, storage, **shared, **_settings(settings))
     ppo.symmetry = _build_symmetry(method.symmetry, symmetry)
     return ppo
 
