@@ -111,7 +111,9 @@ def test_a_training_by_several_processes_goes_on_with_as_many(experiment):
     trainer = Iterations(chosen, "cpu", 1).trainer
     state = trainer.state_dict()
     part = {"env": state["env"], "rng": state["rng"]}
-    with pytest.raises(KickbenchError, match="was trained by 2 processes and goes on with as many, not with 1"):
+    with pytest.raises(
+        KickbenchError, match="was trained by 2 processes and goes on with as many, not with 1"
+    ):
         trainer.load_state_dict({**state, "ranks": [part, part]})
 
 
