@@ -14,6 +14,7 @@ from torch import Tensor
 from kickbench.mdp.compile import Bound, CompiledTask
 from kickbench.mdp.delay import ActionDelay
 from kickbench.mdp.disturbance import Disturbance
+from kickbench.mdp.engines import make_engine as make_engine  # callers want both: an engine and its environment
 from kickbench.mdp.episode import EpisodeRecord, Outcome, Totals
 from kickbench.mdp.pushes import Pushes
 from kickbench.mdp.randomizations import Setting
@@ -307,16 +308,3 @@ class KickEnv(VecEnv):
             "starts": self._starts,
             **{name: process for name, process in processes.items() if process is not None},
         }
-
-
-def make_engine(
-    task: CompiledTask, num_envs: int, device: str = "cpu", num_threads: int | None = None
-) -> Engine:
-    """Makes the physics engine of a task on a device."""
-    from kickbench.physics.cpu import CpuEngine
-
-    layout = task.scene.layout
-    forces = [int(place) for places in layout.forces.values() for place in places.flatten()]
-    decimation = task.spec.simulation.decimation
-    pushed = layout.base_body if any(b.term.stage == "push" for b in task.processes) else None
-    return CpuEngine(task.scene.model, num_envs, decimation, forces, pushed, num_threads)

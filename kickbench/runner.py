@@ -19,6 +19,7 @@ from kickbench.mdp.starts import Starts
 from kickbench.nets.build import build_actor
 from kickbench.nets.threads import update_threads
 from kickbench.physics.cpu import usable_cores
+from kickbench.physics.devices import check_device
 from kickbench.results.asymmetry import EquivarianceError
 from kickbench.results.episodes import EpisodeSides, EpisodeTable, write_episodes
 from kickbench.results.history import RunHistory, earlier_parts
@@ -86,18 +87,6 @@ class RunOutcome:
     training: TrainingResult | None
     metrics: Metrics | None
     is_main: bool = True
-
-
-def check_device(device: str) -> None:
-    """Checks that the device is available.
-
-    Raises:
-        KickbenchError: It is not.
-    """
-    if device != "cpu":
-        raise KickbenchError(
-            f"--device {device}: this version of kickbench has a CPU engine only; use --device cpu"
-        )
 
 
 def run(request: RunRequest) -> RunOutcome:

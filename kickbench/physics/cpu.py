@@ -13,18 +13,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from kickbench.physics.engine import ModelField
+from kickbench.physics.engine import HUGE, INERTIAL_FIELDS, ModelField
 from kickbench.physics.skeleton import Skeleton
 
 _FULL = mujoco.mjtState.mjSTATE_FULLPHYSICS
 _CTRL = mujoco.mjtState.mjSTATE_CTRL
 _WRENCH = mujoco.mjtState.mjSTATE_XFRC_APPLIED
-_HUGE = 1e6
-"""A state whose norm (m, rad, m/s, rad/s) reaches this is an explosion, though finite."""
 _PACKED = 8
 """Worlds in one skeleton: `rollout` takes some 2 us to look at a model, more than a skeleton's step."""
-_INERTIAL = ("body_mass", "body_inertia")
-"""Fields that MuJoCo derives others from: the inverse weights that scale its constraints."""
 
 
 def usable_cores() -> int:
@@ -147,7 +143,7 @@ class CpuEngine:
         # A warning in the last substep comes too late to cut the rollout short. The largest number is found by the
         # norm, which reads the state once. NaN and overflow compare false as well.
         squares = np.einsum("ij,ij->i", self._state, self._state)
-        self.failed = torch.from_numpy(~(clock > due) | ~(squares < _HUGE**2))
+        self.failed = torch.from_numpy(~(clock > due) | ~(squares < HUGE**2))
 
     def _sense_frames(self, rows: slice | np.ndarray) -> None:
         """Evaluates the frame sensors in the current states of some worlds; `rows` are their indices."""
@@ -194,7 +190,7 @@ class CpuEngine:
             place = ids if field.column is None else (ids, field.column)
             for row in rows:
                 getattr(self._models[row], field.name)[place] = values[row]
-        if any(field.name in _INERTIAL for field in fields):
+        if any(field.name in INERTIAL_FIELDS for field in fields):
             for row in rows:
                 mujoco.mj_setConst(self._models[row], self._data[0])
 
@@ -224,11 +220,14 @@ class CpuEngine:
         return self._state.copy()
 
     def model_field(self, name: str) -> np.ndarray:
-        """A field of the model in every world [B, ...]."""
+        """See `Engine.model_field`."""
         return np.stack([getattr(model, name) for model in self._models])
 
+    def take_load(self) -> None:
+        """See `Engine.take_load`: MuJoCo makes room as it needs it."""
+
     def close(self) -> None:
-        """Ends the thread pool."""
+        """See `Engine.close`: ends the thread pool."""
         self._pool.close()
 
 

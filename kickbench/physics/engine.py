@@ -6,8 +6,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+import numpy as np
 import torch
 from torch import Tensor
+
+from kickbench.physics.load import EngineLoad
+
+HUGE = 1e6
+"""A state whose norm (m, rad, m/s, rad/s) reaches this is an explosion, though finite."""
+INERTIAL_FIELDS = ("body_mass", "body_inertia")
+"""Fields that MuJoCo derives others from: the inverse weights that scale its constraints."""
 
 
 @dataclass(frozen=True)
@@ -87,4 +95,20 @@ class Engine(Protocol):
         Raises:
             ValueError: It is the state of another model or of another number of worlds.
         """
+        ...
+
+    def model_field(self, name: str) -> np.ndarray:
+        """A copy of a field of the model in every world [B, ...]."""
+        ...
+
+    def take_load(self) -> EngineLoad | None:
+        """Use of the room for contacts since the last call; None: there is no limit. Waits for the device.
+
+        Raises:
+            KickbenchError: Too often something did not fit and was left out of the physics.
+        """
+        ...
+
+    def close(self) -> None:
+        """Frees what the engine holds: it cannot be used any more."""
         ...

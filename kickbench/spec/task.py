@@ -10,6 +10,7 @@ from pydantic import Field, model_validator
 from kickbench.spec.base import (
     Bounds,
     FileRef,
+    Fraction,
     NonNegativeFloat,
     NonNegativeInt,
     NonNegativeRange,
@@ -66,6 +67,12 @@ class SimulationSpec(Spec):
     """Newton iterations."""
     ls_iterations: PositiveInt = 20
     """Line-search iterations."""
+    max_contacts: PositiveInt | None = None
+    """Contacts that a GPU has room for, a world on average; default: measured. On a CPU there is no limit."""
+    max_constraints: PositiveInt | None = None
+    """Constraint rows that a GPU has room for in every world; default: measured. On a CPU there is no limit."""
+    allowed_overflow: Fraction = 0.001
+    """Largest share of the control steps in which a GPU may lack that room; a run that exceeds it ends."""
 
     @model_validator(mode="after")
     def _whole_decimation(self) -> SimulationSpec:

@@ -38,6 +38,8 @@ class IterationRecord:
         update_seconds: wall-clock time of the update [s].
         resets_nonfinite: worlds reset in this iteration because their state was not finite.
         residual_shares: share of the asymmetric residual in the norm of a relaxed network's weights, by network.
+        load: most contacts a world and constraint rows in a substep, and the share of the control steps that lacked
+            room for them; empty on a CPU, which makes room.
     """
 
     iteration: int
@@ -56,6 +58,7 @@ class IterationRecord:
     update_seconds: float
     resets_nonfinite: int
     residual_shares: Mapping[str, float] = field(default_factory=dict)
+    load: Mapping[str, float] = field(default_factory=dict)
 
 
 class Progress(Protocol):
@@ -217,6 +220,8 @@ def plain_line(record: IterationRecord, countdown: Countdown) -> str:
     ]
     if record.resets_nonfinite:
         parts.append(f"NON-FINITE WORLDS RESET: {record.resets_nonfinite}")
+    if record.load.get("short_share"):
+        parts.append(f"STEPS SHORT OF ROOM FOR CONTACTS: {record.load['short_share']:.3%}")
     return "  ".join(part for part in parts if part)
 
 

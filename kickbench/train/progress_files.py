@@ -39,6 +39,7 @@ def flatten(record: IterationRecord) -> dict[str, float]:
         "reward_raw": record.rewards_raw,
         "loss": record.losses,
         "residual_share": record.residual_shares,
+        "load": record.load,
     }
     for group, values in groups.items():
         flat.update({f"{group}/{name}": value for name, value in values.items()})

@@ -251,7 +251,14 @@ class Trainer:
             update_seconds=update,
             resets_nonfinite=int(finished.failures),
             residual_shares=self._residual_shares(),
+            load=self._load(),
         )
+
+    def _load(self) -> dict[str, float]:
+        load = self.env.engine.take_load()
+        if load is None:
+            return {}
+        return {name: getattr(load, name) for name in ("contacts", "constraints", "short_share")}
 
     def _residual_shares(self) -> dict[str, float]:
         networks = {"actor": self.ppo.get_policy(), "critic": self.ppo.critic}

@@ -1,0 +1,199 @@
+"""Contact sensing on the device: which contacts a sensor counts, and the latch over the substeps.
+
+mujoco_warp's own contact sensors search all contacts once a sensor and keep up to 64 of them a world and sensor, in every
+substep. Here every contact finds the sensors that count it in a table of geom pairs and adds itself to them: one
+launch a substep, whatever the number of sensors.
+"""
+
+# Kernels read their annotations, so they must not be strings: no `from __future__ import annotations` here.
+
+from collections.abc import Iterator, Sequence
+
+# pyright: reportAttributeAccessIssue=false, reportIndexIssue=false, reportInvalidTypeForm=false
+import mujoco
+import numpy as np
+import warp as wp
+from mujoco_warp import Data
+
+_Obj = mujoco.mjtObj
+_FOUND = 1 << int(mujoco.mjtConDataField.mjCONDATA_FOUND)
+_FORCE = 1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE)
+_NETFORCE = 3
+"""MuJoCo's `reduce` that adds up all contacts of a sensor, in the world frame."""
+
+
+@wp.kernel(enable_backward=False)
+def _sense(
+    elliptic: bool,
+    ngeom: int,
+    pair_first: wp.array(dtype=wp.int32),
+    entry_place: wp.array(dtype=wp.int32),
+    entry_sign: wp.array(dtype=wp.float32),
+    entry_force: wp.array(dtype=wp.bool),
+    count: wp.array(dtype=wp.int32),
+    worldid: wp.array(dtype=wp.int32),
+    geom: wp.array(dtype=wp.vec2i),
+    dim: wp.array(dtype=wp.int32),
+    frame: wp.array(dtype=wp.mat33),
+    friction: wp.array(dtype=wp.types.vector(length=5, dtype=wp.float32)),
+    address: wp.array2d(dtype=wp.int32),
+    efc_force: wp.array2d(dtype=wp.float32),
+    sensed: wp.array2d(dtype=wp.float32),
+):
+    """Adds contact `i` to every sensor that counts it: 1 to its count, its force on the second geom to its force."""
+    i = wp.tid()
+    if i >= wp.min(count[0], geom.shape[0]):
+        return
+    world = worldid[i]
+    pair = geom[i][0] * ngeom + geom[i][1]
+    for entry in range(pair_first[pair], pair_first[pair + 1]):
+        place = entry_place[entry]
+        wp.atomic_add(sensed, world, place, 1.0)
+        if not entry_force[entry]:
+            continue
+        force = wp.vec3(0.0, 0.0, 0.0)
+        first = address[i, 0]
+        if elliptic:
+            # Rows of a contact: along the normal and the tangents.
+            for k in range(wp.min(dim[i], 3)):
+                row = address[i, k]
+                if row >= 0 and row < efc_force.shape[1]:
+                    force[k] = efc_force[world, row]
+        elif first >= 0 and dim[i] == 1:
+            if first < efc_force.shape[1]:
+                force[0] = efc_force[world, first]
+        elif first >= 0:
+            # Rows are the edges of the pyramid, two a friction direction: normal +- mu tangent.
+            for k in range(dim[i] - 1):
+                row = first + 2 * k
+                if row + 1 < efc_force.shape[1]:
+                    force[0] += efc_force[world, row] + efc_force[world, row + 1]
+                    if k < 2:
+                        force[k + 1] = (efc_force[world, row] - efc_force[world, row + 1]) * friction[i][k]
+        in_world = entry_sign[entry] * (wp.transpose(frame[i]) @ force)
+        for k in range(3):
+            wp.atomic_add(sensed, world, place + 1 + k, in_world[k])
+
+
+@wp.kernel(enable_backward=False)
+def _latch(
+    first: int, is_force: wp.array(dtype=wp.bool), sensed: wp.array3d(dtype=wp.float32),
+    sensors: wp.array2d(dtype=wp.float32),
+):  # fmt: skip
+    """Counts keep their largest value over the substeps, forces their mean."""
+    world, place = wp.tid()
+    largest, total = float(0.0), float(0.0)
+    for substep in range(sensed.shape[0]):
+        value = sensed[substep, world, place]
+        largest = wp.max(largest, value)
+        total += value
+    if is_force[place]:
+        sensors[world, first + place] = total / float(sensed.shape[0])
+    else:
+        sensors[world, first + place] = largest
+
+
+class ContactLatch:
+    """Senses the contacts of every substep of a control step and latches them; nothing is allocated on the way."""
+
+    def __init__(
+        self, model: mujoco.MjModel, num_worlds: int, decimation: int, contact_forces: Sequence[int]
+    ) -> None:
+        """Makes the table of geom pairs on warp's present device.
+
+        Args:
+            model: Compiled model, its contact sensors after all others.
+            num_worlds: Number of worlds.
+            decimation: Substeps of a control step.
+            contact_forces: Places in sensordata that are averaged over the substeps.
+
+        Raises:
+            NotImplementedError: A contact sensor is of a kind that no scene of kickbench has.
+        """
+        sensors = np.flatnonzero(model.sensor_type == mujoco.mjtSensor.mjSENS_CONTACT)
+        self._first = int(model.sensor_adr[sensors[0]]) if len(sensors) else model.nsensordata
+        width = model.nsensordata - self._first
+        self._elliptic = model.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC
+        self._ngeom = model.ngeom
+        self._make_table(model, sensors)
+        averaged = np.zeros(width, dtype=bool)
+        averaged[np.asarray(contact_forces, dtype=int) - self._first] = True
+        self._is_force = wp.array(averaged, dtype=wp.bool)
+        self._sensed = wp.zeros((decimation, num_worlds, max(width, 1)), dtype=wp.float32)
+        self._of_substep = [self._sensed[substep] for substep in range(decimation)]
+        self._shape = (num_worlds, width)
+
+    def _make_table(self, model: mujoco.MjModel, sensors: np.ndarray) -> None:
+        entries: dict[int, list[tuple[int, float, bool]]] = {}
+        for sensor in sensors:
+            place, force = int(model.sensor_adr[sensor]) - self._first, _reports_force(model, sensor)
+            for pair, sign in _pairs(model, sensor):
+                entries.setdefault(pair, []).append((place, sign, force))
+        counts = [len(entries.get(pair, ())) for pair in range(model.ngeom**2)]
+        flat = [entry for pair in sorted(entries) for entry in entries[pair]]
+        places, signs, forces = zip(*flat, strict=True) if flat else ((), (), ())
+        self._pair_first = wp.array(np.concatenate([[0], np.cumsum(counts)]), dtype=wp.int32)
+        self._entry_place = wp.array(np.array(places, dtype=np.int32), dtype=wp.int32)
+        self._entry_sign = wp.array(np.array(signs, dtype=np.float32), dtype=wp.float32)
+        self._entry_force = wp.array(np.array(forces, dtype=bool), dtype=wp.bool)
+
+    def clear(self) -> None:
+        """Forgets the last control step; before its first substep."""
+        self._sensed.zero_()
+
+    def sense(self, data: Data, substep: int) -> None:
+        """Senses the contacts of a substep, after it."""
+        contact = data.contact
+        wp.launch(
+            _sense,
+            dim=data.naconmax,
+            inputs=[
+                self._elliptic, self._ngeom, self._pair_first, self._entry_place, self._entry_sign,
+                self._entry_force, data.nacon, contact.worldid, contact.geom, contact.dim, contact.frame,
+                contact.friction, contact.efc_address, data.efc.force,
+            ],
+            outputs=[self._of_substep[substep]],
+        )  # fmt: skip
+
+    def latch(self, sensors: wp.array) -> None:
+        """Writes the contact sensors of the control step into sensor data [B, ns], after its last substep."""
+        wp.launch(
+            _latch, dim=self._shape, inputs=[self._first, self._is_force, self._sensed], outputs=[sensors]
+        )
+
+
+def _reports_force(model: mujoco.MjModel, sensor: int) -> bool:
+    """Whether a contact sensor reports the net force; checks that it is one that can be sensed here."""
+    data, reduce = (int(value) for value in model.sensor_intprm[sensor, :2])
+    force = data == _FOUND | _FORCE and reduce == _NETFORCE and model.sensor_dim[sensor] == 4
+    if not force and (data != _FOUND or model.sensor_dim[sensor] != 1):
+        name = model.sensor(int(sensor)).name
+        raise NotImplementedError(
+            f"contact sensor '{name}': only `found`, and `found` with the net `force`, are latched"
+        )
+    return force
+
+
+def _pairs(model: mujoco.MjModel, sensor: int) -> Iterator[tuple[int, float]]:
+    """Pairs geom1 * ngeom + geom2 that a contact sensor counts; -1 where the second geom is its object."""
+    first = _geoms(model, int(model.sensor_objtype[sensor]), int(model.sensor_objid[sensor]))
+    second = _geoms(model, int(model.sensor_reftype[sensor]), int(model.sensor_refid[sensor]))
+    forward = np.outer(first, second)
+    backward = forward.T & ~forward
+    for counted, sign in ((forward, 1.0), (backward, -1.0)):
+        yield from ((int(pair), sign) for pair in np.flatnonzero(counted))
+
+
+def _geoms(model: mujoco.MjModel, kind: int, thing: int) -> np.ndarray:
+    """Whether each geom belongs to an object of a contact sensor [ngeom] bool."""
+    if kind == _Obj.mjOBJ_GEOM:
+        return np.arange(model.ngeom) == thing
+    if kind == _Obj.mjOBJ_BODY:
+        return model.geom_bodyid == thing
+    if kind == _Obj.mjOBJ_XBODY:
+        inside = np.zeros(model.nbody, dtype=bool)
+        inside[thing] = True
+        for body in range(thing + 1, model.nbody):
+            inside[body] = inside[model.body_parentid[body]]
+        return inside[model.geom_bodyid]
+    raise NotImplementedError(f"contact sensors of {_Obj(kind).name} are not latched")
