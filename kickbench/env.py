@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from copy import deepcopy
 from dataclasses import replace
 from typing import Any
 
@@ -14,14 +15,16 @@ from torch import Tensor
 from kickbench.mdp.compile import Bound, CompiledTask
 from kickbench.mdp.delay import ActionDelay
 from kickbench.mdp.disturbance import Disturbance
-from kickbench.mdp.engines import make_engine as make_engine  # callers want both: an engine and its environment
+from kickbench.mdp.engines import (
+    make_engine as make_engine,  # callers want both: an engine and its environment
+)
 from kickbench.mdp.episode import EpisodeRecord, Outcome, Totals
 from kickbench.mdp.pushes import Pushes
 from kickbench.mdp.randomizations import Setting
 from kickbench.mdp.snapshot import Snapshot
-from kickbench.mdp.starts import StartPool, Starts, StartSampler
+from kickbench.mdp.starts import FreshStarts, StartPool, Starts, StartSampler
 from kickbench.mdp.state import EpisodeState, State, StateIndex
-from kickbench.mdp.stateful import check_tensors
+from kickbench.mdp.stateful import Stateful, check_tensors
 from kickbench.mdp.variation import ModelVariation
 from kickbench.physics.engine import Engine
 
@@ -48,6 +51,7 @@ class KickEnv(VecEnv):
         noise: bool = True,
         pushes: bool = True,
         starts: StartSource | None = None,
+        resident: bool | None = None,
     ) -> None:
         """Resets every world.
 
@@ -58,6 +62,8 @@ class KickEnv(VecEnv):
             noise: Whether observation noise applies.
             pushes: Whether the task's pushes apply.
             starts: Where starts come from; default: sampled from the task's regions.
+            resident: Whether no step may wait for the host to read a number back; default: on all devices but the
+                CPU, where it costs nothing to look. Starts are then drawn in another order.
         """
         self.task, self.engine = task, engine
         self.num_envs, self.num_actions = engine.num_worlds, len(task.scene.layout.actuator_names)
@@ -73,7 +79,9 @@ class KickEnv(VecEnv):
             task.scene.model.nv,
             self.generator,
         )
-        self._starts = starts or StartPool(self.sampler, _POOLED * self.num_envs)
+        self._starts = starts or self._make_starts(
+            self.device.type != "cpu" if resident is None else resident
+        )
         self._noise = noise
         self._prepare_constants()
         made = {bound.term.stage: self._make_process(bound) for bound in task.processes}
@@ -106,6 +114,11 @@ class KickEnv(VecEnv):
         self._has_feet = bool(layout.foot_geoms)
         self._variation = ModelVariation(task.scene, self.device)
 
+    def _make_starts(self, resident: bool) -> StartSource:
+        if resident:
+            return FreshStarts(self.sampler, self.num_envs)
+        return StartPool(self.sampler, _POOLED * self.num_envs)
+
     def _make_process(self, bound: Bound) -> Any:
         spec = self.task.spec.simulation
         setting = Setting(spec.timestep, spec.decimation, self._default_target, self.num_envs, self.generator)
@@ -129,7 +142,7 @@ class KickEnv(VecEnv):
     def snapshot(self) -> Snapshot:
         """Everything that the running episodes are at this instant."""
         engine, layout = self.engine, self.task.scene.layout
-        return Snapshot(
+        present = Snapshot(
             qpos=engine.qpos.clone(),
             qvel=engine.qvel.clone(),
             touches={name: engine.sensors[:, places] for name, places in layout.contacts.items()},
@@ -141,6 +154,8 @@ class KickEnv(VecEnv):
             pushes=None if self._pushes is None else self._pushes.memory,
             generator=self.generator.get_state(),
         )
+        # A captured step writes to the tensors that are here now (see `graph`).
+        return deepcopy(present)
 
     def restore(self, snapshot: Snapshot) -> TensorDict:
         """Puts every world into the state of a snapshot, and returns the observations of that state.
@@ -262,7 +277,7 @@ class KickEnv(VecEnv):
         for name, fields in self.task.groups.items():
             value = torch.cat([exact[field.key] for field in fields], dim=1)
             groups[name] = self._disturbances[name](value, self.generator)
-        return TensorDict(groups, batch_size=[self.num_envs], device=self.device)
+        return self._group(groups)
 
     def state_dict(self) -> dict[str, Any]:
         """Everything that later steps depend on, as tensors and plain numbers, in dicts by part.
@@ -292,19 +307,36 @@ class KickEnv(VecEnv):
         everywhere = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
         self._vary(everywhere, {name: values.to(self.device) for name, values in state["by_side"].items()})
         groups = {name: group.to(self.device, copy=True) for name, group in state["observations"].items()}
-        self._observations = TensorDict(groups, batch_size=[self.num_envs], device=self.device)
+        self._observations = self._group(groups)
         # Last: the pool of starts has used the generator to draw its starts again.
         self.generator.set_state(state["rng"])
 
     def _parts(self) -> dict[str, Any]:
         """What has a state of its own, by name."""
-        assert isinstance(self._starts, StartPool), "starts from elsewhere have no state that could be kept"
+        from_regions = isinstance(self._starts, StartPool | FreshStarts)
+        assert from_regions, "starts from elsewhere have no state that could be kept"
+        return {"engine": self.engine, "starts": self._starts, **self._tables()}
+
+    def _tables(self) -> dict[str, Stateful]:
+        """The parts whose state is a table of tensors, by name."""
+        tables = {"episode": self.episode, "record": self.record, "totals": self.totals}
         processes = {"delay": self._delay, "pushes": self._pushes}
-        return {
-            "engine": self.engine,
-            "episode": self.episode,
-            "record": self.record,
-            "totals": self.totals,
-            "starts": self._starts,
-            **{name: process for name, process in processes.items() if process is not None},
-        }
+        return tables | {name: process for name, process in processes.items() if process is not None}
+
+    def tensors(self) -> dict[str, dict[str, Tensor]]:
+        """Every tensor that a step replaces by a new one, by part and name.
+
+        With the engine's, which are written to in place, and the generator they are the whole state.
+        """
+        parts = {name: part.tensors() for name, part in self._tables().items()}
+        return {**parts, "by_side": dict(self._by_side), "observations": self._observations.to_dict()}
+
+    def bind(self, tensors: Mapping[str, Mapping[str, Tensor]]) -> None:
+        """Puts tensors of the same names, shapes and types in the place of `tensors()`."""
+        for name, part in self._tables().items():
+            part.bind(tensors[name])
+        self._by_side = dict(tensors["by_side"])
+        self._observations = self._group(tensors["observations"])
+
+    def _group(self, groups: Mapping[str, Tensor]) -> TensorDict:
+        return TensorDict(dict(groups), batch_size=[self.num_envs], device=self.device)

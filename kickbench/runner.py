@@ -46,6 +46,7 @@ class RunRequest:
         num_envs: Parallel environments; default: the method's.
         out: Run directory; default: `runs/<task>/<method>/seed<k>`.
         device: Where to train.
+        graph: Whether steps are recorded as CUDA graphs, on devices that have them.
         threads: Threads of physics and torch; default: the cores this process may use.
         force: Overwrite a run that is there.
         resume: Go on with a run that is there; begin it if there is none.
@@ -60,6 +61,7 @@ class RunRequest:
     num_envs: int | None = None
     out: Path | None = None
     device: str = "cpu"
+    graph: bool = True
     threads: int | None = None
     force: bool = False
     resume: bool = False
@@ -123,7 +125,10 @@ def _run_in(
         argv=request.command,
         earlier=earlier_parts(taken.state["run"]) if taken.state else (),
     )
-    trainer = make_trainer(experiment, directory, request.seed, threads, history, ranks)
+    device = str(ranks.device)
+    trainer = make_trainer(
+        experiment, directory, request.seed, threads, history, ranks, device=device, graph=request.graph
+    )
     if taken.state:
         trainer.load_state_dict(taken.state)
         if ranks.is_main:
@@ -132,7 +137,9 @@ def _run_in(
     training = trainer.train(experiment.method.spec.algorithm.iterations)
     if training.interrupted or not ranks.is_main:
         return RunOutcome(directory, training, None, ranks.is_main)
-    policy = trainer.ppo.get_policy().eval()
+    # Every policy is evaluated by the CPU's engine, wherever it was trained: figures compare, and `eval` gives them
+    # again.
+    policy = trainer.ppo.get_policy().eval().cpu()
     save_policy(directory.policy, policy)
     try:
         sides, equivariance = evaluate(experiment, policy, threads=threads)
@@ -196,18 +203,22 @@ def make_trainer(
     threads: int,
     history: RunHistory,
     ranks: Ranks = ALONE,
+    *,
+    device: str = "cpu",
+    graph: bool = True,
 ) -> Trainer:
     """Seeds everything and builds environments, networks and progress displays."""
     own_seed = ranks.seed(seed)
     torch.manual_seed(own_seed)
-    num_envs = ranks.share(experiment.method.spec.algorithm.num_envs)
-    engine = make_engine(experiment.task, num_envs, num_threads=threads)
+    worlds = ranks.share(experiment.method.spec.algorithm.num_envs)
+    engine = make_engine(experiment.task, worlds, device, num_threads=threads)
     env = KickEnv(experiment.task, engine, own_seed)
     title = f"{experiment.task.name} / {experiment.method.name} / seed {seed}"
     shown = standard_progress(directory.progress, directory.tensorboard, title) if ranks.is_main else None
     update = update_threads(experiment.method.spec, threads)
     checkpoints = Checkpoints(directory.checkpoints)
-    return Trainer(experiment, env, shown or ProgressGroup(()), checkpoints, history, update, ranks=ranks)
+    progress = shown or ProgressGroup(())
+    return Trainer(experiment, env, progress, checkpoints, history, update, graph=graph, ranks=ranks)
 
 
 def evaluate(

@@ -21,6 +21,7 @@ ROOMS = (
     ("physics",),
     ("mdp",),
     ("env",),
+    ("graph",),
     ("nets",),
     ("experiment",),
     ("speccheck",),

@@ -10,12 +10,14 @@ from torch import Tensor
 
 from kickbench.bench.memory import read_peaks, reset_peaks
 from kickbench.bench.physics import count_contacts, physics_alone
-from kickbench.bench.record import MethodFigures, SizeFigures, StepFigures
+from kickbench.bench.record import MethodFigures, RoomFigures, SizeFigures, StepFigures
 from kickbench.bench.timing import Stopwatch, Timing
 from kickbench.bench.training import Iterations
 from kickbench.env import KickEnv, make_engine
 from kickbench.experiment import Experiment
+from kickbench.graph import fastest_steps
 from kickbench.nets.threads import torch_threads
+from kickbench.physics.engine import Engine
 
 _STEPS_PER_ROUND = 10
 _WARM_STEPS = 60
@@ -74,7 +76,7 @@ def measure_size(experiments: Mapping[str, Experiment], setting: Setting, tell: 
         step=stage.figures(timing),
         methods={name: _method_figures(method, timing, name, reference) for name, method in methods.items()},
         contacts=count_contacts(stage.env),
-        overflow=None,
+        room=_room(stage.env.engine),
         memory=read_peaks(torch.device(setting.device)),
     )
 
@@ -89,15 +91,16 @@ class _Stage:
         self.watch = Stopwatch(self.env.device)
         self._generator = torch.Generator(self.env.device).manual_seed(0)
         self._physics = physics_alone(self.env, setting.threads)
+        self._steps = fastest_steps(self.env)
         for action in self._actions(_WARM_STEPS):
-            self.env.step(action)
+            self._steps.step(action)
 
     def round(self) -> None:
         """Times some control steps both ways, from the same states."""
         actions = self._actions(_STEPS_PER_ROUND)
         physics = self._physics(actions)
         self.watch.time("physics", physics)
-        self.watch.time("env", lambda: [self.env.step(action) for action in actions])
+        self.watch.time("env", lambda: [self._steps.step(action) for action in actions])
 
     def figures(self, timing: Timing) -> StepFigures:
         steps = _STEPS_PER_ROUND * self.env.num_envs
@@ -127,4 +130,17 @@ def _method_figures(method: Iterations, timing: Timing, name: str, reference: st
         iteration_seconds=timing.median(f"iteration {name}"),
         iteration_ratio=timing.ratio(f"iteration {name}", f"iteration {reference}"),
         iteration_steps_per_second=samples / timing.median(f"iteration {name}"),
+    )
+
+
+def _room(engine: Engine) -> RoomFigures | None:
+    load = engine.take_load()
+    if load is None:
+        return None
+    return RoomFigures(
+        contacts=load.contacts,
+        contact_room=load.contact_room,
+        constraints=load.constraints,
+        constraint_room=load.constraint_room,
+        overflow=load.short_share,
     )

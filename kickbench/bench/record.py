@@ -56,6 +56,16 @@ class ContactFigures(Record):
     constraints: Count = Field(description="scalar constraints a world")
 
 
+class RoomFigures(Record):
+    """How an engine with limited room for contacts and constraints got by, under random actions."""
+
+    contacts: NonNegativeFloat = Field(description="most contacts in a substep, a world on average")
+    contact_room: PositiveInt = Field(description="contacts there is room for, a world on average")
+    constraints: NonNegativeInt = Field(description="most constraint rows of any world in a substep")
+    constraint_room: PositiveInt = Field(description="constraint rows there is room for in every world")
+    overflow: Fraction = Field(description="share of the control steps in which something did not fit")
+
+
 class MemoryFigures(Record):
     """Peaks while one size was measured; all that is compared is in memory at once."""
 
@@ -75,10 +85,7 @@ class SizeFigures(Record):
     step: StepFigures
     methods: dict[str, MethodFigures] = Field(description="method -> figures; the first is the reference")
     contacts: ContactFigures | None = Field(description="null if the engine does not tell")
-    overflow: Fraction | None = Field(
-        description="share of world-steps that ran out of room for contacts or constraints; null if the engine "
-        "has no such limit"
-    )
+    room: RoomFigures | None = Field(description="null if the engine has no limit")
     memory: MemoryFigures
 
 

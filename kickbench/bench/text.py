@@ -54,8 +54,10 @@ def _remarks(size: SizeFigures) -> list[str]:
     if (found := size.contacts) is not None:
         for what, count in (("contacts", found.contacts), ("constraints", found.constraints)):
             remarks.append(f"{what} a world: mean {count.mean:.1f}, 95 % {count.p95:.0f}, most {count.most}")
-    if size.overflow is not None:
-        remarks.append(f"overflow in {size.overflow:.2%} of world-steps")
+    if (room := size.room) is not None:
+        remarks.append(f"contacts a world at most {room.contacts:.1f} of {room.contact_room}")
+        remarks.append(f"constraints at most {room.constraints} of {room.constraint_room}")
+        remarks.append(f"overflow in {room.overflow:.2%} of world-steps")
     peaks = {
         "memory": size.memory.resident_bytes,
         "torch on the GPU": size.memory.torch_device_bytes,

@@ -19,13 +19,14 @@ from kickbench.train.trainer import Trainer
 class Iterations:
     """A training that goes on by one iteration a call."""
 
-    def __init__(self, experiment: Experiment, device: str, threads: int) -> None:
+    def __init__(self, experiment: Experiment, device: str, threads: int, *, graph: bool = True) -> None:
         """Builds environments and networks.
 
         Args:
             experiment: What is trained.
             device: Torch device.
             threads: Threads of physics, and of torch in updates of wide networks.
+            graph: Whether steps are recorded as CUDA graphs, on devices that have them.
         """
         torch.manual_seed(0)
         self.experiment = experiment
@@ -34,7 +35,9 @@ class Iterations:
         env = KickEnv(experiment.task, make_engine(experiment.task, num_envs, device, num_threads=threads), 0)
         history = RunHistory(experiment.task.name, experiment.method.name, 0, num_threads=threads)
         self._last = _LastRecord()
-        self.trainer = Trainer(experiment, env, self._last, _Unkept(), history, self.update_threads)
+        self.trainer = Trainer(
+            experiment, env, self._last, _Unkept(), history, self.update_threads, graph=graph
+        )
 
     def __call__(self) -> IterationRecord:
         """Makes the next iteration."""

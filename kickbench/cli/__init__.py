@@ -50,6 +50,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_view(verbs)
     _add_symmetry(verbs)
     _add_audit(verbs)
+    _add_verb(verbs, "doctor", "kickbench.cli.doctor:doctor", "say what can run here, and why not the rest")
     return parser
 
 
@@ -74,6 +75,12 @@ def _add_run(verbs: argparse._SubParsersAction) -> None:
     _add_set(verb)
     verb.add_argument(
         "--device", choices=("cpu", "cuda"), default="cpu", help="where to train (default: cpu)"
+    )
+    verb.add_argument(
+        "--no-graph",
+        action="store_false",
+        dest="graph",
+        help="run every kernel of a step on its own instead of one CUDA graph: slow, for finding faults",
     )
     _add_threads(verb)
     taken = verb.add_mutually_exclusive_group()

@@ -19,8 +19,8 @@ from kickbench.bench.training import Iterations
 from kickbench.experiment import Experiment, load_experiment
 from kickbench.nets.threads import torch_threads
 from kickbench.physics.cpu import usable_cores
+from kickbench.physics.devices import check_device
 from kickbench.results.provenance import collect_provenance
-from kickbench.runner import check_device
 
 _METHODS = ("baseline", "augmentation", "equivariant")
 _PROFILED_ITERATIONS = 3
@@ -73,7 +73,8 @@ def _profiles(experiments: dict[str, Experiment], setting: Setting) -> tuple[Pro
     with torch_threads(1):
         for name, experiment in experiments.items():
             print(f"profile of {name}", file=sys.stderr)
-            training = Iterations(experiment, setting.device, setting.threads)
+            # What a graph replays has no parts that could be told apart.
+            training = Iterations(experiment, setting.device, setting.threads, graph=False)
             of_step, of_update = profile_iteration(training, _PROFILED_ITERATIONS)
             # The step differs between methods only by the policy: one is enough to read.
             found += [of_update] if found else [of_step, of_update]

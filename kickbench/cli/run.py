@@ -22,6 +22,7 @@ def run(arguments: argparse.Namespace) -> int:
             num_envs=arguments.num_envs,
             out=arguments.out,
             device=arguments.device,
+            graph=arguments.graph,
             threads=arguments.threads,
             force=arguments.force,
             resume=arguments.resume,

@@ -159,7 +159,7 @@ class StartSampler:
         ball, target = self._sampling.ball, self._sampling.target
         qpos = self._default.repeat(count, 1)
         qpos[:, self._place : self._place + 2] = self._draw_ball(count, ball)
-        qpos[:, self._place + 2] = self._ball.radius
+        qpos[:, self._place + 2].fill_(self._ball.radius)
         distance, angle = self.draw(*target.distance, count), self.draw(*target.angle, count)
         goal = torch.stack([distance * angle.cos(), distance * angle.sin()], dim=1)
         starts = Starts(qpos, qpos.new_zeros(count, self._nv), goal, self._joints)
@@ -168,8 +168,39 @@ class StartSampler:
         return starts
 
 
+class FreshStarts:
+    """Samples a start for every world at every call, needed or not: nothing depends on how many are.
+
+    For devices that would have to ask for that number: a few thousand starts cost a GPU less than the question.
+    """
+
+    def __init__(self, sampler: StartSampler, num_worlds: int) -> None:
+        """Takes the sampler and the number of worlds B."""
+        self._sampler, self._num_worlds = sampler, num_worlds
+
+    def __call__(self, mask: Tensor) -> Starts:
+        """A new start for every world; those of worlds outside `mask` [B] are left unused."""
+        return self._sampler.sample(self._num_worlds)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Nothing: all that later starts depend on is the generator."""
+        return {}
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Takes over nothing.
+
+        Raises:
+            ValueError: The state is that of a pool of starts, from a run on another kind of device.
+        """
+        if state:
+            raise ValueError(f"FreshStarts: expected no state, found {sorted(state)}")
+
+
 class StartPool:
-    """Hands out sampled starts one by one; sampling many at once costs as little as sampling a few."""
+    """Hands out sampled starts one by one; sampling many at once costs as little as sampling a few.
+
+    It counts them, which a GPU would have to wait for: see `FreshStarts`.
+    """
 
     def __init__(self, sampler: StartSampler, size: int) -> None:
         """Draws the first starts.
@@ -204,8 +235,8 @@ class StartPool:
         Raises:
             ValueError: The state is that of a pool of another size.
         """
-        if state["size"] != self._size:
-            raise ValueError(f"StartPool: expected {self._size} starts, found {state['size']}")
+        if state.get("size") != self._size:
+            raise ValueError(f"StartPool: expected {self._size} starts, found {state.get('size')}")
         self._sampler.generator.set_state(state["drawn_from"])
         self._draw()
         self._used = state["used"]

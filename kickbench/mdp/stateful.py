@@ -17,9 +17,18 @@ class Stateful:
     def _names(self) -> tuple[str, ...]:
         return tuple(field.name for field in fields(self)) if is_dataclass(self) else self.STATE
 
+    def tensors(self) -> dict[str, Tensor]:
+        """The tensors themselves, by name."""
+        return {name: getattr(self, name) for name in self._names()}
+
+    def bind(self, tensors: Mapping[str, Tensor]) -> None:
+        """Puts tensors of the same shapes and types in their place."""
+        for name in self._names():
+            setattr(self, name, tensors[name])
+
     def state_dict(self) -> dict[str, Tensor]:
         """Copies of the tensors, by name."""
-        return {name: getattr(self, name).clone() for name in self._names()}
+        return {name: value.clone() for name, value in self.tensors().items()}
 
     def load_state_dict(self, state: Mapping[str, Tensor]) -> None:
         """Takes over copies of tensors that `state_dict` has returned.
@@ -27,10 +36,9 @@ class Stateful:
         Raises:
             ValueError: They are others, or of other shapes or types.
         """
-        present = {name: getattr(self, name) for name in self._names()}
+        present = self.tensors()
         check_tensors(type(self).__name__, state, present)
-        for name, value in present.items():
-            setattr(self, name, state[name].to(value.device, copy=True))
+        self.bind({name: state[name].to(value.device, copy=True) for name, value in present.items()})
 
 
 def check_tensors(owner: str, found: Mapping[str, Tensor], expected: Mapping[str, Tensor]) -> None:

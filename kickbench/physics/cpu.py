@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import os
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 
 # pyright: reportAttributeAccessIssue=false
 import mujoco
@@ -137,7 +138,7 @@ class CpuEngine:
         due = (self.decimation - 0.5) * self.model.opt.timestep
         clock, numbers = self._state[:, 0], self._state.ravel()
         # One look at all worlds together tells that none has failed, as is nearly always so. NaN compares false.
-        if clock.min() > due and np.einsum("i,i->", numbers, numbers) < _HUGE**2:
+        if clock.min() > due and np.einsum("i,i->", numbers, numbers) < HUGE**2:
             self.failed.zero_()
             return
         # A warning in the last substep comes too late to cut the rollout short. The largest number is found by the
@@ -193,6 +194,10 @@ class CpuEngine:
         if any(field.name in INERTIAL_FIELDS for field in fields):
             for row in rows:
                 mujoco.mj_setConst(self._models[row], self._data[0])
+
+    def capturing(self) -> AbstractContextManager[None]:
+        """See `Engine.capturing`."""
+        return nullcontext()
 
     def state_dict(self) -> dict[str, Tensor]:
         """See `Engine.state_dict`."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -82,6 +83,13 @@ class Engine(Protocol):
         """Sets fields of the model in the worlds in `mask` [B] bool; what MuJoCo derives from them follows.
 
         A field keeps its value until it is set again: a reset does not touch it.
+        """
+        ...
+
+    def capturing(self) -> AbstractContextManager[None]:
+        """Entered while torch records a CUDA graph on its present stream: what runs in it becomes part of the graph.
+
+        Only for engines on a CUDA device; elsewhere it does nothing.
         """
         ...
 

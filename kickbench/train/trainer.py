@@ -13,6 +13,7 @@ from torch import Tensor
 from kickbench.env import KickEnv
 from kickbench.errors import KickbenchError
 from kickbench.experiment import Experiment
+from kickbench.graph import fastest_steps
 from kickbench.nets.relaxed import residual_share
 from kickbench.nets.threads import torch_threads
 from kickbench.results.history import RunHistory
@@ -60,6 +61,7 @@ class Trainer:
         update_threads: int = 1,
         checkpoint_every: int = 50,
         checkpoint_seconds: float = 300.0,
+        graph: bool = True,
         ranks: Ranks = ALONE,
     ) -> None:
         """Builds the networks; seed torch before.
@@ -73,9 +75,11 @@ class Trainer:
             update_threads: Threads of torch during updates; collecting takes one.
             checkpoint_every: Iterations between two checkpoints, at most.
             checkpoint_seconds: Time between two checkpoints, at most (to the end of an iteration), s.
+            graph: Whether steps are recorded and replayed on devices that can.
             ranks: The processes that train together; each has its share of the environments.
         """
         self.experiment, self.env, self.progress = experiment, env, progress
+        self._steps = fastest_steps(env, graph=graph)
         self.ppo: BoundedPPO = build_ppo(experiment, env.get_observations(), torch.device(env.device), ranks)
         self._ranks = ranks
         self.iteration = 0
@@ -216,11 +220,12 @@ class Trainer:
         self.progress.update(record)
 
     def _collect(self) -> None:
+        """Nothing in it waits for a number from the device; those are read once an iteration, afterwards."""
         with torch.no_grad():
-            observations = self.env.get_observations()
+            observations = self._steps.get_observations()
             for _ in range(self.experiment.method.spec.algorithm.steps_per_env):
                 actions = self.ppo.act(observations)
-                observations, rewards, dones, extras = self.env.step(actions)
+                observations, rewards, dones, extras = self._steps.step(actions)
                 self.ppo.process_env_step(observations, rewards, dones, extras)
             self.ppo.compute_returns(observations)
 
