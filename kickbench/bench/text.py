@@ -30,8 +30,8 @@ def print_report(report: BenchReport, console: Console) -> None:
 def _sizes(size: SizeFigures) -> Table:
     table = Table(box=None, pad_edge=False)
     table.add_column("", no_wrap=True)
-    for heading in ("steps/s", "of physics", "update", "of first", "iteration", "of first"):
-        table.add_column(heading, justify="right")
+    for heading in ("steps/s", "/physics", "update ms", "/first", "iter. ms", "/first"):
+        table.add_column(heading, justify="right", no_wrap=True)
     step = size.step
     table.add_row("physics alone", f"{step.physics_steps_per_second:,.0f}", "1.00")
     table.add_row("environment", f"{step.env_steps_per_second:,.0f}", f"{step.env_share:.2f}")
@@ -40,9 +40,9 @@ def _sizes(size: SizeFigures) -> Table:
             f"rollout, {name}",
             f"{figures.rollout_steps_per_second:,.0f}",
             "",
-            f"{1e3 * figures.update_seconds:,.1f} ms",
+            f"{1e3 * figures.update_seconds:,.1f}",
             f"{figures.update_ratio:.2f}",
-            f"{1e3 * figures.iteration_seconds:,.1f} ms",
+            f"{1e3 * figures.iteration_seconds:,.1f}",
             f"{figures.iteration_ratio:.2f}",
         )
     return table

@@ -205,19 +205,25 @@ class Trainer:
         start = time.perf_counter()
         with torch_threads(1):
             self._collect()
-        collected = time.perf_counter()
+        collected = self._now()
         if not self.ppo.storage.returns.isfinite().all():
             raise KickbenchError(
                 f"iteration {self.iteration}: observations, rewards or values are not finite"
             )
         with torch_threads(self._update_threads):
             losses = self.ppo.update()
-        updated = time.perf_counter()
+        updated = self._now()
         self.iteration += 1
         record = self._record(losses, collected - start, updated - collected)
         if not all(torch.isfinite(torch.tensor(list(losses.values())))):
             raise KickbenchError(f"iteration {record.iteration}: the loss is not finite ({losses})")
         self.progress.update(record)
+
+    def _now(self) -> float:
+        """The time by which everything asked of the device is done, s."""
+        if self.env.device.type == "cuda":
+            torch.cuda.synchronize(self.env.device)
+        return time.perf_counter()
 
     def _collect(self) -> None:
         """Nothing in it waits for a number from the device; those are read once an iteration, afterwards."""

@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -117,17 +118,29 @@ def test_a_training_by_several_processes_goes_on_with_as_many(experiment):
         trainer.load_state_dict({**state, "ranks": [part, part]})
 
 
-def torchrun(out: Path, *options: str) -> subprocess.CompletedProcess:
-    """A run by two processes; tiny."""
+def command(out: Path, *options: str) -> list[str]:
+    """The command line of a run by two processes; tiny."""
     task, method = ROOT / "tasks/mini_general.yaml", ROOT / "methods/mini/equivariant.yaml"
     small = ["evaluation.episodes=4", "episode.max_steps=6", "algorithm.steps_per_env=8"]
     small += ["algorithm.final_desired_kl=null", "network.actor_hidden=[16]", "network.critic_hidden=[16]"]
-    command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node=2"]
-    command += ["-m", "kickbench", "run", str(task), str(method), "--out", str(out), "--num-envs", "16"]
-    command += [part for value in small for part in ("--set", value)]
-    environ = {**os.environ, "PYTHONPATH": str(ROOT)}
+    torchrun = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node=2"]
+    run = ["-m", "kickbench", "run", str(task), str(method), "--out", str(out), "--num-envs", "16"]
+    return [*torchrun, *run, *(part for value in small for part in ("--set", value)), *options]
+
+
+def environ() -> dict[str, str]:
+    return {**os.environ, "PYTHONPATH": str(ROOT)}
+
+
+def torchrun(out: Path, *options: str) -> subprocess.CompletedProcess:
     return subprocess.run(
-        [*command, *options], capture_output=True, text=True, check=False, timeout=120, env=environ, cwd=ROOT
+        command(out, *options),
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=240,
+        env=environ(),
+        cwd=ROOT,
     )
 
 
@@ -156,3 +169,35 @@ def test_two_processes_train_one_policy_write_it_once_and_go_on_to_the_bit(tmp_p
     assert torchrun(parts, "--iterations", "3", "--resume").returncode == 0
     assert (parts / "policy.pt").read_bytes() == (whole / "policy.pt").read_bytes()
     assert rows(parts / "progress.csv") == rows(whole / "progress.csv")
+
+
+@pytest.mark.slow
+def test_the_keyboard_stops_two_processes_after_the_same_iteration(tmp_path):
+    out = tmp_path / "run"
+    # A session of its own: the signal reaches torchrun and its processes at once, as from a terminal.
+    process = subprocess.Popen(
+        command(out, "--iterations", "100000"),
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=environ(),
+        cwd=ROOT,
+        start_new_session=True,
+    )
+    try:
+        deadline = time.monotonic() + 200
+        while not (out / "progress.csv").is_file() or len(rows(out / "progress.csv")) < 2:
+            assert process.poll() is None, "it ended early"
+            assert time.monotonic() < deadline
+            time.sleep(0.1)
+        os.killpg(process.pid, signal.SIGINT)
+        _, told = process.communicate(timeout=100)
+    finally:
+        if process.poll() is None:
+            os.killpg(process.pid, signal.SIGKILL)
+    assert process.returncode != 0
+    assert told.count("stopping after this iteration") == 1
+    state = Checkpoints(out / "checkpoints").load()
+    assert state is not None
+    assert state["iteration"] == len(rows(out / "progress.csv"))
+    assert len({part["weights"] for part in state["ranks"]}) == 1
