@@ -11,7 +11,7 @@ from pathlib import Path
 import torch
 
 from kickbench.env import KickEnv, make_engine
-from kickbench.errors import KickbenchError
+from kickbench.errors import KickbenchError, SpecError
 from kickbench.evaluate.episodes import Policy, draw_starts, mirror_starts, run_episodes
 from kickbench.evaluate.equivariance import EquivarianceProbe
 from kickbench.experiment import Experiment, load_experiment
@@ -102,6 +102,9 @@ def run(request: RunRequest) -> RunOutcome:
     ranks = read_ranks(request.device)
     experiment = load_experiment(request.task, request.method, request.all_overrides())
     ranks.share(experiment.method.spec.algorithm.num_envs)
+    if experiment.method.spec.algorithm.matmul == "tf32" and ranks.device.type != "cuda":
+        what = f"tf32 needs a GPU, and the device is {ranks.device.type}"
+        raise SpecError([experiment.method.document.problem(("algorithm", "matmul"), what, "use float32")])
     threads = request.threads or max(1, usable_cores() // ranks.local_size)
     default = Path("runs", experiment.task.name, experiment.method.name, f"seed{request.seed}")
     directory = RunDirectory(request.out or default)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import torch
@@ -23,10 +25,17 @@ from kickbench.train.ranks import ALONE, Ranks
 class BoundedPPO(PPO):
     """PPO whose adaptive learning rate stays within bounds of the method's choosing."""
 
-    def __init__(self, *args: Any, learning_rate_range: tuple[float, float], **kwargs: Any) -> None:
-        """As PPO; `learning_rate_range` holds the lowest and the highest learning rate."""
-        self._bounds = learning_rate_range
+    def __init__(
+        self, *args: Any, learning_rate_range: tuple[float, float], tf32: bool = False, **kwargs: Any
+    ) -> None:
+        """As PPO; `learning_rate_range` holds the lowest and the highest learning rate, `tf32` is for updates."""
+        self._bounds, self._tf32 = learning_rate_range, tf32
         super().__init__(*args, **kwargs)
+
+    def update(self) -> dict[str, float]:
+        """See `PPO.update`."""
+        with tf32_products(self._tf32):
+            return super().update()
 
     @property
     def learning_rate(self) -> float:
@@ -36,6 +45,25 @@ class BoundedPPO(PPO):
     @learning_rate.setter
     def learning_rate(self, value: float) -> None:
         self._learning_rate = min(max(value, self._bounds[0]), self._bounds[1])
+
+
+@contextmanager
+def tf32_products(enabled: bool) -> Iterator[None]:
+    """Within the block, a GPU may multiply float32 matrices in TF32.
+
+    Updates only: what they change are free parameters, so tied weights stay tied to the bit however a gradient was
+    rounded, and a policy that acts in float32 is as equivariant as ever. Acting in TF32 it would not be. Rounding is
+    odd and looks at one factor at a time, so it commutes with the mirror; but hidden activations of a sample and of its
+    mirror image differ by the order of float32 sums, and where a rounding boundary lies between the two, that
+    difference of 1e-7 becomes one of 1e-3 in the next layer (some 4e-5 in the actions of a 256-256 network).
+    """
+    matmul = torch.backends.cuda.matmul
+    before = matmul.allow_tf32
+    matmul.allow_tf32 = enabled
+    try:
+        yield
+    finally:
+        matmul.allow_tf32 = before
 
 
 class _AugmentationOnly(Symmetry):
@@ -110,4 +138,5 @@ def _settings(spec: AlgorithmSpec) -> dict[str, Any]:
         "use_clipped_value_loss": spec.clip_value_loss,
         "schedule": spec.schedule,
         "desired_kl": spec.desired_kl,
+        "tf32": spec.matmul == "tf32",
     }
