@@ -102,7 +102,7 @@ class StaticTensors:
         if not moved:
             return
         places = {buffer.untyped_storage().data_ptr() for buffer, _ in self._pairs()}
-        # A new value may be another one's buffer, or lie in it: the copies must not overwrite what they yet have to read.
+        # A new value may be another one's buffer, or lie in it: no copy may overwrite what another has yet to read.
         values = [v.clone() if v.untyped_storage().data_ptr() in places else v for _, v in moved]
         for (buffer, _), value in zip(moved, values, strict=True):
             buffer.copy_(value)
@@ -152,9 +152,8 @@ class CapturedStep:
         self.obstacle = graph_obstacle(env.device) if graph else "they are switched off"
         """Why no graph is recorded; None: one is."""
         if self.obstacle and env.device.type == "cuda":
-            warnings.warn(
-                f"the environment runs without CUDA graphs: {self.obstacle}", WithoutGraphs, stacklevel=2
-            )
+            what = f"the environment runs without CUDA graphs, several times slower: {self.obstacle}"
+            warnings.warn(what, WithoutGraphs, stacklevel=2)
 
     def get_observations(self) -> TensorDict:
         """Observations of the present state by group, {group: [B, width]}."""

@@ -76,7 +76,7 @@ def measure_size(experiments: Mapping[str, Experiment], setting: Setting, tell: 
         step=stage.figures(timing),
         methods={name: _method_figures(method, timing, name, reference) for name, method in methods.items()},
         contacts=count_contacts(stage.env),
-        room=_room(stage.env.engine),
+        room=room_of(stage.env.engine),
         memory=read_peaks(torch.device(setting.device)),
     )
 
@@ -133,7 +133,8 @@ def _method_figures(method: Iterations, timing: Timing, name: str, reference: st
     )
 
 
-def _room(engine: Engine) -> RoomFigures | None:
+def room_of(engine: Engine) -> RoomFigures | None:
+    """Use of an engine's room since it was last asked; None if it has no limit."""
     load = engine.take_load()
     if load is None:
         return None

@@ -37,7 +37,7 @@ def physics_alone(env: KickEnv, threads: int) -> Callable[[list[Tensor]], Callab
     """
     shadow = make_engine(env.task, env.num_envs, str(env.device), num_threads=threads)
     if not isinstance(shadow, CpuEngine):
-        return lambda actions: _engine_steps(env, shadow, actions)
+        return lambda actions: engine_steps(env, shadow, actions)
     raw = _RawPhysics(env.task.scene.model, env.task.spec.simulation.decimation, threads)
 
     def prepare(actions: list[Tensor]) -> Callable[[], None]:
@@ -71,7 +71,8 @@ def _start(env: KickEnv, engine: Engine) -> None:
     engine.reset(everywhere, env.engine.qpos, env.engine.qvel)
 
 
-def _engine_steps(env: KickEnv, engine: Engine, actions: list[Tensor]) -> Callable[[], None]:
+def engine_steps(env: KickEnv, engine: Engine, actions: list[Tensor]) -> Callable[[], None]:
+    """The control steps of actions, by an engine that starts from the environment's present state."""
     _start(env, engine)
     targets = [env.targets(action) for action in actions]
 

@@ -82,7 +82,7 @@ def _latch(
 ):  # fmt: skip
     """Counts keep their largest value over the substeps, forces their mean."""
     world, place = wp.tid()
-    largest, total = 0.0, 0.0
+    largest, total = float(0.0), float(0.0)
     for substep in range(sensed.shape[0]):
         value = sensed[substep, world, place]
         largest = wp.max(largest, value)

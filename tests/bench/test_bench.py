@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 
+from kickbench.bench import measure, physics
 from kickbench.bench.memory import read_peaks, reset_peaks
 from kickbench.bench.physics import count_contacts, physics_alone
 from kickbench.bench.record import BenchReport, read_report, write_report
@@ -17,6 +18,7 @@ from kickbench.bench.training import Iterations
 from kickbench.cli import main
 from kickbench.env import KickEnv, make_engine
 from kickbench.errors import KickbenchError
+from kickbench.mdp.engines import make_warp_engine
 
 ROOT = Path(__file__).parent.parent.parent
 METHODS = ["baseline", "augmentation", "equivariant"]
@@ -153,3 +155,22 @@ def test_an_iteration_a_call_leaves_no_file(experiment, tmp_path, monkeypatch):
     records = [iterations() for _ in range(3)]
     assert [record.iteration for record in records] == [0, 1, 2]
     assert not list(tmp_path.iterdir())
+
+
+def test_the_room_of_a_gpu_engine_is_read_and_its_steps_repeat_the_controls(experiment):
+    pytest.importorskip("mujoco_warp", reason="the gpu extra is not installed")
+    task = experiment("mini_general").task
+    engine, shadow = (make_warp_engine(task, 2, "cpu") for _ in range(2))
+    env = KickEnv(task, engine, seed=0)
+    actions = [0.3 * torch.randn(2, env.num_actions) for _ in range(3)]
+    repeat = physics.engine_steps(env, shadow, actions)
+    repeat()
+    for action in actions:
+        env.step(action)
+    torch.testing.assert_close(shadow.qpos, engine.qpos, rtol=1e-4, atol=1e-5)
+    room = measure.room_of(engine)
+    assert room is not None
+    assert room.overflow == 0.0
+    assert 0 < room.contacts <= room.contact_room
+    assert 0 < room.constraints <= room.constraint_room
+    assert count_contacts(env) is None
