@@ -43,6 +43,7 @@ class RunRequest:
         seed: Seed of networks, exploration and starts.
         overrides: `key.path=value` texts.
         iterations: Iterations; default: the method's.
+        scale: Factor in (0, 1) on iterations and evaluation episodes; the result says so. None: full size.
         num_envs: Parallel environments; default: the method's.
         out: Run directory; default: `runs/<task>/<method>/seed<k>`.
         device: Where to train.
@@ -58,6 +59,7 @@ class RunRequest:
     seed: int = 0
     overrides: tuple[str, ...] = ()
     iterations: int | None = None
+    scale: float | None = None
     num_envs: int | None = None
     out: Path | None = None
     device: str = "cpu"
@@ -100,16 +102,21 @@ def run(request: RunRequest) -> RunOutcome:
     """
     check_device(request.device)
     ranks = read_ranks(request.device)
-    experiment = load_experiment(request.task, request.method, request.all_overrides())
+    experiment = load_experiment(request.task, request.method, request.all_overrides(), request.scale)
     ranks.share(experiment.method.spec.algorithm.num_envs)
-    if experiment.method.spec.algorithm.matmul == "tf32" and ranks.device.type != "cuda":
-        what = f"tf32 needs a GPU, and the device is {ranks.device.type}"
-        raise SpecError([experiment.method.document.problem(("algorithm", "matmul"), what, "use float32")])
+    _check_matmul(experiment, ranks.device.type)
     threads = request.threads or max(1, usable_cores() // ranks.local_size)
     default = Path("runs", experiment.task.name, experiment.method.name, f"seed{request.seed}")
     directory = RunDirectory(request.out or default)
     with joined(ranks), directory.occupied() if ranks.is_main else nullcontext():
         return _run_in(directory, experiment, request, threads, ranks)
+
+
+def _check_matmul(experiment: Experiment, device: str) -> None:
+    method = experiment.method
+    if method.spec.algorithm.matmul == "tf32" and device != "cuda":
+        what = f"tf32 needs a GPU, and the device is {device}"
+        raise SpecError([method.document.problem(("algorithm", "matmul"), what, "use float32")])
 
 
 def _run_in(
@@ -123,7 +130,9 @@ def _run_in(
         experiment.task.name,
         experiment.method.name,
         request.seed,
+        scale=request.scale,
         num_threads=threads,
+        num_processes=ranks.size,
         device=request.device,
         argv=request.command,
         earlier=earlier_parts(taken.state["run"]) if taken.state else (),
@@ -156,7 +165,8 @@ def _run_in(
 
 def _open(request: RunRequest, directory: RunDirectory, experiment: Experiment) -> Resume:
     if request.resume:
-        return take_up(directory, experiment, request.seed, extend=request.iterations is not None)
+        extend = request.iterations is not None
+        return take_up(directory, experiment, request.seed, scale=request.scale, extend=extend)
     directory.prepare(request.force)
     write_specs(directory, experiment)
     return Resume()

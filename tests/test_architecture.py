@@ -24,6 +24,7 @@ ROOMS = (
     ("graph",),
     ("nets",),
     ("experiment",),
+    ("reported",),
     ("speccheck",),
     ("results",),
     ("evaluate",),

@@ -9,6 +9,11 @@ from typing import Any
 from kickbench.results.provenance import Provenance, code_state, collect_provenance
 
 
+def run_identity(task: str, method: str, seed: int, scale: float | None) -> dict[str, Any]:
+    """What tells a run from others beside its specs, named as in `metrics.json`."""
+    return {"task": task, "method": method, "seed": seed, "scale": scale}
+
+
 class RunHistory:
     """The identity of a run and the parts it was made in, one a process; the last part is this process.
 
@@ -22,7 +27,9 @@ class RunHistory:
         method: str,
         seed: int,
         *,
+        scale: float | None = None,
         num_threads: int,
+        num_processes: int = 1,
         device: str = "cpu",
         argv: Sequence[str] = (),
         earlier: Sequence[Provenance] = (),
@@ -33,14 +40,17 @@ class RunHistory:
             task: Name of the task.
             method: Name of the method.
             seed: Seed of the run.
-            num_threads: Threads that step the physics.
+            scale: Factor that the run was scaled down by.
+            num_threads: Threads that step the physics, of each process.
+            num_processes: Processes that train together.
             device: Torch device.
             argv: The command as `sys.argv` has it.
             earlier: The parts before this one.
         """
-        self.identity: dict[str, Any] = {"task": task, "method": method, "seed": seed}
+        self.identity = run_identity(task, method, seed, scale)
         self._seed, self._threads, self._device, self._argv = seed, num_threads, device, tuple(argv)
         self._earlier = tuple(earlier)
+        self._processes = num_processes
         self._started, self._code = datetime.now(UTC), code_state()
 
     def provenance(self, env_steps: int) -> Provenance:
@@ -71,6 +81,7 @@ class RunHistory:
             env_steps=env_steps - sum(earlier.env_steps for earlier in self._earlier),
             started=self._started,
             num_threads=self._threads,
+            num_processes=self._processes,
             device=self._device,
             argv=self._argv,
             code=self._code,

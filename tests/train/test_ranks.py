@@ -17,6 +17,7 @@ from torch import nn
 from kickbench.bench.training import Iterations
 from kickbench.cli import main
 from kickbench.errors import KickbenchError
+from kickbench.results.metrics import load_metrics
 from kickbench.train.checkpoint import Checkpoints
 from kickbench.train.ranks import ALONE, Ranks, fingerprint, read_ranks
 from kickbench.train.stop import StopRequest
@@ -158,6 +159,7 @@ def test_two_processes_train_one_policy_write_it_once_and_go_on_to_the_bit(tmp_p
     assert done.stdout.count("results:") == 1
     assert [row["iteration"] for row in rows(whole / "progress.csv")] == ["0", "1", "2"]
     assert rows(whole / "progress.csv")[-1]["env_steps"] == str(3 * 8 * 16)
+    assert load_metrics(whole / "metrics.json").provenance.num_processes == 2
     state = Checkpoints(whole / "checkpoints").load()
     assert state is not None
     first, second = state["ranks"]
