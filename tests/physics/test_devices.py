@@ -31,7 +31,9 @@ def test_cuda_devices_that_are_there_can_be_had(cuda):
 
 @pytest.mark.parametrize("name", ["gpu", "mps", "cuda:x", ""])
 def test_an_unknown_device_is_refused(name):
-    with pytest.raises(KickbenchError, match=f"^--device {name}: no such device; use cpu, cuda or cuda:<number>$"):
+    with pytest.raises(
+        KickbenchError, match=f"^--device {name}: no such device; use cpu, cuda or cuda:<number>$"
+    ):
         check_device(name)
 
 
@@ -47,7 +49,9 @@ def test_a_torch_without_cuda_is_named(cuda):
         check_device("cuda")
 
 
-@pytest.mark.parametrize(("count", "words"), [(0, "finds no CUDA device here"), (1, "finds 1 CUDA device here")])
+@pytest.mark.parametrize(
+    ("count", "words"), [(0, "finds no CUDA device here"), (1, "finds 1 CUDA device here")]
+)
 def test_a_device_that_is_not_there_is_refused(cuda, count, words):
     cuda.setattr(torch.cuda, "device_count", lambda: count)
     with pytest.raises(KickbenchError, match=words):

@@ -16,7 +16,6 @@ import torch
 from torch import Tensor
 
 pytest.importorskip("mujoco_warp", reason="the gpu extra is not installed")
-import warp
 
 from kickbench.env import KickEnv, make_engine
 from kickbench.errors import KickbenchError
@@ -28,7 +27,6 @@ from kickbench.physics.warp import WarpEngine
 from kickbench.symmetry.torch_ops import Mirror
 
 pytestmark = pytest.mark.slow  # kernels are compiled the first time
-warp.config.optimization_level = 0  # steps are few: kernels that are compiled five times as fast pay off
 
 ROOT = Path(__file__).parents[2]
 WORLDS, STEPS = 8, 50
@@ -180,7 +178,9 @@ def test_every_term_agrees(name):
         ours, theirs = state_of(task, engine), state_of(task, reference)
         for term, bound in terms.items():
             value = bound(theirs)
-            torch.testing.assert_close(bound(ours), value, rtol=1e-3, atol=2e-3, msg=lambda m, t=term: f"{t}: {m}")
+            torch.testing.assert_close(
+                bound(ours), value, rtol=1e-3, atol=2e-3, msg=lambda m, t=term: f"{t}: {m}"
+            )
             moved |= {term} if bool((value != 0).any()) else set()
     assert len(moved) > len(terms) / 2, "most of them had something to say"
 
@@ -289,7 +289,14 @@ UNEVEN = tuple(
     for term in ("link_mass", "servo_stiffness", "servo_damping", "motor_strength")
     for side in ("left", "right", "middle")
 )
-VARIED = ("body_mass", "body_inertia", "geom_friction", "actuator_gainprm", "actuator_biasprm", "actuator_damping")
+VARIED = (
+    "body_mass",
+    "body_inertia",
+    "geom_friction",
+    "actuator_gainprm",
+    "actuator_biasprm",
+    "actuator_damping",
+)
 DERIVED = ("body_subtreemass", "body_invweight0", "dof_invweight0", "actuator_acc0")
 
 
@@ -297,7 +304,9 @@ DERIVED = ("body_subtreemass", "body_invweight0", "dof_invweight0", "actuator_ac
 def uneven() -> tuple[KickEnv, KickEnv]:
     """The K1 with hardware that differs from side to side and world to world, on the CPU engine and on this one."""
     task = task_of("k1_general", *UNEVEN)
-    return KickEnv(task, make_engine(task, WORLDS), 3), KickEnv(task, make_warp_engine(task, WORLDS, "cpu"), 3)
+    return KickEnv(task, make_engine(task, WORLDS), 3), KickEnv(
+        task, make_warp_engine(task, WORLDS, "cpu"), 3
+    )
 
 
 def test_equal_seeds_draw_equal_starts_and_equal_robots():
@@ -309,7 +318,9 @@ def test_equal_seeds_draw_equal_starts_and_equal_robots():
         expected = reference.engine.model_field(field)
         assert len(np.unique(expected.reshape(WORLDS, -1), axis=0)) == WORLDS, field
         found = env.engine.model_field(field).reshape(WORLDS, -1)
-        np.testing.assert_allclose(found, expected.reshape(WORLDS, -1)[:, : found.shape[1]], rtol=1e-6, err_msg=field)
+        np.testing.assert_allclose(
+            found, expected.reshape(WORLDS, -1)[:, : found.shape[1]], rtol=1e-6, err_msg=field
+        )
 
 
 @pytest.mark.parametrize("field", DERIVED)
@@ -349,8 +360,12 @@ def test_the_environment_mirrors(name):
     method = "baseline" if name == "k1_general" else "mini/baseline"
     room = ("simulation.max_contacts=24", "simulation.max_constraints=96")
     chosen = load_experiment(ROOT / f"tasks/{name}.yaml", ROOT / f"methods/{method}.yaml", room)
-    qpos, qvel, act = (Mirror(r) for r in (chosen.symmetry.qpos, chosen.symmetry.qvel, chosen.symmetry.actions))
-    envs = [KickEnv(chosen.task, make_warp_engine(chosen.task, WORLDS, "cpu"), 0, noise=False) for _ in range(2)]
+    qpos, qvel, act = (
+        Mirror(r) for r in (chosen.symmetry.qpos, chosen.symmetry.qvel, chosen.symmetry.actions)
+    )
+    envs = [
+        KickEnv(chosen.task, make_warp_engine(chosen.task, WORLDS, "cpu"), 0, noise=False) for _ in range(2)
+    ]
     env, image = envs
     env.engine.reset(everywhere(), *starting_states(chosen.task, kick=True))
     groups = {group: Mirror(table.representation) for group, table in chosen.symmetry.groups.items()}
@@ -365,7 +380,9 @@ def test_the_environment_mirrors(name):
             torch.testing.assert_close(bound(reflected), bound(state), rtol=1e-3, atol=2e-3, msg=bound.name)
         for group, mirror in groups.items():
             here, there = (each._observe()[group] for each in (env, image))
-            torch.testing.assert_close(there, mirror(here), rtol=1e-3, atol=0.3 if name == "k1_general" else 5e-3)
+            torch.testing.assert_close(
+                there, mirror(here), rtol=1e-3, atol=0.3 if name == "k1_general" else 5e-3
+            )
         kicks += int(state.ball_contact.sum())
     assert kicks > 3
 
@@ -376,7 +393,9 @@ def test_contacts_that_do_not_fit_are_counted_and_end_the_run():
     engine = make_warp_engine(task, WORLDS, "cpu")
     engine.reset(everywhere(), *starting_states(task, kick=False))
     engine.step(random_targets(task, 0, 0.0))
-    with pytest.raises(KickbenchError, match=r"100\.00% of the control steps .* raise max_constraints from 4 to "):
+    with pytest.raises(
+        KickbenchError, match=r"100\.00% of the control steps .* raise max_constraints from 4 to "
+    ):
         engine.take_load()
     assert engine.take_load().short_share == 0.0, "every look begins anew"
 
