@@ -13,9 +13,10 @@ from kickbench.bench.physics import count_contacts, physics_alone
 from kickbench.bench.record import MethodFigures, RoomFigures, SizeFigures, StepFigures
 from kickbench.bench.timing import Stopwatch, Timing
 from kickbench.bench.training import Iterations
-from kickbench.env import KickEnv, make_engine
+from kickbench.env import KickEnv
 from kickbench.experiment import Experiment
 from kickbench.graph import fastest_steps
+from kickbench.mdp.engines import make_engine
 from kickbench.nets.threads import torch_threads
 from kickbench.physics.engine import Engine
 

@@ -12,7 +12,9 @@ import torch
 from torch import Tensor
 
 from kickbench.bench.record import ContactFigures, Count
-from kickbench.env import KickEnv, make_engine
+from kickbench.env import KickEnv
+from kickbench.graph import recorded_call
+from kickbench.mdp.engines import make_engine
 from kickbench.physics.cpu import CpuEngine
 from kickbench.physics.engine import Engine
 
@@ -37,7 +39,7 @@ def physics_alone(env: KickEnv, threads: int) -> Callable[[list[Tensor]], Callab
     """
     shadow = make_engine(env.task, env.num_envs, str(env.device), num_threads=threads)
     if not isinstance(shadow, CpuEngine):
-        return lambda actions: engine_steps(env, shadow, actions)
+        return EnginePhysics(env, shadow).prepare
     raw = _RawPhysics(env.task.scene.model, env.task.spec.simulation.decimation, threads)
 
     def prepare(actions: list[Tensor]) -> Callable[[], None]:
@@ -71,16 +73,26 @@ def _start(env: KickEnv, engine: Engine) -> None:
     engine.reset(everywhere, env.engine.qpos, env.engine.qvel)
 
 
-def engine_steps(env: KickEnv, engine: Engine, actions: list[Tensor]) -> Callable[[], None]:
-    """The control steps of actions, by an engine that starts from the environment's present state."""
-    _start(env, engine)
-    targets = [env.targets(action) for action in actions]
+class EnginePhysics:
+    """Control steps by an engine alone, each a graph where there are graphs."""
 
-    def step() -> None:
-        for target in targets:
-            engine.step(target)
+    def __init__(self, env: KickEnv, engine: Engine) -> None:
+        """Takes an engine of the environment's task, beside the environment's own."""
+        self._env, self._engine = env, engine
+        self._target = torch.zeros(env.num_envs, env.num_actions, device=env.device)
+        self._step = recorded_call(engine, lambda: engine.step(self._target))
 
-    return step
+    def prepare(self, actions: list[Tensor]) -> Callable[[], None]:
+        """The call that makes the control steps of actions, from the environment's present state."""
+        _start(self._env, self._engine)
+        targets = [self._env.targets(action) for action in actions]
+
+        def step() -> None:
+            for target in targets:
+                self._target.copy_(target)
+                self._step()
+
+        return step
 
 
 def _rehearse(env: KickEnv, shadow: CpuEngine, actions: list[Tensor]) -> list[tuple[np.ndarray, np.ndarray]]:

@@ -7,8 +7,9 @@ from typing import Any
 
 import torch
 
-from kickbench.env import KickEnv, make_engine
+from kickbench.env import KickEnv
 from kickbench.experiment import Experiment
+from kickbench.mdp.engines import make_engine
 from kickbench.nets.threads import update_threads
 from kickbench.results.history import RunHistory
 from kickbench.train.checkpoint import Checkpoints

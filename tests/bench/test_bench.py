@@ -16,9 +16,9 @@ from kickbench.bench.physics import count_contacts, physics_alone
 from kickbench.bench.record import BenchReport, read_report, write_report
 from kickbench.bench.training import Iterations
 from kickbench.cli import main
-from kickbench.env import KickEnv, make_engine
+from kickbench.env import KickEnv
 from kickbench.errors import KickbenchError
-from kickbench.mdp.engines import make_warp_engine
+from kickbench.mdp.engines import make_engine, make_warp_engine
 
 ROOT = Path(__file__).parent.parent.parent
 METHODS = ["baseline", "augmentation", "equivariant"]
@@ -163,7 +163,7 @@ def test_the_room_of_a_gpu_engine_is_read_and_its_steps_repeat_the_controls(expe
     engine, shadow = (make_warp_engine(task, 2, "cpu") for _ in range(2))
     env = KickEnv(task, engine, seed=0)
     actions = [0.3 * torch.randn(2, env.num_actions) for _ in range(3)]
-    repeat = physics.engine_steps(env, shadow, actions)
+    repeat = physics.EnginePhysics(env, shadow).prepare(actions)
     repeat()
     for action in actions:
         env.step(action)

@@ -16,11 +16,10 @@ import torch
 from torch import Tensor
 
 pytest.importorskip("mujoco_warp", reason="the gpu extra is not installed")
-import warp
 
-from kickbench.env import KickEnv, make_engine
+from kickbench.env import KickEnv
 from kickbench.errors import KickbenchError
-from kickbench.mdp.engines import make_warp_engine
+from kickbench.mdp.engines import make_engine, make_warp_engine
 from kickbench.mdp.state import EpisodeState, State, StateIndex
 from kickbench.physics.cpu import CpuEngine
 from kickbench.physics.engine import ModelField
@@ -28,7 +27,6 @@ from kickbench.physics.warp import WarpEngine
 from kickbench.symmetry.torch_ops import Mirror
 
 pytestmark = pytest.mark.slow  # kernels are compiled the first time
-warp.config.optimization_level = 0  # steps are few: kernels that are compiled five times as fast pay off
 
 ROOT = Path(__file__).parents[2]
 WORLDS, STEPS = 8, 50
