@@ -79,9 +79,7 @@ class KickEnv(VecEnv):
             task.scene.model.nv,
             self.generator,
         )
-        self._starts = starts or self._make_starts(
-            self.device.type != "cpu" if resident is None else resident
-        )
+        self._starts = starts or self._make_starts(resident)
         self._noise = noise
         self._prepare_constants()
         made = {bound.term.stage: self._make_process(bound) for bound in task.processes}
@@ -114,8 +112,8 @@ class KickEnv(VecEnv):
         self._has_feet = bool(layout.foot_geoms)
         self._variation = ModelVariation(task.scene, self.device)
 
-    def _make_starts(self, resident: bool) -> StartSource:
-        if resident:
+    def _make_starts(self, resident: bool | None) -> StartSource:
+        if resident or (resident is None and self.device.type != "cpu"):
             return FreshStarts(self.sampler, self.num_envs)
         return StartPool(self.sampler, _POOLED * self.num_envs)
 

@@ -22,6 +22,7 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from kickbench.env import KickEnv
+from kickbench.errors import KickbenchError
 from kickbench.physics.engine import Engine
 
 StepResult = tuple[TensorDict, Tensor, Tensor, dict[str, Tensor]]
@@ -180,11 +181,19 @@ class CapturedStep:
         self._static.adopt()
 
     def _record(self) -> Callable[[], None]:
-        """Records one step, without running it."""
+        """Records one step, without running it.
+
+        Raises:
+            KickbenchError: The device or a library refuses.
+        """
         recorded, self._memory = torch.cuda.CUDAGraph(), torch.cuda.MemPool()
         recorded.register_generator_state(self.env.generator)
-        with _recording(recorded, self._memory, self.env.engine):
-            self._run()
+        try:
+            with _recording(recorded, self._memory, self.env.engine):
+                self._run()
+        except RuntimeError as error:
+            reason = f"a step cannot be recorded as a CUDA graph: {error}"
+            raise KickbenchError(f"{reason}\n--no-graph trains without one, several times slower") from error
         return recorded.replay
 
 

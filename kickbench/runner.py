@@ -150,8 +150,7 @@ def _run_in(
     training = trainer.train(experiment.method.spec.algorithm.iterations)
     if training.interrupted or not ranks.is_main:
         return RunOutcome(directory, training, None, ranks.is_main)
-    # Every policy is evaluated by the CPU's engine, wherever it was trained: figures compare, and `eval` gives them
-    # again.
+    # Wherever a policy was trained, the CPU's engine evaluates it: figures compare, and `eval` gives them again.
     policy = trainer.ppo.get_policy().eval().cpu()
     save_policy(directory.policy, policy)
     try:

@@ -356,6 +356,42 @@ def test_a_captured_environment_goes_on_from_a_checkpoint_bit_for_bit():
     assert [differing(a, b) for a, b in pairs] == [set()] * 10
 
 
+def test_a_step_begins_with_every_tensor_in_its_buffer():
+    """A graph reads its buffers and nothing else, whatever has been put in their place since the last step."""
+    captured = CapturedStep(make_env("k1"))
+    env, seen = captured.env, []
+    buffers, step = flat_addresses(env), env.step
+    env.load_state_dict(make_env("k1", seed=8).state_dict())
+    env.reset(torch.arange(env.num_envs) < 4)
+    loaded = {f"{part}.{name}": v.clone() for part, t in env.tensors().items() for name, v in t.items()}
+    assert flat_addresses(env) != buffers
+
+    def watched(actions: Tensor) -> Any:
+        values = {f"{part}.{name}": v for part, t in env.tensors().items() for name, v in t.items()}
+        seen.append((flat_addresses(env), differing(loaded, values)))
+        return step(actions)
+
+    env.step = watched
+    captured.step(actions_of(env, 0))
+    assert seen == [(buffers, set())]
+
+
+def test_a_step_is_recorded_once_after_a_few_and_replayed_from_then_on(monkeypatch):
+    captured = CapturedStep(make_env("mini"))
+    calls = []
+
+    def recorded() -> Callable[[], None]:
+        calls.append("record")
+        return lambda: (calls.append("replay"), captured._run())[1]
+
+    captured.obstacle = None
+    monkeypatch.setattr(captured, "_record", recorded)
+    plain = make_env("mini")
+    expected, found = history(plain, plain.step, 6), history(captured.env, captured.step, 6)
+    assert [differing(a, b) for a, b in zip(expected, found, strict=True)] == [set()] * 6
+    assert calls == ["record", "replay", "replay", "replay"]
+
+
 def test_a_snapshot_of_a_captured_environment_is_not_written_to_and_can_be_gone_back_to():
     captured = CapturedStep(make_env("k1"))
     env = captured.env
