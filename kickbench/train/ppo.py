@@ -55,7 +55,8 @@ def tf32_products(enabled: bool) -> Iterator[None]:
     rounded, and a policy that acts in float32 is as equivariant as ever. Acting in TF32 it would not be. Rounding is
     odd and looks at one factor at a time, so it commutes with the mirror; but hidden activations of a sample and of its
     mirror image differ by the order of float32 sums, and where a rounding boundary lies between the two, that
-    difference of 1e-7 becomes one of 1e-3 in the next layer (some 4e-5 in the actions of a 256-256 network).
+    difference of 1e-7 becomes one of 1e-3 in the next layer (4e-5 in the actions of a 256-256 network,
+    with the rounding simulated on a CPU).
     """
     matmul = torch.backends.cuda.matmul
     before = matmul.allow_tf32
@@ -101,8 +102,8 @@ def build_ppo(
 def use_fused_adam(ppo: PPO) -> None:
     """Lets all parameters be stepped in one kernel instead of several launches each.
 
-    Worth it on a GPU. On a CPU it takes 3 % off the update of a 128-64 network, which is within the noise of a shared
-    machine, and would change the bits of what was recorded.
+    Worth it on a GPU. On a CPU it took 1 to 4 % off the update of 128-64 networks in the median, which was
+    within the noise of a shared machine, and it would change the bits of what was recorded.
     """
     (group,) = ppo.optimizer.param_groups
     ppo.optimizer = torch.optim.Adam(group["params"], lr=group["lr"], fused=True)
