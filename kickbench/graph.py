@@ -218,3 +218,22 @@ def _recording(graph: torch.cuda.CUDAGraph, pool: torch.cuda.MemPool, engine: En
         engine.capturing(),
     ):
         yield
+
+
+def recorded_call(engine: Engine, call: Callable[[], None]) -> Callable[[], None]:
+    """A call of an engine's methods as a graph, where its device has graphs; elsewhere the call itself.
+
+    It is called a few times to warm up.
+    """
+    if graph_obstacle(engine.device) is not None:
+        return call
+    for _ in range(_WARM_UP):
+        call()
+    graph, pool = torch.cuda.CUDAGraph(), torch.cuda.MemPool()
+    with _recording(graph, pool, engine):
+        call()
+
+    def replay(memory: torch.cuda.MemPool = pool) -> None:
+        graph.replay()
+
+    return replay

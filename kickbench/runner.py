@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
 import torch
 
-from kickbench.env import KickEnv, make_engine
-from kickbench.errors import KickbenchError
+from kickbench.env import KickEnv
+from kickbench.errors import KickbenchError, SpecError
 from kickbench.evaluate.episodes import Policy, draw_starts, mirror_starts, run_episodes
 from kickbench.evaluate.equivariance import EquivarianceProbe
 from kickbench.experiment import Experiment, load_experiment
+from kickbench.mdp.engines import make_engine
 from kickbench.mdp.starts import Starts
 from kickbench.nets.build import build_actor
 from kickbench.nets.threads import update_threads
@@ -26,7 +28,8 @@ from kickbench.results.metrics import Metrics, load_metrics, summarise_sides, wr
 from kickbench.results.specs import write_specs
 from kickbench.results.store import RunDirectory
 from kickbench.train.checkpoint import Checkpoints, load_policy, save_policy
-from kickbench.train.progress import standard_progress
+from kickbench.train.progress import ProgressGroup, standard_progress
+from kickbench.train.ranks import ALONE, Ranks, joined, read_ranks
 from kickbench.train.resume import Resume, take_up
 from kickbench.train.trainer import Trainer, TrainingResult
 
@@ -81,12 +84,14 @@ class RunOutcome:
     Attributes:
         directory: Where it is.
         training: How its training ended; None: there was nothing left to do.
-        metrics: Its result; None: it was interrupted.
+        metrics: Its result; None: it was interrupted, or another process evaluates it.
+        is_main: Whether this process tells of it.
     """
 
     directory: RunDirectory
     training: TrainingResult | None
     metrics: Metrics | None
+    is_main: bool = True
 
 
 def run(request: RunRequest) -> RunOutcome:
@@ -97,38 +102,54 @@ def run(request: RunRequest) -> RunOutcome:
         KickbenchError: A run is in the way, or cannot be gone on with, or training diverged.
     """
     check_device(request.device)
+    ranks = read_ranks(request.device)
     experiment = load_experiment(request.task, request.method, request.all_overrides(), request.scale)
-    threads = request.threads or usable_cores()
+    ranks.share(experiment.method.spec.algorithm.num_envs)
+    _check_matmul(experiment, ranks.device.type)
+    threads = request.threads or max(1, usable_cores() // ranks.local_size)
     default = Path("runs", experiment.task.name, experiment.method.name, f"seed{request.seed}")
     directory = RunDirectory(request.out or default)
-    with directory.occupied():
-        return _run_in(directory, experiment, request, threads)
+    with joined(ranks), directory.occupied() if ranks.is_main else nullcontext():
+        return _run_in(directory, experiment, request, threads, ranks)
 
 
-def _run_in(directory: RunDirectory, experiment: Experiment, request: RunRequest, threads: int) -> RunOutcome:
-    taken = _open(request, directory, experiment)
+def _check_matmul(experiment: Experiment, device: str) -> None:
+    method = experiment.method
+    if method.spec.algorithm.matmul == "tf32" and device != "cuda":
+        what = f"tf32 needs a GPU, and the device is {device}"
+        raise SpecError([method.document.problem(("algorithm", "matmul"), what, "use float32")])
+
+
+def _run_in(
+    directory: RunDirectory, experiment: Experiment, request: RunRequest, threads: int, ranks: Ranks
+) -> RunOutcome:
+    taken = _open_together(request, directory, experiment, ranks)
     if taken.finished:
-        return RunOutcome(directory, None, load_metrics(directory.metrics))
+        metrics = load_metrics(directory.metrics) if ranks.is_main else None
+        return RunOutcome(directory, None, metrics, ranks.is_main)
     history = RunHistory(
         experiment.task.name,
         experiment.method.name,
         request.seed,
         scale=request.scale,
         num_threads=threads,
+        num_processes=ranks.size,
         device=request.device,
         argv=request.command,
         earlier=earlier_parts(taken.state["run"]) if taken.state else (),
     )
+    device = str(ranks.device)
     trainer = make_trainer(
-        experiment, directory, request.seed, threads, history, device=request.device, graph=request.graph
+        experiment, directory, request.seed, threads, history, ranks, device=device, graph=request.graph
     )
     if taken.state:
         trainer.load_state_dict(taken.state)
-        directory.reopen()
-        write_specs(directory, experiment)  # the same, but for iterations that were added
+        if ranks.is_main:
+            directory.reopen()
+            write_specs(directory, experiment)  # the same, but for iterations that were added
     training = trainer.train(experiment.method.spec.algorithm.iterations)
-    if training.interrupted:
-        return RunOutcome(directory, training, None)
+    if training.interrupted or not ranks.is_main:
+        return RunOutcome(directory, training, None, ranks.is_main)
     # Wherever a policy was trained, the CPU's engine evaluates it: figures compare, and `eval` gives them again.
     policy = trainer.ppo.get_policy().eval().cpu()
     save_policy(directory.policy, policy)
@@ -149,6 +170,24 @@ def _open(request: RunRequest, directory: RunDirectory, experiment: Experiment) 
     directory.prepare(request.force)
     write_specs(directory, experiment)
     return Resume()
+
+
+def _open_together(
+    request: RunRequest, directory: RunDirectory, experiment: Experiment, ranks: Ranks
+) -> Resume:
+    """Rank 0 looks into the directory, and tells the others what it has found."""
+    if ranks.size == 1:
+        return _open(request, directory, experiment)
+    taken, refusal = Resume(), None
+    if ranks.is_main:
+        try:
+            taken = _open(request, directory, experiment)
+        except KickbenchError as error:
+            refusal = error
+    if ranks.any(refusal is not None):
+        raise refusal or SystemExit(2)  # rank 0 says why
+    found = ranks.from_main({"state": taken.state, "finished": taken.finished})
+    return Resume(found["state"], found["finished"])
 
 
 def _metrics(
@@ -176,20 +215,23 @@ def make_trainer(
     seed: int,
     threads: int,
     history: RunHistory,
+    ranks: Ranks = ALONE,
     *,
     device: str = "cpu",
     graph: bool = True,
 ) -> Trainer:
     """Seeds everything and builds environments, networks and progress displays."""
-    torch.manual_seed(seed)
-    worlds = experiment.method.spec.algorithm.num_envs
+    own_seed = ranks.seed(seed)
+    torch.manual_seed(own_seed)
+    worlds = ranks.share(experiment.method.spec.algorithm.num_envs)
     engine = make_engine(experiment.task, worlds, device, num_threads=threads)
-    env = KickEnv(experiment.task, engine, seed)
+    env = KickEnv(experiment.task, engine, own_seed)
     title = f"{experiment.task.name} / {experiment.method.name} / seed {seed}"
-    progress = standard_progress(directory.progress, directory.tensorboard, title)
+    shown = standard_progress(directory.progress, directory.tensorboard, title) if ranks.is_main else None
     update = update_threads(experiment.method.spec, threads)
     checkpoints = Checkpoints(directory.checkpoints)
-    return Trainer(experiment, env, progress, checkpoints, history, update, graph=graph)
+    progress = shown or ProgressGroup(())
+    return Trainer(experiment, env, progress, checkpoints, history, update, graph=graph, ranks=ranks)
 
 
 def evaluate(

@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 import torch
 
-from kickbench.env import KickEnv, make_engine
+from kickbench.env import KickEnv
+from kickbench.mdp.engines import make_engine
 from kickbench.mdp.episode import BOTH, LEFT, NO_FOOT, OTHER, RIGHT
 from kickbench.symmetry.torch_ops import Mirror
 

@@ -12,9 +12,10 @@ import torch
 from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode, _disable_current_modes
 
-from kickbench.env import KickEnv, make_engine
+from kickbench.env import KickEnv
 from kickbench.experiment import load_experiment
 from kickbench.graph import CapturedStep, StaticTensors, graph_obstacle
+from kickbench.mdp.engines import make_engine
 from kickbench.mdp.starts import FreshStarts
 from kickbench.results.history import RunHistory
 from kickbench.train.checkpoint import Checkpoints

@@ -18,11 +18,11 @@ from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from kickbench.cli import main
-from kickbench.env import KickEnv, make_engine
+from kickbench.env import KickEnv
 from kickbench.experiment import Experiment, load_experiment
 from kickbench.graph import CapturedStep, WithoutGraphs
 from kickbench.mdp.compile import CompiledTask
-from kickbench.mdp.engines import make_warp_engine
+from kickbench.mdp.engines import make_engine, make_warp_engine
 from kickbench.mdp.starts import FreshStarts, StartSampler
 from kickbench.physics.engine import ModelField
 from kickbench.results.history import RunHistory

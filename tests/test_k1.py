@@ -11,8 +11,9 @@ from pathlib import Path
 import pytest
 import torch
 
-from kickbench.env import KickEnv, make_engine
+from kickbench.env import KickEnv
 from kickbench.experiment import Experiment, load_experiment
+from kickbench.mdp.engines import make_engine
 
 ROOT = Path(__file__).parent.parent
 QUIET = (

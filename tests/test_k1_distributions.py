@@ -15,10 +15,11 @@ import pytest
 import torch
 from scipy import stats
 
-from kickbench.env import KickEnv, make_engine
+from kickbench.env import KickEnv
 from kickbench.mdp.catalog import task_model
 from kickbench.mdp.compile import CompiledTask, compile_task
 from kickbench.mdp.delay import ActionDelay
+from kickbench.mdp.engines import make_engine
 from kickbench.mdp.pushes import Pushes
 from kickbench.mdp.randomizations import Setting
 from kickbench.spec.load import load_task

@@ -10,9 +10,10 @@ import pytest
 import torch
 
 from kickbench.cli import main
-from kickbench.env import KickEnv, make_engine
+from kickbench.env import KickEnv
 from kickbench.mdp.catalog import task_model
 from kickbench.mdp.compile import CompiledTask, compile_task
+from kickbench.mdp.engines import make_engine
 from kickbench.spec.load import load_task
 
 ROOT = Path(__file__).parent.parent

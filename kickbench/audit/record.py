@@ -12,9 +12,10 @@ from torch import Tensor
 
 from kickbench.audit.measure import misfits
 from kickbench.audit.states import VariedActions, VariedStarts, vary_episodes
-from kickbench.env import KickEnv, make_engine
+from kickbench.env import KickEnv
 from kickbench.evaluate.episodes import Policy
 from kickbench.mdp.compile import Bound, CompiledTask
+from kickbench.mdp.engines import make_engine
 from kickbench.mdp.snapshot import Snapshot
 from kickbench.mdp.state import State
 from kickbench.nets.threads import torch_threads

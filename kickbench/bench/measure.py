@@ -1,191 +1,148 @@
-"""What `kickbench bench` measures: the step against raw physics, and the updates of the methods."""
+"""What `kickbench bench` measures: physics, environment, rollout, update and iteration, taking turns."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 
-# pyright: reportAttributeAccessIssue=false
-import mujoco
-import mujoco.rollout
-import numpy as np
 import torch
-from tensordict import TensorDict
+from torch import Tensor
 
-from kickbench.bench.timing import Timing, interleave
-from kickbench.env import KickEnv, make_engine
+from kickbench.bench.memory import read_peaks, reset_peaks
+from kickbench.bench.physics import count_contacts, physics_alone
+from kickbench.bench.record import MethodFigures, RoomFigures, SizeFigures, StepFigures
+from kickbench.bench.timing import Stopwatch, Timing
+from kickbench.bench.training import Iterations
+from kickbench.env import KickEnv
 from kickbench.experiment import Experiment
-from kickbench.mdp.compile import CompiledTask
-from kickbench.physics.cpu import CpuEngine
-from kickbench.train.ppo import BoundedPPO, build_ppo
+from kickbench.graph import fastest_steps
+from kickbench.mdp.engines import make_engine
+from kickbench.nets.threads import torch_threads
+from kickbench.physics.engine import Engine
 
-_FULL = mujoco.mjtState.mjSTATE_FULLPHYSICS
 _STEPS_PER_ROUND = 10
 _WARM_STEPS = 60
+"""Control steps before the first round: the worlds are then at different places of their episodes."""
 _EXPLORATION = 0.6
+"""Standard deviation of the random actions of the environment's step."""
+
+Tell = Callable[[int], None]
+"""Told the number of rounds done."""
 
 
 @dataclass(frozen=True)
-class StepFigures:
-    """Environment step against raw `mujoco.rollout` of the same states and controls.
+class Setting:
+    """How to measure.
 
     Attributes:
-        num_envs: Worlds.
-        threads: Physics threads of both.
-        env_steps_per_second: Control steps a second of the environment.
-        raw_steps_per_second: Control steps a second of raw physics.
-        share: env over raw.
+        device: Torch device.
+        threads: Threads of physics.
+        rounds: Counted rounds.
     """
 
-    num_envs: int
+    device: str
     threads: int
-    env_steps_per_second: float
-    raw_steps_per_second: float
-    share: float
+    rounds: int
 
 
-@dataclass(frozen=True)
-class UpdateFigures:
-    """PPO update of a method against the plain network of the same width.
-
-    Attributes:
-        hidden: Hidden widths of actor and critic.
-        samples: Samples an update learns from.
-        seconds: Method -> median seconds of one update.
-        ratio: Method -> time over that of the plain network.
-    """
-
-    hidden: tuple[int, ...]
-    samples: int
-    seconds: dict[str, float]
-    ratio: dict[str, float]
-
-
-class _RawPhysics:
-    """Repeats the control steps that an environment has made, without everything around them."""
-
-    def __init__(self, model: mujoco.MjModel, decimation: int, threads: int) -> None:
-        self._model, self._decimation = model, decimation
-        self._data = [mujoco.MjData(model) for _ in range(threads)]
-        self._pool = mujoco.rollout.Rollout(nthread=threads if threads > 1 else 0)
-
-    def prepare(self, steps: list[tuple[np.ndarray, np.ndarray]]) -> None:
-        self._steps = steps
-        worlds, nstate = steps[0][0].shape
-        self._models = [self._model] * worlds
-        self._state = np.zeros((worlds, self._decimation, nstate))
-        self._sensed = np.zeros((worlds, self._decimation, self._model.nsensordata))
-
-    def __call__(self) -> None:
-        for state, control in self._steps:
-            self._pool.rollout(
-                self._models, self._data, state, control, skip_checks=True, nstep=self._decimation,
-                state=self._state, sensordata=self._sensed,
-            )  # fmt: skip
-
-
-def measure_step(task: CompiledTask, num_envs: int, rounds: int, threads: int) -> StepFigures:
-    """Times the environment's step and raw physics on the very same states and controls, in turn.
+def measure_size(experiments: Mapping[str, Experiment], setting: Setting, tell: Tell) -> SizeFigures:
+    """Measures everything with one number of worlds.
 
     Args:
-        task: Compiled task.
-        num_envs: Worlds.
-        rounds: Rounds of ten control steps each.
-        threads: Physics threads of both.
+        experiments: Method name -> experiment, all of one task and one number of environments; the first method is
+            the reference.
+        setting: How to measure.
+        tell: Told of the progress.
     """
-    engine = make_engine(task, num_envs, num_threads=threads)
-    assert isinstance(engine, CpuEngine)
-    env = KickEnv(task, engine, seed=0)
-    generator = torch.Generator().manual_seed(0)
-    raw = _RawPhysics(task.scene.model, task.spec.simulation.decimation, threads)
-    actions: list[torch.Tensor] = []
-
-    def env_steps() -> None:
-        for _ in range(_STEPS_PER_ROUND):
-            env.step(actions.pop())
-
-    for _ in range(_WARM_STEPS):
-        env.step(_EXPLORATION * torch.randn(num_envs, env.num_actions, generator=generator))
-    seconds: dict[str, list[float]] = {"env": [], "raw": []}
-    for _ in range(rounds):
-        noise = [torch.randn(num_envs, env.num_actions, generator=generator) for _ in range(_STEPS_PER_ROUND)]
-        actions = [_EXPLORATION * sample for sample in noise]
-        # A rehearsal records where the steps of this round start, so that both play the same ones.
-        raw.prepare(_rehearse(env, engine, actions[::-1]))
-        timing = interleave({"env": env_steps, "raw": raw}, rounds=1, warmup=0)
-        for name, values in timing.seconds.items():
-            seconds[name] += values
-    timing = Timing({name: tuple(values) for name, values in seconds.items()})
-    steps = _STEPS_PER_ROUND * num_envs
-    return StepFigures(
-        num_envs,
-        threads,
-        steps / timing.median("env"),
-        steps / timing.median("raw"),
-        timing.ratio("raw", "env"),
+    reset_peaks(torch.device(setting.device))
+    with torch_threads(1):
+        stage = _Stage(next(iter(experiments.values())), setting)
+        methods = {
+            name: Iterations(chosen, setting.device, setting.threads) for name, chosen in experiments.items()
+        }
+        for method in methods.values():
+            method()  # not counted: memory is allocated, kernels are chosen
+        for done in range(setting.rounds):
+            tell(done)
+            stage.round()
+            for name, method in methods.items():
+                record = method()
+                stage.watch.note(f"rollout {name}", record.collect_seconds)
+                stage.watch.note(f"update {name}", record.update_seconds)
+                stage.watch.note(f"iteration {name}", record.collect_seconds + record.update_seconds)
+        tell(setting.rounds)
+    timing, reference = stage.watch.timing(), next(iter(methods))
+    return SizeFigures(
+        num_envs=stage.env.num_envs,
+        step=stage.figures(timing),
+        methods={name: _method_figures(method, timing, name, reference) for name, method in methods.items()},
+        contacts=count_contacts(stage.env),
+        room=room_of(stage.env.engine),
+        memory=read_peaks(torch.device(setting.device)),
     )
 
 
-def _rehearse(
-    env: KickEnv, engine: CpuEngine, actions: list[torch.Tensor]
-) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Plays the actions on a second engine from the same states and keeps where every control step starts."""
-    shadow = make_engine(env.task, env.num_envs, num_threads=engine.num_threads)
-    assert isinstance(shadow, CpuEngine)
-    shadow.reset(torch.ones(env.num_envs, dtype=torch.bool), engine.qpos, engine.qvel)
-    steps = []
-    for action in actions:
-        targets = env.targets(action)
-        control = np.repeat(targets.numpy().astype(np.float64)[:, None], engine.decimation, axis=1)
-        steps.append((shadow.full_state(), control))
-        shadow.step(targets)
-    shadow.close()
-    return steps
+class _Stage:
+    """An environment under random actions, and physics alone beside it."""
+
+    def __init__(self, experiment: Experiment, setting: Setting) -> None:
+        num_envs = experiment.method.spec.algorithm.num_envs
+        engine = make_engine(experiment.task, num_envs, setting.device, num_threads=setting.threads)
+        self.env = KickEnv(experiment.task, engine, seed=0)
+        self.watch = Stopwatch(self.env.device)
+        self._generator = torch.Generator(self.env.device).manual_seed(0)
+        self._physics = physics_alone(self.env, setting.threads)
+        self._steps = fastest_steps(self.env)
+        for action in self._actions(_WARM_STEPS):
+            self._steps.step(action)
+
+    def round(self) -> None:
+        """Times some control steps both ways, from the same states."""
+        actions = self._actions(_STEPS_PER_ROUND)
+        physics = self._physics(actions)
+        self.watch.time("physics", physics)
+        self.watch.time("env", lambda: [self._steps.step(action) for action in actions])
+
+    def figures(self, timing: Timing) -> StepFigures:
+        steps = _STEPS_PER_ROUND * self.env.num_envs
+        return StepFigures(
+            physics_steps_per_second=steps / timing.median("physics"),
+            env_steps_per_second=steps / timing.median("env"),
+            env_share=timing.ratio("physics", "env"),
+        )
+
+    def _actions(self, count: int) -> list[Tensor]:
+        shape = (self.env.num_envs, self.env.num_actions)
+        draws = (torch.randn(shape, generator=self._generator, device=self.env.device) for _ in range(count))
+        return [_EXPLORATION * draw for draw in draws]
 
 
-def measure_update(experiments: dict[str, Experiment], rounds: int) -> UpdateFigures:
-    """Times `PPO.update` of several methods in turn, on random samples of the task's size.
-
-    Args:
-        experiments: Method name -> experiment; the first is the reference.
-        rounds: Rounds.
-    """
-    learners = {name: _filled(experiment) for name, experiment in experiments.items()}
-    timing = interleave({name: ppo.update for name, ppo in learners.items()}, rounds, warmup=1)
-    reference = next(iter(experiments))
-    spec = experiments[reference].method.spec
-    return UpdateFigures(
-        hidden=spec.network.actor_hidden,
-        samples=spec.algorithm.num_envs * spec.algorithm.steps_per_env,
-        seconds={name: timing.median(name) for name in learners},
-        ratio={name: timing.ratio(name, reference) for name in learners},
+def _method_figures(method: Iterations, timing: Timing, name: str, reference: str) -> MethodFigures:
+    spec = method.experiment.method.spec
+    samples = spec.algorithm.num_envs * spec.algorithm.steps_per_env
+    return MethodFigures(
+        actor_hidden=spec.network.actor_hidden,
+        critic_hidden=spec.network.critic_hidden,
+        samples=samples,
+        update_threads=method.update_threads,
+        rollout_steps_per_second=samples / timing.median(f"rollout {name}"),
+        update_seconds=timing.median(f"update {name}"),
+        update_ratio=timing.ratio(f"update {name}", f"update {reference}"),
+        iteration_seconds=timing.median(f"iteration {name}"),
+        iteration_ratio=timing.ratio(f"iteration {name}", f"iteration {reference}"),
+        iteration_steps_per_second=samples / timing.median(f"iteration {name}"),
     )
 
 
-def _filled(experiment: Experiment) -> BoundedPPO:
-    """A learner whose storage holds one iteration of random samples."""
-    settings = experiment.method.spec.algorithm
-    torch.manual_seed(0)
-    sizes = {name: table.dim for name, table in experiment.symmetry.groups.items()}
-
-    def observe() -> TensorDict:
-        groups = {name: torch.randn(settings.num_envs, size) for name, size in sizes.items()}
-        return TensorDict(groups, batch_size=[settings.num_envs])
-
-    ppo = build_ppo(experiment, observe(), torch.device("cpu"))
-    ppo.train_mode()
-    with torch.no_grad():
-        for _ in range(settings.steps_per_env):
-            observations = observe()
-            ppo.act(observations)
-            done = torch.rand(settings.num_envs) < 0.02
-            ppo.process_env_step(observations, torch.randn(settings.num_envs), done, {})
-        ppo.compute_returns(observe())
-    return ppo
-
-
-def update_experiments(task: Path, methods: dict[str, Path], overrides: list[str]) -> dict[str, Experiment]:
-    """The experiments whose updates are compared."""
-    from kickbench.experiment import load_experiment
-
-    return {name: load_experiment(task, path, overrides) for name, path in methods.items()}
+def room_of(engine: Engine) -> RoomFigures | None:
+    """Use of an engine's room since it was last asked; None if it has no limit."""
+    load = engine.take_load()
+    if load is None:
+        return None
+    return RoomFigures(
+        contacts=load.contacts,
+        contact_room=load.contact_room,
+        constraints=load.constraints,
+        constraint_room=load.constraint_room,
+        overflow=load.short_share,
+    )

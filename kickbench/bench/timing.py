@@ -5,7 +5,9 @@ from __future__ import annotations
 import statistics
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+
+import torch
 
 
 @dataclass(frozen=True)
@@ -28,19 +30,34 @@ class Timing:
         return statistics.median(a / b for a, b in pairs)
 
 
-def interleave(variants: Mapping[str, Callable[[], object]], rounds: int, warmup: int = 2) -> Timing:
-    """Times every variant once a round.
+@dataclass
+class Stopwatch:
+    """Collects the seconds of variants that take turns.
 
-    Args:
-        variants: What to time, by name.
-        rounds: Counted rounds.
-        warmup: Rounds before, not counted.
+    Attributes:
+        device: Where the work is done; a GPU is waited for before each look at the clock.
+        seconds: Variant -> seconds of every round so far.
     """
-    seconds: dict[str, list[float]] = {name: [] for name in variants}
-    for counted in [False] * warmup + [True] * rounds:
-        for name, call in variants.items():
-            start = time.perf_counter()
-            call()
-            if counted:
-                seconds[name].append(time.perf_counter() - start)
-    return Timing({name: tuple(values) for name, values in seconds.items()})
+
+    device: torch.device
+    seconds: dict[str, list[float]] = field(default_factory=dict)
+
+    def now(self) -> float:
+        """The time by which everything asked of the device is done, s."""
+        if self.device.type == "cuda":
+            torch.cuda.synchronize(self.device)
+        return time.perf_counter()
+
+    def time(self, name: str, call: Callable[[], object]) -> None:
+        """Calls, and notes how long it took."""
+        start = self.now()
+        call()
+        self.note(name, self.now() - start)
+
+    def note(self, name: str, seconds: float) -> None:
+        """Notes what took so long."""
+        self.seconds.setdefault(name, []).append(seconds)
+
+    def timing(self) -> Timing:
+        """All rounds."""
+        return Timing({name: tuple(values) for name, values in self.seconds.items()})

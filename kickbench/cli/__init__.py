@@ -166,16 +166,24 @@ def _add_bench(verbs: argparse._SubParsersAction) -> None:
     verb = _add_verb(verbs, "bench", "kickbench.cli.bench:bench", "measure speed, as ratios within one run")
     verb.add_argument("--task", type=Path, default=Path("tasks/mini_general.yaml"), help="task YAML")
     verb.add_argument(
-        "--methods", type=Path, default=Path("methods/mini"), help="folder of the methods compared"
+        "--methods",
+        type=Path,
+        metavar="DIR",
+        default=Path("methods/mini"),
+        help="folder of the three methods compared (default: methods/mini; methods for the K1)",
     )
     verb.add_argument(
-        "--num-envs", type=_positive, default=512, help="worlds of the environment step (default: 512)"
+        "--num-envs", type=_positive, nargs="+", metavar="N", default=[512], help="worlds (default: 512)"
     )
+    verb.add_argument("--rounds", type=_positive, default=10, help="interleaved repetitions (default: 10)")
+    verb.add_argument("--json", type=Path, metavar="FILE", help="write the figures as JSON, too")
     verb.add_argument(
-        "--update-envs", type=_positive, default=256, help="environments an update learns from (default: 256)"
+        "--profile", action="store_true", help="tell where the time goes, for the first number of worlds"
     )
-    verb.add_argument("--rounds", type=_positive, default=15, help="interleaved repetitions (default: 15)")
-    verb.add_argument("--json", action="store_true", help="print the figures as JSON")
+    _add_set(verb)
+    verb.add_argument(
+        "--device", choices=("cpu", "cuda"), default="cpu", help="where to measure (default: cpu)"
+    )
     _add_threads(verb)
 
 

@@ -3,60 +3,97 @@
 from __future__ import annotations
 
 import argparse
-import json
-from dataclasses import asdict
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime
 from pathlib import Path
 
-from kickbench.bench.measure import (
-    StepFigures,
-    UpdateFigures,
-    measure_step,
-    measure_update,
-    update_experiments,
-)
-from kickbench.mdp.catalog import task_model
-from kickbench.mdp.compile import compile_task
-from kickbench.nets.threads import torch_threads, update_threads
+from rich.console import Console
+
+from kickbench.bench.measure import Setting, Tell, measure_size
+from kickbench.bench.profile import profile_iteration
+from kickbench.bench.record import BenchReport, Profile, SizeFigures, write_report
+from kickbench.bench.text import print_report
+from kickbench.bench.training import Iterations
+from kickbench.experiment import Experiment, load_experiment
+from kickbench.nets.threads import torch_threads
 from kickbench.physics.cpu import usable_cores
-from kickbench.results.provenance import device_name, package_versions
-from kickbench.spec.load import load_task
+from kickbench.physics.devices import check_device
+from kickbench.results.provenance import collect_provenance
 
 _METHODS = ("baseline", "augmentation", "equivariant")
-_WIDTHS = ((128, 64), (512, 256, 128))
+_PROFILED_ITERATIONS = 3
 
 
 def bench(arguments: argparse.Namespace) -> int:
     """`kickbench bench`."""
-    threads = arguments.threads or usable_cores()
-    task = compile_task(load_task(task_model(), arguments.task))
-    with torch_threads(1):
-        step = measure_step(task, arguments.num_envs, arguments.rounds, threads)
-    folder = arguments.methods
-    updates = []
-    for hidden in _WIDTHS:
-        widths = ",".join(map(str, hidden))
-        overrides = [f"network.{role}_hidden=[{widths}]" for role in ("actor", "critic")]
-        overrides.append(f"algorithm.num_envs={arguments.update_envs}")
-        paths = {name: Path(folder, f"{name}.yaml") for name in _METHODS}
-        experiments = update_experiments(arguments.task, paths, overrides)
-        with torch_threads(update_threads(experiments["baseline"].method.spec, threads)):
-            updates.append(measure_update(experiments, arguments.rounds))
+    check_device(arguments.device)
+    started = datetime.now(UTC)
+    setting = Setting(arguments.device, arguments.threads or usable_cores(), arguments.rounds)
+    # All at first: a wrong file is told before anything is measured.
+    chosen = [_experiments(arguments, num_envs) for num_envs in arguments.num_envs]
+    sizes = [_measured(experiments, setting) for experiments in chosen]
+    profiles = _profiles(chosen[0], setting) if arguments.profile else ()
+    report = BenchReport(
+        task=chosen[0]["baseline"].task.name,
+        device=setting.device,
+        rounds=setting.rounds,
+        sizes=tuple(sizes),
+        profiles=profiles,
+        provenance=collect_provenance(
+            seed=0,
+            env_steps=0,
+            started=started,
+            num_threads=setting.threads,
+            device=setting.device,
+            argv=sys.argv,
+        ),
+    )
     if arguments.json:
-        report = {"task": task.name, "device": device_name("cpu"), "versions": package_versions()}
-        print(json.dumps({**report, "step": asdict(step), "updates": [asdict(u) for u in updates]}, indent=2))
-    else:
-        print(_text(task.name, step, updates))
+        write_report(arguments.json, report)
+    print_report(report, Console())
     return 0
 
 
-def _text(task: str, step: StepFigures, updates: list[UpdateFigures]) -> str:
-    lines = [
-        f"{task} on {device_name('cpu')}, {step.threads} threads",
-        f"control steps, {step.num_envs} worlds: env {step.env_steps_per_second:,.0f}/s, "
-        f"raw mujoco.rollout {step.raw_steps_per_second:,.0f}/s, env/raw {step.share:.1%}",
-    ]
-    for figures in updates:
-        lines.append(f"PPO update, hidden {figures.hidden}, {figures.samples:,} samples:")
-        for name, seconds in figures.seconds.items():
-            lines.append(f"  {name:<13} {1000 * seconds:8.1f} ms   {figures.ratio[name]:.2f} x plain")
-    return "\n".join(lines)
+def _experiments(arguments: argparse.Namespace, num_envs: int) -> dict[str, Experiment]:
+    overrides = [*arguments.overrides, f"algorithm.num_envs={num_envs}"]
+    paths = {name: Path(arguments.methods, f"{name}.yaml") for name in _METHODS}
+    return {name: load_experiment(arguments.task, path, overrides) for name, path in paths.items()}
+
+
+def _measured(experiments: dict[str, Experiment], setting: Setting) -> SizeFigures:
+    num_envs = experiments["baseline"].method.spec.algorithm.num_envs
+    with _telling(f"{num_envs:,} worlds", setting.rounds) as tell:
+        return measure_size(experiments, setting, tell)
+
+
+def _profiles(experiments: dict[str, Experiment], setting: Setting) -> tuple[Profile, ...]:
+    found: list[Profile] = []
+    with torch_threads(1):
+        for name, experiment in experiments.items():
+            print(f"profile of {name}", file=sys.stderr)
+            # What a graph replays has no parts that could be told apart.
+            training = Iterations(experiment, setting.device, setting.threads, graph=False)
+            of_step, of_update = profile_iteration(training, _PROFILED_ITERATIONS)
+            # The step differs between methods only by the policy: one is enough to read.
+            found += [of_update] if found else [of_step, of_update]
+    return tuple(found)
+
+
+@contextmanager
+def _telling(what: str, rounds: int) -> Iterator[Tell]:
+    """Shows on a terminal which round it is."""
+    live = sys.stderr.isatty()
+
+    def tell(done: int) -> None:
+        if live:
+            print(f"\r{what}: {done}/{rounds} rounds", end="", file=sys.stderr, flush=True)
+
+    if not live:
+        print(what, file=sys.stderr, flush=True)
+    try:
+        yield tell
+    finally:
+        if live:
+            print(file=sys.stderr)

@@ -14,10 +14,11 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 
-from kickbench.env import KickEnv, make_engine
+from kickbench.env import KickEnv
 from kickbench.evaluate.equivariance import EquivarianceProbe
 from kickbench.experiment import Experiment
 from kickbench.mdp.compile import CompiledTask
+from kickbench.mdp.engines import make_engine
 from kickbench.mdp.episode import FOOT_NAMES
 from kickbench.mdp.starts import Starts, StartSampler
 from kickbench.nets.threads import torch_threads

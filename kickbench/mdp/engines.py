@@ -40,7 +40,9 @@ def make_engine(
     return make_warp_engine(task, num_envs, device)
 
 
-def make_warp_engine(task: CompiledTask, num_envs: int, device: str, *, deterministic: bool = False) -> Engine:
+def make_warp_engine(
+    task: CompiledTask, num_envs: int, device: str, *, deterministic: bool = False
+) -> Engine:
     """Makes the mujoco_warp engine of a task, on warp's CPU device too.
 
     Its room for contacts and constraints is the task's, or what a rehearsal with random actions needs and half as

@@ -10,7 +10,12 @@ import torch
 from kickbench.spec.method import MethodSpec
 
 _WIDE = 256
-"""Hidden width from which on an update gains from more than one thread; narrower layers only wait for each other."""
+"""Hidden width from which on an update gains from more than one thread; narrower layers only wait for each other.
+
+Measured on two cores that other processes used as well, 128-64, augmentation, medians of 8 pairs of updates in each of
+two processes: with two threads an update took 0.97 and 1.12 times as long as with one under `OMP_WAIT_POLICY=ACTIVE`,
+and 1.68 and 1.46 times under `PASSIVE`.
+"""
 
 
 def update_threads(method: MethodSpec, cores: int) -> int:

@@ -152,11 +152,20 @@ class LoadWatch:
         if load.short_share <= allowed:
             return
         contacts, constraints = math.ceil(load.contacts), load.constraints
-        short = {"max_contacts": contacts > load.contact_room, "max_constraints": constraints > load.constraint_room}
+        short = {
+            "max_contacts": contacts > load.contact_room,
+            "max_constraints": constraints > load.constraint_room,
+        }
         needed = {"max_contacts": contacts, "max_constraints": constraints}
         room = {"max_contacts": load.contact_room, "max_constraints": load.constraint_room}
-        raised = [f"{name} from {room[name]} to {_size(np.array([needed[name]]))}" for name in short if short[name]]
-        advice = f"raise {' and '.join(raised)}" if raised else "collisions need more than mujoco_warp's own buffers"
+        raised = [
+            f"{name} from {room[name]} to {_size(np.array([needed[name]]))}" for name in short if short[name]
+        ]
+        advice = (
+            f"raise {' and '.join(raised)}"
+            if raised
+            else "collisions need more than mujoco_warp's own buffers"
+        )
         raise KickbenchError(
             f"in {load.short_share:.2%} of the control steps a world ran out of room for contacts or constraints, "
             f"which were left out of its physics ({allowed:.2%} are allowed): {advice}"

@@ -1,8 +1,8 @@
 """Contact sensing on the device: which contacts a sensor counts, and the latch over the substeps.
 
-mujoco_warp's own contact sensors search all contacts once a sensor and keep up to 64 of them a world and sensor, in every
-substep. Here every contact finds the sensors that count it in a table of geom pairs and adds itself to them: one
-launch a substep, whatever the number of sensors.
+mujoco_warp's own contact sensors search all contacts once a sensor and keep up to 64 of them a world and sensor, in
+every substep. Here every contact finds the sensors that count it in a table of geom pairs and adds itself to them:
+one launch a substep, whatever the number of sensors.
 """
 
 # Kernels read their annotations, so they must not be strings: no `from __future__ import annotations` here.
@@ -10,6 +10,7 @@ launch a substep, whatever the number of sensors.
 from collections.abc import Iterator, Sequence
 
 # pyright: reportAttributeAccessIssue=false, reportIndexIssue=false, reportInvalidTypeForm=false
+# pyright: reportOperatorIssue=false, reportAssignmentType=false, reportGeneralTypeIssues=false
 import mujoco
 import numpy as np
 import warp as wp
@@ -82,7 +83,7 @@ def _latch(
 ):  # fmt: skip
     """Counts keep their largest value over the substeps, forces their mean."""
     world, place = wp.tid()
-    largest, total = 0.0, 0.0
+    largest, total = float(0.0), float(0.0)  # noqa: UP018 (warp: a literal would be a constant)
     for substep in range(sensed.shape[0]):
         value = sensed[substep, world, place]
         largest = wp.max(largest, value)

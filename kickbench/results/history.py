@@ -29,6 +29,7 @@ class RunHistory:
         *,
         scale: float | None = None,
         num_threads: int,
+        num_processes: int = 1,
         device: str = "cpu",
         argv: Sequence[str] = (),
         earlier: Sequence[Provenance] = (),
@@ -40,7 +41,8 @@ class RunHistory:
             method: Name of the method.
             seed: Seed of the run.
             scale: Factor that the run was scaled down by.
-            num_threads: Threads that step the physics.
+            num_threads: Threads that step the physics, of each process.
+            num_processes: Processes that train together.
             device: Torch device.
             argv: The command as `sys.argv` has it.
             earlier: The parts before this one.
@@ -48,6 +50,7 @@ class RunHistory:
         self.identity = run_identity(task, method, seed, scale)
         self._seed, self._threads, self._device, self._argv = seed, num_threads, device, tuple(argv)
         self._earlier = tuple(earlier)
+        self._processes = num_processes
         self._started, self._code = datetime.now(UTC), code_state()
 
     def provenance(self, env_steps: int) -> Provenance:
@@ -78,6 +81,7 @@ class RunHistory:
             env_steps=env_steps - sum(earlier.env_steps for earlier in self._earlier),
             started=self._started,
             num_threads=self._threads,
+            num_processes=self._processes,
             device=self._device,
             argv=self._argv,
             code=self._code,

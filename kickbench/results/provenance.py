@@ -33,7 +33,8 @@ class Provenance(Record):
         description="version of python and of each package that the result needs"
     )
     device: str = Field(description="model of the processor, or name of the CUDA device")
-    num_threads: PositiveInt = Field(description="threads that stepped the physics")
+    num_threads: PositiveInt = Field(description="threads that stepped the physics, of each process")
+    num_processes: PositiveInt = Field(default=1, description="processes that trained together")
     platform: str = Field(description="operating system and architecture")
     seed: int = Field(description="seed of the run")
     commit: str | None = Field(description="git commit of kickbench's checkout; null outside of one")
@@ -59,6 +60,7 @@ def collect_provenance(
     env_steps: int,
     started: datetime,
     num_threads: int,
+    num_processes: int = 1,
     device: str = "cpu",
     argv: Sequence[str] = (),
     finished: datetime | None = None,
@@ -70,7 +72,8 @@ def collect_provenance(
         seed: seed of the run.
         env_steps: control steps of training, summed over worlds.
         started: start of the run; must know its time zone.
-        num_threads: threads that stepped the physics.
+        num_threads: threads that stepped the physics, of each process.
+        num_processes: processes that trained together.
         device: torch device, `cpu` or `cuda[:k]`.
         argv: the command as `sys.argv` has it, program first.
         finished: end of the run, now if left out.
@@ -85,6 +88,7 @@ def collect_provenance(
         versions=package_versions(),
         device=device_name(device),
         num_threads=num_threads,
+        num_processes=num_processes,
         platform=f"{platform.system()} {platform.release()} {platform.machine()}",
         seed=seed,
         commit=commit,

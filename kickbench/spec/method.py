@@ -57,6 +57,9 @@ class AlgorithmSpec(Spec):
     """Clip the value loss like the ratio."""
     max_gradient_norm: PositiveFloat = 1.0
     """Gradient clipping, for actor and critic each."""
+    matmul: Literal["float32", "tf32"] = "float32"
+    """Precision of matrix products in updates. tf32, on a GPU only, rounds their factors to 11 significant bits and
+    adds in float32. Acting is in float32 always, so a policy is as equivariant either way."""
 
     @model_validator(mode="after")
     def _divides(self) -> AlgorithmSpec:

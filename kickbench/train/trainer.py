@@ -20,6 +20,7 @@ from kickbench.results.history import RunHistory
 from kickbench.train.checkpoint import Checkpoints
 from kickbench.train.ppo import BoundedPPO, build_ppo
 from kickbench.train.progress import IterationRecord, Progress
+from kickbench.train.ranks import ALONE, Ranks, fingerprint
 from kickbench.train.stop import StopRequest
 
 
@@ -61,6 +62,7 @@ class Trainer:
         checkpoint_every: int = 50,
         checkpoint_seconds: float = 300.0,
         graph: bool = True,
+        ranks: Ranks = ALONE,
     ) -> None:
         """Builds the networks; seed torch before.
 
@@ -74,17 +76,19 @@ class Trainer:
             checkpoint_every: Iterations between two checkpoints, at most.
             checkpoint_seconds: Time between two checkpoints, at most (to the end of an iteration), s.
             graph: Whether steps are recorded and replayed on devices that can.
+            ranks: The processes that train together; each has its share of the environments.
         """
         self.experiment, self.env, self.progress = experiment, env, progress
         self._steps = fastest_steps(env, graph=graph)
-        self.ppo: BoundedPPO = build_ppo(experiment, env.get_observations(), torch.device(env.device))
+        self.ppo: BoundedPPO = build_ppo(experiment, env.get_observations(), torch.device(env.device), ranks)
+        self._ranks = ranks
         self.iteration = 0
         self._update_threads = update_threads
         self._horizon, self._seconds = 0, 0.0
         self._checkpoints, self._history = checkpoints, history
         self._every = (checkpoint_every, checkpoint_seconds)
         self._kept: TrainingResult | None = None
-        self._steps_per_iteration = experiment.method.spec.algorithm.steps_per_env * env.num_envs
+        self._steps_per_iteration = experiment.method.spec.algorithm.steps_per_env * env.num_envs * ranks.size
 
     @property
     def env_steps(self) -> int:
@@ -104,19 +108,21 @@ class Trainer:
         if self.iteration >= iterations:
             return self._result()
         interrupted, self._clock = False, time.perf_counter()
+        if self._ranks.size > 1:
+            self.ppo.broadcast_parameters()
         if self.iteration == 0:
             self.save()
         self.progress.start(iterations, self.iteration)
         self.ppo.train_mode()
         try:
-            with StopRequest() as stop:
-                while self.iteration < iterations and not stop.requested:
+            with StopRequest(patient=self._ranks.size > 1, quiet=not self._ranks.is_main) as stop:
+                while self.iteration < iterations and not interrupted:
                     self._anneal()
                     self._iterate()
                     self._count_time()
-                    if self._is_due() or stop.requested or self.iteration == iterations:
+                    interrupted = self._ranks.any(stop.requested)
+                    if interrupted or self.iteration == iterations or self._ranks.any(self._is_due()):
                         self.save()
-                interrupted = stop.requested
         except KeyboardInterrupt:
             interrupted = True
         finally:
@@ -125,8 +131,12 @@ class Trainer:
         return replace(self._kept, interrupted=interrupted)
 
     def save(self) -> None:
-        """Writes a checkpoint."""
-        self._checkpoints.save(self.iteration, self.state_dict())
+        """Writes a checkpoint; with several processes, all of them at the same time."""
+        whole = self.state_dict()
+        if self._ranks.size > 1:
+            whole["ranks"] = self._gather_ranks(whole)
+        if self._ranks.is_main:
+            self._checkpoints.save(self.iteration, whole)
         self._kept, self._kept_at = self._result(), time.monotonic()
 
     def state_dict(self) -> dict[str, Any]:
@@ -147,18 +157,32 @@ class Trainer:
         Raises:
             KickbenchError: The state is that of another experiment or of another version of kickbench.
         """
+        trained_by = len(state.get("ranks", ())) or 1
+        if trained_by != self._ranks.size:
+            raise KickbenchError(
+                f"the run was trained by {trained_by} processes and goes on with as many, not with {self._ranks.size}"
+            )
+        own = state["ranks"][self._ranks.rank] if "ranks" in state else state
         try:
             learner = dict(state["learner"])
             self.ppo.load(learner, None, strict=True)
             self.ppo.learning_rate = learner["learning_rate"]
-            self.env.load_state_dict(state["env"])
+            self.env.load_state_dict(own["env"])
             self.iteration, self._horizon, self._seconds = (
                 state[key] for key in ("iteration", "horizon", "seconds")
             )
-            _set_rng_states(state["rng"], self.env.device)
+            _set_rng_states(own["rng"], self.env.device)
         except (LookupError, RuntimeError, TypeError, ValueError) as error:
             raise KickbenchError(f"the checkpoint is not one of this experiment: {error}") from error
         self._kept, self._kept_at = self._result(), time.monotonic()
+
+    def _gather_ranks(self, own: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+        """What differs between the processes, by rank: worlds and random numbers."""
+        weights = fingerprint(self.ppo.get_policy(), self.ppo.critic)
+        parts = self._ranks.gather({"rng": own["rng"], "env": own["env"], "weights": weights})
+        if any(part["weights"] != weights for part in parts):
+            raise KickbenchError(f"iteration {self.iteration}: the networks of the processes differ")
+        return parts
 
     def _result(self) -> TrainingResult:
         return TrainingResult(self.iteration, self.env_steps, self._seconds, self._horizon, False)
@@ -181,19 +205,25 @@ class Trainer:
         start = time.perf_counter()
         with torch_threads(1):
             self._collect()
-        collected = time.perf_counter()
+        collected = self._now()
         if not self.ppo.storage.returns.isfinite().all():
             raise KickbenchError(
                 f"iteration {self.iteration}: observations, rewards or values are not finite"
             )
         with torch_threads(self._update_threads):
             losses = self.ppo.update()
-        updated = time.perf_counter()
+        updated = self._now()
         self.iteration += 1
         record = self._record(losses, collected - start, updated - collected)
         if not all(torch.isfinite(torch.tensor(list(losses.values())))):
             raise KickbenchError(f"iteration {record.iteration}: the loss is not finite ({losses})")
         self.progress.update(record)
+
+    def _now(self) -> float:
+        """The time by which everything asked of the device is done, s."""
+        if self.env.device.type == "cuda":
+            torch.cuda.synchronize(self.env.device)
+        return time.perf_counter()
 
     def _collect(self) -> None:
         """Nothing in it waits for a number from the device; those are read once an iteration, afterwards."""

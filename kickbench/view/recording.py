@@ -9,10 +9,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from kickbench.env import KickEnv, make_engine
+from kickbench.env import KickEnv
 from kickbench.errors import KickbenchError
 from kickbench.evaluate.episodes import FAILED, Policy
 from kickbench.mdp.compile import CompiledTask
+from kickbench.mdp.engines import make_engine
 from kickbench.mdp.starts import Starts
 from kickbench.runner import load_run
 

@@ -14,8 +14,9 @@ import torch
 from tensordict import TensorDict
 
 from kickbench.audit.record import Reflection
-from kickbench.env import KickEnv, make_engine
+from kickbench.env import KickEnv
 from kickbench.experiment import Symmetry, symmetry_of
+from kickbench.mdp.engines import make_engine
 from kickbench.nets.build import build_actor
 from kickbench.spec.load import Loaded
 from kickbench.spec.robot import JointPairs, JointSymmetrySpec

@@ -9,8 +9,9 @@ from pathlib import Path
 import pytest
 import torch
 
-from kickbench.env import KickEnv, make_engine
+from kickbench.env import KickEnv
 from kickbench.experiment import Experiment, load_experiment
+from kickbench.mdp.engines import make_engine
 from kickbench.mdp.episode import LEFT, RIGHT
 from kickbench.mdp.snapshot import Snapshot
 from kickbench.symmetry.torch_ops import Mirror

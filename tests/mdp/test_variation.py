@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 import torch
 
-from kickbench.env import KickEnv, make_engine
+from kickbench.env import KickEnv
 from kickbench.errors import SpecError
 from kickbench.experiment import Experiment, load_experiment
+from kickbench.mdp.engines import make_engine
 from kickbench.symmetry.torch_ops import Mirror
 
 ROOT = Path(__file__).parents[2]

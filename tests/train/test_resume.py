@@ -18,9 +18,10 @@ import yaml
 
 from kickbench import runner
 from kickbench.cli import main
-from kickbench.env import KickEnv, make_engine
+from kickbench.env import KickEnv
 from kickbench.errors import KickbenchError
 from kickbench.experiment import load_experiment
+from kickbench.mdp.engines import make_engine
 from kickbench.results.history import RunHistory
 from kickbench.results.metrics import load_metrics
 from kickbench.train.checkpoint import Checkpoints

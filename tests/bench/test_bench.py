@@ -1,0 +1,176 @@
+"""What `kickbench bench` measures and writes. No wall-clock time is asserted, only that figures fit each other."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+
+from kickbench.bench import measure, physics
+from kickbench.bench.memory import read_peaks, reset_peaks
+from kickbench.bench.physics import count_contacts, physics_alone
+from kickbench.bench.record import BenchReport, read_report, write_report
+from kickbench.bench.training import Iterations
+from kickbench.cli import main
+from kickbench.env import KickEnv
+from kickbench.errors import KickbenchError
+from kickbench.mdp.engines import make_engine, make_warp_engine
+
+ROOT = Path(__file__).parent.parent.parent
+METHODS = ["baseline", "augmentation", "equivariant"]
+
+
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory) -> Path:
+    """A report of two sizes, with profiles."""
+    file = tmp_path_factory.mktemp("bench") / "report.json"
+    sizes = ["--num-envs", "4", "8", "--rounds", "2", "--threads", "1"]
+    small = ["--set", "algorithm.steps_per_env=4", "--set", "algorithm.mini_batches=2"]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(ROOT)
+        assert main(["bench", *sizes, *small, "--json", str(file), "--profile"]) == 0
+    return file
+
+
+def test_the_report_has_every_size_and_method(measured):
+    report = read_report(measured)
+    assert [size.num_envs for size in report.sizes] == [4, 8]
+    assert (report.task, report.device, report.rounds) == ("mini_general", "cpu", 2)
+    for size in report.sizes:
+        assert list(size.methods) == METHODS
+        assert {figures.samples for figures in size.methods.values()} == {4 * size.num_envs}
+        assert size.memory.resident_bytes > 2**20
+        assert size.memory.torch_device_bytes is size.memory.device_bytes is None
+
+
+def test_the_first_method_is_the_reference_and_figures_fit_each_other(measured):
+    for size in read_report(measured).sizes:
+        first = size.methods["baseline"]
+        assert first.update_ratio == first.iteration_ratio == 1.0
+        for figures in size.methods.values():
+            assert figures.iteration_seconds > figures.update_seconds
+            per_second = figures.samples / figures.iteration_seconds
+            assert figures.iteration_steps_per_second == pytest.approx(per_second, rel=1e-9)
+            assert figures.rollout_steps_per_second > figures.iteration_steps_per_second
+
+
+def test_the_report_says_where_it_comes_from(measured):
+    origin = read_report(measured).provenance
+    assert {"torch", "mujoco", "python"} <= set(origin.versions)
+    assert origin.num_threads == 1
+    assert str(ROOT) not in measured.read_text()
+
+
+def test_profiles_divide_the_step_of_one_method_and_the_updates_of_all(measured):
+    step, *updates = read_report(measured).profiles
+    assert [profile.what for profile in updates] == [f"one update of {method}" for method in METHODS]
+    expected = {
+        "physics",
+        "frame sensors",
+        "state view",
+        "rewards",
+        "terminations",
+        "reset",
+        "observations",
+        "policy",
+    }
+    assert expected <= {section.name for section in step.sections}
+    for profile in (step, *updates):
+        assert sum(section.share for section in profile.sections) == pytest.approx(1.0)
+        assert sum(s.seconds for s in profile.sections) == pytest.approx(profile.seconds)
+        assert profile.operations
+    mirrored = ["mirrored samples" in {s.name for s in profile.sections} for profile in updates]
+    assert mirrored == [False, True, False]
+
+
+def test_a_report_of_something_else_is_refused(measured, tmp_path):
+    content = json.loads(measured.read_text())
+    content["sizes"][1]["step"]["env_share"] = -1
+    wrong = tmp_path / "wrong.json"
+    wrong.write_text(json.dumps(content))
+    with pytest.raises(KickbenchError, match=r"wrong\.json: not a bench report: sizes\.1\.step\.env_share"):
+        read_report(wrong)
+    with pytest.raises(KickbenchError, match=r"none\.json: No such file"):
+        read_report(tmp_path / "none.json")
+
+
+def test_a_report_is_read_as_it_was_written(measured, tmp_path):
+    report = read_report(measured)
+    write_report(tmp_path / "again.json", report)
+    assert BenchReport.model_validate_json((tmp_path / "again.json").read_bytes()) == report
+
+
+def test_a_wrong_method_is_told_before_anything_is_measured(monkeypatch, capsys, tmp_path):
+    monkeypatch.chdir(ROOT)
+    assert main(["bench", "--methods", str(tmp_path), "--json", str(tmp_path / "report.json")]) == 2
+    assert "baseline.yaml" in capsys.readouterr().err
+    assert not (tmp_path / "report.json").exists()
+
+
+def test_physics_alone_repeats_the_control_steps_of_the_environment(experiment):
+    task = experiment("mini_general").task
+    env = KickEnv(task, make_engine(task, 4, num_threads=1), seed=0)
+    prepare = physics_alone(env, threads=1)
+    actions = [0.3 * torch.randn(4, env.num_actions) for _ in range(3)]
+    raw = prepare(actions)
+    raw()
+    for action in actions:
+        env.step(action)
+    assert not env.episode.step.eq(0).any(), "no world was reset"
+    np.testing.assert_allclose(raw._state[:, -1, 1:], env.engine.full_state()[:, 1:], atol=1e-12)  # pyright: ignore
+
+
+def test_contacts_are_those_of_the_present_states(experiment):
+    task = experiment("mini_general").task
+    env = KickEnv(task, make_engine(task, 3, num_threads=1), seed=0)
+    expected, data = [], mujoco.MjData(task.scene.model)
+    for world in range(3):
+        data.qpos[:], data.qvel[:] = env.engine.qpos[world], env.engine.qvel[world]
+        mujoco.mj_forward(task.scene.model, data)
+        expected.append(data.ncon)
+    found = count_contacts(env)
+    assert found is not None
+    assert found.worlds == 3
+    assert found.contacts.mean == pytest.approx(np.mean(expected))
+    assert found.contacts.most == max(expected)
+
+
+def test_a_peak_of_memory_is_seen():
+    device = torch.device("cpu")
+    reset_peaks(device)
+    before = read_peaks(device).resident_bytes
+    large = torch.ones(2**25)
+    assert read_peaks(device).resident_bytes >= before + 2**26
+    del large
+
+
+def test_an_iteration_a_call_leaves_no_file(experiment, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    small = ("algorithm.num_envs=4", "algorithm.steps_per_env=4")
+    iterations = Iterations(experiment("mini_general", "baseline", *small), "cpu", 1)
+    records = [iterations() for _ in range(3)]
+    assert [record.iteration for record in records] == [0, 1, 2]
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_room_of_a_gpu_engine_is_read_and_its_steps_repeat_the_controls(experiment):
+    pytest.importorskip("mujoco_warp", reason="the gpu extra is not installed")
+    task = experiment("mini_general").task
+    engine, shadow = (make_warp_engine(task, 2, "cpu") for _ in range(2))
+    env = KickEnv(task, engine, seed=0)
+    actions = [0.3 * torch.randn(2, env.num_actions) for _ in range(3)]
+    repeat = physics.EnginePhysics(env, shadow).prepare(actions)
+    repeat()
+    for action in actions:
+        env.step(action)
+    torch.testing.assert_close(shadow.qpos, engine.qpos, rtol=1e-4, atol=1e-5)
+    room = measure.room_of(engine)
+    assert room is not None
+    assert room.overflow == 0.0
+    assert 0 < room.contacts <= room.contact_room
+    assert 0 < room.constraints <= room.constraint_room
+    assert count_contacts(env) is None

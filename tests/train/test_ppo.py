@@ -1,0 +1,140 @@
+"""What is put together around rsl_rl's PPO."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from pathlib import Path
+
+import pytest
+import torch
+from tensordict import TensorDict
+from torch.utils._python_dispatch import TorchDispatchMode
+
+from kickbench.cli import main
+from kickbench.symmetry.torch_ops import Mirror
+from kickbench.train.ppo import BoundedPPO, build_ppo, tf32_products, use_fused_adam
+
+ROOT = Path(__file__).parents[2]
+SMALL = ("algorithm.num_envs=16", "algorithm.steps_per_env=8", "network.actor_hidden=[16]")
+
+
+def observe(chosen, generator: torch.Generator) -> TensorDict:
+    sizes = {name: table.dim for name, table in chosen.symmetry.groups.items()}
+    groups = {name: torch.randn(16, size, generator=generator) for name, size in sizes.items()}
+    return TensorDict(groups, batch_size=[16])
+
+
+def learned(
+    chosen, *, fused: bool, updating: Callable[[], AbstractContextManager] = nullcontext
+) -> BoundedPPO:
+    """A learner after two updates, each within a context, on the same random samples."""
+    torch.manual_seed(0)
+    generator = torch.Generator().manual_seed(0)
+    ppo = build_ppo(chosen, observe(chosen, generator), torch.device("cpu"))
+    if fused:
+        use_fused_adam(ppo)
+    ppo.train_mode()
+    for _ in range(2):
+        with torch.no_grad():
+            for _ in range(8):
+                observations = observe(chosen, generator)
+                ppo.act(observations)
+                rewards, done = (
+                    torch.randn(16, generator=generator),
+                    torch.rand(16, generator=generator) < 0.1,
+                )
+                ppo.process_env_step(observations, rewards, done, {})
+            ppo.compute_returns(observe(chosen, generator))
+        with updating():
+            ppo.update()
+    return ppo
+
+
+@pytest.mark.parametrize("method", ["baseline", "augmentation", "equivariant", "relaxed_equivariant"])
+def test_the_fused_optimiser_learns_the_same(experiment, method):
+    chosen = experiment("mini_general", method, *SMALL)
+    plain, fused = learned(chosen, fused=False), learned(chosen, fused=True)
+    assert fused.optimizer.param_groups[0]["fused"]
+    assert fused.learning_rate == pytest.approx(plain.learning_rate)
+    for network in ("actor", "critic"):
+        expected, found = (getattr(ppo, network).state_dict() for ppo in (plain, fused))
+        for name, values in expected.items():
+            torch.testing.assert_close(found[name], values, rtol=1e-4, atol=1e-5, msg=f"{network}.{name}")
+
+
+@pytest.mark.parametrize("method", ["equivariant", "relaxed_equivariant"])
+def test_acting_after_a_fused_step_uses_the_new_weights(experiment, method):
+    chosen = experiment("mini_general", method, *SMALL)
+    ppo = learned(chosen, fused=True)
+    observations = observe(chosen, torch.Generator().manual_seed(1))
+    with torch.no_grad():
+        acted = ppo.actor(observations)
+    torch.testing.assert_close(acted, ppo.actor(observations).detach(), rtol=1e-4, atol=1e-5)
+
+
+def to_tf32(values: torch.Tensor) -> torch.Tensor:
+    """Rounds float32 to the nearest number with 10 bits behind the leading one, ties to even, as the GPU does."""
+    bits = values.contiguous().view(torch.int32)
+    rounded = (bits + 0xFFF + ((bits >> 13) & 1)) & ~0x1FFF
+    return rounded.view(torch.float32)
+
+
+class Tf32(TorchDispatchMode):
+    """Multiplies matrices as a GPU does in TF32: factors are rounded, sums are float32."""
+
+    def __torch_dispatch__(self, func, types, args=(), kwargs=None):
+        places = {torch.ops.aten.mm: (0, 1), torch.ops.aten.addmm: (1, 2)}.get(func.overloadpacket, ())
+        rounded = [to_tf32(arg) if place in places else arg for place, arg in enumerate(args)]
+        return func(*rounded, **(kwargs or {}))
+
+
+def test_tf32_rounds_to_eleven_significant_bits():
+    values = torch.tensor([1.0, 1 + 2**-10, 1 + 2**-12, -(1 + 2**-12), 1 + 3 * 2**-11, -0.0])
+    expected = torch.tensor([1.0, 1 + 2**-10, 1.0, -1.0, 1 + 2 * 2**-10, -0.0])
+    assert torch.equal(to_tf32(values), expected)
+
+
+@pytest.mark.parametrize("width", [32, 256], ids=["tied", "split"])
+def test_a_policy_learned_in_tf32_is_equivariant_in_float32(experiment, width):
+    chosen = experiment("mini_general", "equivariant", *SMALL[:2], f"network.actor_hidden=[{width},{width}]")
+    exact, rounded = learned(chosen, fused=False), learned(chosen, fused=False, updating=Tf32)
+    observations = observe(chosen, torch.Generator().manual_seed(1))["actor"]
+    mirror, mirror_action = (
+        Mirror(chosen.symmetry.groups["actor"].representation),
+        Mirror(chosen.symmetry.actions),
+    )
+
+    def act(ppo: BoundedPPO, values: torch.Tensor) -> torch.Tensor:
+        with torch.no_grad():
+            return ppo.actor(TensorDict({"actor": values}, batch_size=[16]))
+
+    action = act(rounded, observations)
+    scale = action.abs().max()
+    assert (action - act(exact, observations)).abs().max() > 1e-4 * scale, "products were not rounded"
+    assert (mirror_action(action) - act(rounded, mirror(observations))).abs().max() < 2e-6 * scale
+
+
+def test_tf32_is_allowed_in_updates_only(experiment):
+    chosen = experiment("mini_general", "baseline", *SMALL, "algorithm.matmul=tf32")
+    ppo = build_ppo(chosen, observe(chosen, torch.Generator()), torch.device("cpu"))
+    seen = []
+    ppo.storage.mini_batch_generator = lambda *_: iter(
+        seen.append(torch.backends.cuda.matmul.allow_tf32) or ()
+    )
+    ppo.update()
+    assert seen == [True]
+    assert not torch.backends.cuda.matmul.allow_tf32
+    with tf32_products(False):
+        assert not torch.backends.cuda.matmul.allow_tf32
+
+
+def test_tf32_without_a_gpu_is_told_where_it_was_asked_for(tmp_path, capsys):
+    method = tmp_path / "method.yaml"
+    method.write_text(f"extends: {ROOT}/methods/mini/baseline.yaml\nalgorithm:\n  matmul: tf32\n")
+    task, out = ROOT / "tasks/mini_general.yaml", tmp_path / "run"
+    assert main(["run", str(task), str(method), "--out", str(out)]) == 2
+    message = capsys.readouterr().err
+    assert "method.yaml:3" in message
+    assert "tf32 needs a GPU" in message
+    assert not out.exists()
