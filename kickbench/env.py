@@ -15,9 +15,7 @@ from torch import Tensor
 from kickbench.mdp.compile import Bound, CompiledTask
 from kickbench.mdp.delay import ActionDelay
 from kickbench.mdp.disturbance import Disturbance
-from kickbench.mdp.engines import (
-    make_engine as make_engine,
-)  # callers want both: an engine and its environment
+from kickbench.mdp.engines import make_engine as make_engine
 from kickbench.mdp.episode import EpisodeRecord, Outcome, Totals
 from kickbench.mdp.pushes import Pushes
 from kickbench.mdp.randomizations import Setting

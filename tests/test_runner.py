@@ -124,7 +124,6 @@ def test_the_default_run_directory_is_named_after_task_method_and_seed(tmp_path,
 
 
 def test_cuda_is_refused_with_a_plain_word_where_torch_lacks_it(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: object())
     monkeypatch.setattr("torch.version.cuda", None)
     monkeypatch.chdir(tmp_path)
     assert main(["run", TASK, METHOD, "--device", "cuda"]) == 2

@@ -32,7 +32,7 @@ class WarpEngine:
     waits for the host or reads a tensor there. They can therefore be recorded in a CUDA graph, once each of them has
     run (kernels are compiled, and fields that vary are allocated, when they are first used):
 
-        with torch.cuda.graph(graph, capture_error_mode="thread_local"), engine.recording():
+        with torch.cuda.graph(graph, capture_error_mode="thread_local"), engine.capturing():
             engine.step(targets)
             engine.reset(mask, qpos, qvel)
 
@@ -123,7 +123,7 @@ class WarpEngine:
         return self._streams[present.cuda_stream]
 
     @contextmanager
-    def recording(self, mode: wp.CaptureMode = wp.CaptureMode.THREAD_LOCAL) -> Iterator[None]:
+    def capturing(self, mode: wp.CaptureMode = wp.CaptureMode.THREAD_LOCAL) -> Iterator[None]:
         """Tells warp that torch is recording a CUDA graph on its present stream; nothing on the CPU.
 
         Args:

@@ -84,7 +84,7 @@ def test_a_recorded_step_and_reset_do_what_they_do_one_kernel_at_a_time(task):
 
     expected = run(whole_step)
     graph = torch.cuda.CUDAGraph()
-    with torch.cuda.graph(graph, capture_error_mode="thread_local"), engine.recording():
+    with torch.cuda.graph(graph, capture_error_mode="thread_local"), engine.capturing():
         whole_step()
     torch.testing.assert_close(run(graph.replay), expected, rtol=0, atol=0)
     assert engine.take_load() is not None
