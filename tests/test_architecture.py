@@ -32,6 +32,7 @@ ROOMS = (
     ("runner",),
     ("audit",),
     ("view",),
+    ("reproduce",),
     ("cli",),
     ("__main__",),
 )
