@@ -107,7 +107,7 @@ def _add_reproduce(verbs: argparse._SubParsersAction) -> None:
         help="folder of the runs (default: runs/<experiment>; with --scale or --set one of its own)",
     )
     verb.add_argument("--dry-run", action="store_true", help="show the plan, write nothing")
-    verb = _add_verb(verbs, "status", f"{module}:status", "say how far the runs of a folder are")
+    verb = _add_verb(verbs, "status", "kickbench.cli.status:status", "say how far the runs of a folder are")
     verb.add_argument("root", type=Path, metavar="DIR", help="folder of runs")
 
 

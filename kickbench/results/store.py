@@ -13,7 +13,14 @@ from kickbench.errors import KickbenchError
 from kickbench.results.atomic import TEMPORARY_PREFIX, atomic_file, atomic_write_bytes, atomic_write_text
 from kickbench.results.metrics import load_metrics
 
-__all__ = ["RunDirectory", "atomic_file", "atomic_write_bytes", "atomic_write_text", "find_runs"]
+__all__ = [
+    "RunDirectory",
+    "atomic_file",
+    "atomic_write_bytes",
+    "atomic_write_text",
+    "find_begun_runs",
+    "find_runs",
+]
 
 _SPEC_FILES = ("task.yaml", "method.yaml", "robot.yaml", "representations.yaml", "robot.xml")
 _TOP_FILES = ("metrics.json", "episodes.csv", "progress.csv", "policy.pt")
@@ -232,3 +239,11 @@ def find_runs(root: Path | str) -> list[RunDirectory]:
     """The finished runs in `root` (itself or any folder below), in the order of their paths."""
     candidates = sorted(file.parent for file in Path(root).rglob("metrics.json"))
     return [run for run in map(RunDirectory, candidates) if run.is_finished]
+
+
+def find_begun_runs(root: Path | str) -> list[RunDirectory]:
+    """The runs in `root` (itself or any folder below), finished or not, in the order of their paths."""
+    root = Path(root)
+    candidates = {file.parent for name in ("metrics.json", "progress.csv") for file in root.rglob(name)}
+    candidates |= {file.parent.parent for file in root.rglob("specs/method.yaml")}
+    return [RunDirectory(path) for path in sorted(candidates)]
