@@ -16,7 +16,7 @@ from kickbench.spec.claims import OF_A_RUN, AnyClaim, NearReported, Operand
 from kickbench.spec.load import LoadedMethod, LoadedTask, load, load_method, load_task
 from kickbench.spec.reported import ArmSpec, ReportedFiguresSpec, ReportedSpec
 from kickbench.spec.task import TaskSpec
-from kickbench.spec.terms import TerminationParams
+from kickbench.spec.terms import RewardParams, TerminationParams
 from kickbench.yamlio import Document
 
 T = TypeVar("T")
@@ -85,11 +85,7 @@ def load_reported(path: str | Path, overrides: Sequence[str] = ()) -> LoadedRepo
     loaded = load(ReportedSpec, path, overrides)
     spec, document = loaded.spec, loaded.document
     files = _Files()
-    also = {
-        task.name: task
-        for index, file in enumerate(spec.evaluation.also)
-        if (task := files.task(file, document, ("evaluation", "also", index)))
-    }
+    also = _also(spec, document, files)
     arms = {name: _arm(name, spec, document, files, also) for name in spec.arms}
     if files.problems:
         raise SpecError(files.problems)
@@ -126,6 +122,19 @@ class _Files:
         return self._read[kind, file]  # pyright: ignore[reportReturnType] (the key names the type)
 
 
+def _also(spec: ReportedSpec, document: Document, files: _Files) -> dict[str, LoadedTask[TaskSpec]]:
+    """The further tasks by name, which is also that of their result's file."""
+    also: dict[str, LoadedTask[TaskSpec]] = {}
+    for index, file in enumerate(spec.evaluation.also):
+        path = ("evaluation", "also", index)
+        task = files.task(file, document, path)
+        if task is not None and task.name in also:
+            files.problems.append(document.problem(path, f"there are two tasks of the name {task.name}"))
+        elif task is not None:
+            also[task.name] = task
+    return also
+
+
 def _arm(
     name: str,
     spec: ReportedSpec,
@@ -139,6 +148,9 @@ def _arm(
     method = files.method(arm.method, document, ("arms", name, "method"))
     if task is None or method is None:
         return None
+    if task.name in also:
+        what = f"the arm {name} is trained on {task.name}, and evaluated on it anyway"
+        files.problems.append(document.problem(("evaluation", "also"), what))
     return Arm(
         name=name,
         task=task,
@@ -160,6 +172,9 @@ def _figure_problems(arms: Mapping[str, Arm], document: Document) -> Iterator[Pr
 
 def _claim_problems(spec: ReportedSpec, arms: Mapping[str, Arm], document: Document) -> Iterator[Problem]:
     for name, claim in spec.claims.items():
+        if claim.seeds == "each" and len({operand.arm for operand in claim.operands().values()}) > 1:
+            what = "each seed of two arms cannot be compared: seeds of the same number share nothing but it"
+            yield document.problem(("claims", name, "seeds"), what)
         for key, operand in claim.operands().items():
             path = ("claims", name, key)
             if operand.arm not in arms:
@@ -167,7 +182,7 @@ def _claim_problems(spec: ReportedSpec, arms: Mapping[str, Arm], document: Docum
                 yield document.problem((*path, "arm"), what, did_you_mean(operand.arm, arms))
             else:
                 yield from _operand_problems(claim, operand, arms[operand.arm], path, document)
-        yield from _termination_problems(name, claim, arms, document)
+        yield from _term_problems(name, claim, arms, document)
 
 
 def _operand_problems(
@@ -199,17 +214,22 @@ def _reported_figure(claim: NearReported, arm: Arm) -> float | None:
     return getattr(side, claim.metric, None)
 
 
-def _termination_problems(
+def _term_problems(
     name: str, claim: AnyClaim, arms: Mapping[str, Arm], document: Document
 ) -> Iterator[Problem]:
+    """Terminations and rewards that a claim names and a task lacks."""
+    named = [("termination", ("terminations", i), term) for i, term in enumerate(claim.terminations)]
+    named += [("reward", ("reward",), claim.reward)] if claim.reward else []
     for operand in claim.operands().values():
         arm = arms.get(operand.arm)
         if arm is None or operand.task not in (None, arm.task.name, *arm.also):
             continue
         task = arm.task_of(operand)
-        known = task.spec.terminations.active(TerminationParams)
-        for index, termination in enumerate(claim.terminations):
-            if termination not in known:
-                what = f"the task {task.name} has no termination '{termination}'; it has: {', '.join(known)}"
-                hint = did_you_mean(termination, known)
-                yield document.problem(("claims", name, "terminations", index), what, hint)
+        known = {
+            "termination": task.spec.terminations.active(TerminationParams),
+            "reward": task.spec.rewards.active(RewardParams),
+        }
+        for kind, key, term in named:
+            if term not in known[kind]:
+                what = f"the task {task.name} has no {kind} '{term}'; it has: {', '.join(known[kind])}"
+                yield document.problem(("claims", name, *key), what, did_you_mean(term, known[kind]))
