@@ -14,8 +14,10 @@ from kickbench.reproduce.jobs import Jobs, Outcome
 from kickbench.reproduce.plan import Plan, PlannedRun, Selection, make_plan
 from kickbench.reproduce.record import write_record
 from kickbench.reproduce.tables import counts, run_table
+from kickbench.results.measured import read_measured
 from kickbench.results.store import RunDirectory
 from kickbench.results.table import render_table
+from kickbench.results.verdicts import judge, verdict_lines
 
 
 def reproduce(arguments: argparse.Namespace) -> int:
@@ -49,7 +51,9 @@ def _print_plan(plan: Plan, jobs: int, threads: int) -> None:
     deviation = f", {plan.record.deviation}" if plan.record.deviation else ""
     print(run_table(f"{plan.experiment.name}{deviation}: {shown(plan.folder)}", rows))
     left = estimate([Remaining(run.record.arm, state) for run, state in states], jobs)
-    print(f"\n{counts([state for _, state in states])}; {jobs} at a time, {threads} threads each")
+    print(
+        f"\n{counts([state for _, state in states])}; {jobs} at a time, {threads} thread{'s' * (threads > 1)} each"
+    )
     print(f"time left: {left}\n", flush=True)
 
 
@@ -58,13 +62,19 @@ def _missing(run: PlannedRun) -> str:
     return f"to be evaluated on {', '.join(tasks)}" if tasks else ""
 
 
+def _verdicts(plan: Plan) -> str:
+    if plan.record.overrides:
+        # Nothing in a result tells that its specs are not the experiment's, so no claim is judged by it.
+        return f"no verdicts: not the experiment as it is stated ({plan.record.deviation})"
+    verdicts = judge(plan.experiment, read_measured(plan.folder, plan.experiment))
+    return "\n".join(verdict_lines(plan.experiment, verdicts)).rstrip()
+
+
 def _conclude(plan: Plan, jobs: Jobs) -> int:
     """Prints what came of it; the exit code."""
     finished = [state.metrics for job in jobs.jobs if (state := job.run.read_state()).metrics]
     if finished:
-        print(f"\n{render_table(finished)}\n")
-    if plan.record.deviation:
-        print(f"not the experiment as it is stated: {plan.record.deviation}")
+        print(f"\n{render_table(finished)}\n\n{_verdicts(plan)}\n")
     print(f"runs: {shown(plan.folder)}")
     failed = [job for job in jobs.jobs if job.outcome is Outcome.FAILED]
     for job in failed:

@@ -48,6 +48,9 @@ class PlainDisplay:
         """Prints a line."""
         print(text, file=self._stream, flush=True)
 
+    def close(self) -> None:
+        """There is nothing to close."""
+
     def _is_due(self, job: Job) -> bool:
         when, done = self._printed[job.run.name]
         if job.state.done == done:
@@ -86,12 +89,14 @@ class TerminalDisplay:
         if not self._live.is_started:
             self._live.start()
         self._live.update(self._table(jobs), refresh=True)
-        if ended:
-            self._live.stop()
 
     def say(self, text: str) -> None:
         """Prints a line above the table."""
         self._console.print(text, highlight=False, markup=False)
+
+    def close(self) -> None:
+        """Gives the terminal back."""
+        self._live.stop()
 
     def _table(self, jobs: Sequence[Job]):
         from rich.progress_bar import ProgressBar

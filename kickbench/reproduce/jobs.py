@@ -66,6 +66,10 @@ class Display(Protocol):
         """Tells something that concerns all of them."""
         ...
 
+    def close(self) -> None:
+        """Told once, at the end, whatever the end was."""
+        ...
+
 
 def next_command(run: PlannedRun, threads: int) -> tuple[str, ...] | None:
     """The `kickbench` command that a run needs next; None: it is finished and evaluated on every task."""
@@ -118,6 +122,7 @@ class Jobs:
             display.update(self.jobs)
         finally:
             self._leave_nothing_behind()
+            display.close()
             for number, handler in before.items():
                 signal.signal(number, handler)
 

@@ -35,7 +35,7 @@ class Process:
             file.write(f"--- {started} kickbench {shlex.join(arguments)}\n".encode())
             file.flush()
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "kickbench.reproduce.child", *arguments],
+                [sys.executable, "-m", "kickbench", *arguments],
                 stdin=subprocess.DEVNULL,
                 stdout=file,
                 stderr=subprocess.STDOUT,
