@@ -110,9 +110,9 @@ class TerminalDisplay:
         for title in ("run", "state", "", "iteration", "success", "steps/s", "time left"):
             table.add_column(title, no_wrap=True, justify="right" if title in _TO_THE_RIGHT else "left")
         for job in jobs:
-            bar = ProgressBar(total=max(1, job.state.total or 1), completed=job.state.done, width=20)
+            bar = ProgressBar(total=max(1, job.state.total or 1), completed=job.state.done, width=10)
             cells = (Text(text) for text in (iteration(job.state), *figures(job.state)))
-            table.add_row(Text(job.run.name), Text(job.reason or _words(job)), bar, *cells)
+            table.add_row(Text(job.run.name), Text(_words(job)), bar, *cells)
         return table
 
 
@@ -126,7 +126,10 @@ def standard_display(at_a_time: int, stream: TextIO | None = None) -> Display:
 
 
 def _words(job: Job) -> str:
-    return job.state.note if job.outcome is Outcome.RUNNING and job.state.note else job.outcome.value
+    """One word or two: a reason has no room in the table, and is told at the end."""
+    if job.outcome is Outcome.RUNNING and job.state.note:
+        return job.state.note
+    return "occupied" if job.outcome is Outcome.WAITING and job.reason else job.outcome.value
 
 
 def _event(job: Job, first: bool) -> str:

@@ -49,12 +49,13 @@ def estimate(runs: Sequence[Remaining], jobs: int = 1) -> Estimate:
     """
     pace, evaluation = _means(runs, _pace), _means(runs, _evaluation)
     left = [run for run in runs if run.state.state is not State.FINISHED]
-    seconds = [
-        pace[run.arm] * max(0, (run.state.total or 0) - run.state.done) + evaluation.get(run.arm, 0.0)
-        for run in left
-        if run.arm in pace
-    ]
-    unmeasured = dict.fromkeys(run.arm for run in left if run.arm not in pace)
+    seconds, unmeasured = [], {}
+    for run in left:
+        total = run.state.total
+        if run.arm in pace and total is not None:
+            seconds.append(pace[run.arm] * max(0, total - run.state.done) + evaluation.get(run.arm, 0.0))
+        else:
+            unmeasured[run.arm] = None
     return Estimate(
         seconds=max(sum(seconds) / jobs, max(seconds, default=0.0)),
         unmeasured=tuple(unmeasured),
