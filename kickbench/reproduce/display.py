@@ -147,7 +147,7 @@ def _event(job: Job, first: bool) -> str:
         case Outcome.FAILED:
             return f"failed: {job.reason}; its output: {shown(job.run.directory.log)}"
         case Outcome.STOPPED:
-            return f"stopped at iteration {iteration(job.state)}"
+            return f"stopped at iteration {iteration(job.state)}" if job.process else ""
 
 
 def _progress(job: Job) -> str:
