@@ -175,7 +175,7 @@ def _differences(
 ) -> list[Problem]:
     """In what a run that has been begun is another one. Its checkpoint is compared when it is taken up."""
     state = read_state(directory, compiled.method.spec.algorithm.iterations).state
-    if state is State.NEW:
+    if state in (State.NEW, State.DAMAGED):  # a damaged one fails by itself, and keeps no other from running
         return []
     problems = []
     if directory.is_finished:
