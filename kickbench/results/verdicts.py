@@ -85,8 +85,8 @@ def verdict_lines(experiment: LoadedReported, verdicts: Sequence[Verdict]) -> li
     lines.append("")
     for verdict in verdicts:
         section = f" (thesis {verdict.claim.section})" if verdict.claim.section else ""
-        reason = f" {verdict.outcome}: {verdict.reason}." if verdict.reason else ""
-        lines.append(f"{verdict.name}: {verdict.claim.statement}{section}.{reason}")
+        lines.append(f"{verdict.name}: {verdict.claim.statement}{section}")
+        lines += [f"    {verdict.reason}"] if verdict.reason else []
     return lines
 
 
@@ -158,7 +158,9 @@ def _each(
     judged = [(run.value, over_episodes([[run]])) for run in runs]
     value, interval = min(judged, key=lambda pair: contrast.margin(pair[0]))
     outcomes = [_outcome(contrast, interval) for _, interval in judged]
-    shown = Estimated(value, interval, f"worst of {len(runs)} seeds")
+    shown = Estimated(
+        value, interval, f"worst of {len(runs)} seeds" if len(runs) > 1 else "episodes of one seed"
+    )
     for wanted in ("not met", "not enough data"):
         for outcome, reason in outcomes:
             if outcome == wanted:
