@@ -110,7 +110,7 @@ class RunDirectory:
         return self.path / "run.log"
 
     def also(self, task: str) -> Path:
-        """The metrics of the run's policy on a task that it was not trained on."""
+        """The metrics of the run's policy on a task that it was not trained on (not metrics.json: it is no run)."""
         return self.path / "also" / f"{task}.json"
 
     @property

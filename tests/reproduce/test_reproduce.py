@@ -135,6 +135,7 @@ def test_an_experiment_that_is_killed_twice_and_stopped_ends_like_one_left_alone
     os.kill(child, signal.SIGKILL)
     killed.kill()
     killed.wait()
+    wait_for(lambda: state_of(disturbed, RUNS[0]).state is not State.RUNNING, "the run is dead")
     assert state_of(disturbed, RUNS[0]).done == kept.done, "the last checkpoint is the one before"
 
     # A SIGTERM, in the second run.
