@@ -213,7 +213,8 @@ def _recording(graph: torch.cuda.CUDAGraph, pool: torch.cuda.MemPool, engine: En
     device = engine.device
     with (
         torch.cuda.device(device),
-        torch.cuda.graph(graph, stream=torch.cuda.Stream(device)),
+        # The mode that the engine tells its library.
+        torch.cuda.graph(graph, stream=torch.cuda.Stream(device), capture_error_mode="thread_local"),
         torch.cuda.use_mem_pool(pool, device),
         engine.capturing(),
     ):

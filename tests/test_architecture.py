@@ -33,6 +33,7 @@ ROOMS = (
     ("runner",),
     ("audit",),
     ("view",),
+    ("reproduce",),
     ("cli",),
     ("__main__",),
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ import yaml
 from kickbench.cli import main
 from kickbench.results.episodes import read_episodes
 from kickbench.results.metrics import load_metrics
+from kickbench.results.store import RunDirectory, find_runs
 
 ROOT = Path(__file__).parent.parent
 TASK, METHOD = str(ROOT / "tasks/mini_home_field.yaml"), str(ROOT / "methods/mini/equivariant.yaml")
@@ -101,6 +103,24 @@ def test_a_moved_run_evaluates_to_the_same_figures(finished, tmp_path, capsys):
         assert fewer["evaluation"]["mirrored"]["episodes"] == 7
     finally:
         moved.rename(finished)
+
+
+def test_the_figures_on_another_task_are_kept_beside_the_run_and_go_when_it_is_run_again(
+    finished, tmp_path, capsys
+):
+    run = Path(shutil.copytree(finished, tmp_path / "run"))
+    general = str(ROOT / "tasks/mini_general.yaml")
+    assert main(["eval", str(run), "--task", general, "--episodes", "9", "--save"]) == 0
+    kept = load_metrics(run / "also/mini_general.json")
+    assert (kept.task, kept.evaluation.in_distribution.episodes) == ("mini_general", 9)
+    assert kept.evaluation.mirrored is None, "the general task asks for one side"
+    assert load_metrics(run / "metrics.json") == load_metrics(finished / "metrics.json")
+    assert [found.path for found in find_runs(run)] == [run], "it is no run of its own"
+    capsys.readouterr()
+    assert main(["eval", str(run), "--save"]) == 2
+    assert "needs --task" in capsys.readouterr().err
+    RunDirectory(run).reopen()
+    assert not (run / "also/mini_general.json").exists()
 
 
 def test_a_finished_run_is_not_overwritten_without_force(finished, capsys):

@@ -14,9 +14,6 @@ from kickbench.results.store import RunDirectory, find_runs
 
 State = Literal["missing", "unfinished", "finished"]
 
-_ALSO = "also"
-"""Folder in that of a run: the metrics of its policy on further tasks, one JSON file each."""
-
 
 @dataclass(frozen=True)
 class MeasuredRun:
@@ -71,11 +68,6 @@ def run_path(folder: Path, arm: str, seed: int) -> Path:
     return Path(folder) / arm / f"seed{seed}"
 
 
-def also_path(run: Path, task: str) -> Path:
-    """Where a run has the metrics of its policy on a further task; not named metrics.json, for it is no run."""
-    return Path(run) / _ALSO / f"{task}.json"
-
-
 def read_measured(folder: Path | str, experiment: LoadedReported) -> Measured:
     """Reads the results of an experiment.
 
@@ -98,9 +90,7 @@ def _read_run(root: Path, arm: Arm, seed: int) -> MeasuredRun:
         return MeasuredRun(arm.name, seed, directory.path, state)
     metrics = _checked(directory.metrics, arm, arm.task.name, seed)
     also = {
-        name: _checked(path, arm, name, seed)
-        for name in arm.also
-        if (path := also_path(directory.path, name)).exists()
+        name: _checked(path, arm, name, seed) for name in arm.also if (path := directory.also(name)).exists()
     }
     return MeasuredRun(arm.name, seed, directory.path, "finished", metrics, also, _deviation(metrics, arm))
 

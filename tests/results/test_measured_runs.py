@@ -5,8 +5,9 @@ from __future__ import annotations
 import pytest
 
 from kickbench.errors import KickbenchError
-from kickbench.results.measured import also_path, read_measured, run_path
+from kickbench.results.measured import read_measured, run_path
 from kickbench.results.metrics import write_metrics
+from kickbench.results.store import RunDirectory
 
 CLAIM = "kind: at_least, metric: success_rate, value: {arm: baseline}, bound: 0.5"
 
@@ -81,5 +82,5 @@ def test_runs_that_were_not_planned_are_told(spec, make, tmp_path):
 def test_results_on_further_tasks_are_no_runs_of_their_own(spec, make, tmp_path):
     run = run_path(tmp_path, "baseline", 0)
     write_metrics(run / "metrics.json", make.metrics(make.side(0.5)))
-    write_metrics(also_path(run, "mini_general"), make.metrics(make.side(0.5), task="mini_general"))
+    write_metrics(RunDirectory(run).also("mini_general"), make.metrics(make.side(0.5), task="mini_general"))
     assert read_measured(tmp_path, spec).strangers == ()

@@ -1,0 +1,96 @@
+"""Run directories in every state, made by hand."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from kickbench.results.episodes import EpisodeSides, EpisodeTable
+from kickbench.results.metrics import Metrics, summarise_sides, write_metrics
+from kickbench.results.provenance import Provenance
+from kickbench.results.store import RunDirectory, atomic_write_bytes, atomic_write_text
+
+HEADER = "iteration,steps_per_second,success_rate,collect_seconds,update_seconds"
+
+
+def episodes(successes: int, count: int = 10) -> EpisodeTable:
+    import numpy as np
+
+    numbers, zeros = np.arange(count), np.zeros(count)
+    success = numbers < successes
+    return EpisodeTable(
+        world=numbers,
+        episode=0 * numbers,
+        start_ball_x=zeros + 0.3,
+        start_ball_y=np.where(numbers % 2, 0.1, -0.1),
+        target_x=zeros + 1.5,
+        target_y=zeros,
+        final_ball_x=zeros + 1.5,
+        final_ball_y=zeros,
+        distance=np.where(success, 0.1, 1.0),
+        success=success,
+        termination=np.where(success, "target_hit", "time_out"),
+        steps=numbers + 10,
+        episode_return=zeros,
+        kick_foot=np.full(count, "left"),
+        kick_step=numbers,
+        peak_ball_speed=zeros + 1,
+    )
+
+
+def make_metrics(iterations: int, seconds: float = 100.0, **values) -> Metrics:
+    """A result with 4 of 10 successes; `seconds` of training and 20 s of evaluation."""
+    provenance = Provenance(
+        versions={"python": "3.11.7"},
+        device="a processor",
+        num_threads=2,
+        platform="Linux",
+        seed=0,
+        commit=None,
+        dirty=None,
+        started="2026-01-01T00:00:00+00:00",
+        finished="2026-01-01T00:02:00+00:00",
+        seconds=seconds + 20,
+        env_steps=1000,
+        command=["kickbench", "run"],
+    )
+    known = {"task": "mini_home_field", "method": "baseline", "seed": 0, **values}
+    return Metrics(
+        **known,
+        iterations=iterations,
+        env_steps=1000,
+        training_seconds=seconds,
+        evaluation=summarise_sides(EpisodeSides(episodes(4), None), 0.35),
+        provenance=provenance,
+    )
+
+
+def checkpoint(numbers: bytes = b"numbers") -> bytes:
+    """A file as whole as a checkpoint."""
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        archive.writestr("data", numbers * 100)
+    return buffer.getvalue()
+
+
+@pytest.fixture
+def make_run(tmp_path):
+    """`make_run(name, rows=..., checkpoints=..., finished=...)` makes a run directory."""
+
+    def make(
+        name: str = "run", rows: int = 0, checkpoints: tuple[int, ...] = (), finished: int | None = None
+    ) -> RunDirectory:
+        directory = RunDirectory(Path(tmp_path, name))
+        if rows:
+            lines = [f"{i},{100 + i},{i / 1000},1.5,0.5" for i in range(rows)]
+            atomic_write_text(directory.progress, "\n".join([HEADER, *lines]) + "\n")
+        for iteration in checkpoints:
+            atomic_write_bytes(directory.checkpoints / f"iteration_{iteration:06d}.pt", checkpoint())
+        if finished is not None:
+            write_metrics(directory.metrics, make_metrics(finished))
+        return directory
+
+    return make
