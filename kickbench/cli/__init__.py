@@ -129,6 +129,12 @@ def _add_inspection(verbs: argparse._SubParsersAction) -> None:
     verb.add_argument(
         "roots", type=Path, nargs="+", metavar="DIR", help="run directories, or folders of them"
     )
+    verb = _add_verb(
+        verbs, "compare", f"{module}:compare", "compare methods over their seeds and on the same starts"
+    )
+    verb.add_argument(
+        "roots", type=Path, nargs="+", metavar="DIR", help="run directories, or folders of them"
+    )
 
 
 def _add_bench(verbs: argparse._SubParsersAction) -> None:
