@@ -102,9 +102,7 @@ def _read_run(root: Path, arm: Arm, seed: int) -> MeasuredRun:
         for name in arm.also
         if (path := also_path(directory.path, name)).exists()
     }
-    return MeasuredRun(
-        arm.name, seed, directory.path, "finished", metrics, also, _deviation(metrics, arm)
-    )
+    return MeasuredRun(arm.name, seed, directory.path, "finished", metrics, also, _deviation(metrics, arm))
 
 
 def _checked(path: Path, arm: Arm, task: str, seed: int) -> Metrics:
