@@ -1,0 +1,62 @@
+"""The verb `claims`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from kickbench.cli import main
+from kickbench.errors import KickbenchError
+from kickbench.results.verdict_file import read_verdicts
+
+ROOT = Path(__file__).parents[2]
+MINI = str(ROOT / "results/reported/mini_home_field.yaml")
+GENERAL = str(ROOT / "results/reported/mini_general.yaml")
+
+
+def test_the_measured_runs_beside_the_experiment_are_judged(capsys):
+    assert main(["claims", MINI, "--strict"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "claims: mini_home_field"
+    rows = [line.split() for line in lines[4:7]]
+    assert [(row[0], row[1]) for row in rows] == [
+        ("baseline_loses", "met"),
+        ("equivariant_keeps", "met"),
+        ("augmentation_keeps", "met"),
+    ]
+
+
+def test_as_json_they_are_the_file_that_the_repository_keeps(capsys, tmp_path):
+    assert main(["claims", MINI, "--json"]) == 0
+    (tmp_path / "verdicts.json").write_text(capsys.readouterr().out)
+    verdicts = read_verdicts(tmp_path / "verdicts.json")
+    assert [verdict.outcome for verdict in verdicts] == ["met"] * 3
+    assert verdicts[0].name == "baseline_loses"
+    assert verdicts[0].figure is not None
+    assert verdicts[0].figure > 0.15
+
+
+def test_a_damaged_file_of_verdicts_is_an_error_that_names_it(tmp_path):
+    path = tmp_path / "verdicts.json"
+    with pytest.raises(KickbenchError, match=r"verdicts\.json: cannot read"):
+        read_verdicts(path)
+    path.write_text('[{"name": "a", "outcome": "perhaps"}]')
+    with pytest.raises(KickbenchError, match=r"0\.outcome"):
+        read_verdicts(path)
+
+
+def test_without_runs_there_is_not_enough_data_which_only_strict_minds(capsys, tmp_path):
+    assert main(["claims", MINI, str(tmp_path)]) == 0
+    assert "baseline seeds 0, 1, 2: missing" in capsys.readouterr().out
+    assert main(["claims", MINI, str(tmp_path), "--strict"]) == 1
+
+
+def test_a_folder_that_is_not_there_is_an_error(capsys, tmp_path):
+    assert main(["claims", MINI, str(tmp_path / "none")]) == 2
+    assert capsys.readouterr().err.endswith("none: no such folder\n")
+
+
+def test_runs_of_another_task_are_an_error(capsys):
+    assert main(["claims", GENERAL, str(ROOT / "results/measured/mini_home_field")]) == 2
+    assert "expected the task mini_general, found mini_home_field" in capsys.readouterr().err
