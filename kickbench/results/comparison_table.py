@@ -54,9 +54,14 @@ def _figure_blocks(runs: TaskRuns, figure: Figure) -> list[str]:
     if len(scores) < 2:
         return []
     rows = [_method_row(runs, figure, method, values) for method, values in scores.items()]
-    title = f"task: {runs.task}: {figure.name}"
+    table = _block(f"task: {runs.task}: {figure.name}", _METHOD_HEADER, rows)
+    absent = [
+        f"{method}: left out, it has runs without this figure"
+        for method in runs.methods
+        if method not in scores
+    ]
     pairs = compare_methods(scores, figure.better)
-    blocks = [_block(title, _METHOD_HEADER, rows), _pair_block(_SEEDS_HEADER, pairs, figure)]
+    blocks = ["\n".join([table, *absent]), _pair_block(_SEEDS_HEADER, pairs, figure)]
     if runs.why_not_on_starts() is None and len(outcomes := runs.outcomes(figure)) > 1:
         blocks.append(_pair_block(_STARTS_HEADER, compare_methods_on_starts(outcomes), figure))
     return blocks
@@ -64,11 +69,12 @@ def _figure_blocks(runs: TaskRuns, figure: Figure) -> list[str]:
 
 def _method_row(runs: TaskRuns, figure: Figure, method: str, values: Sequence[float]) -> Row:
     iterations = {run.metrics.iterations for run in runs.methods[method]}
+    scaled = any(run.metrics.scale is not None for run in runs.methods[method])
     middle = interquartile_mean([values], np.random.default_rng(_BOOTSTRAP_SEED))
     return (
         method,
         str(len(values)),
-        f"{iterations.pop():,}" if len(iterations) == 1 else NOTHING,
+        (f"{iterations.pop():,}" if len(iterations) == 1 else NOTHING) + " scaled" * scaled,
         *mean_and_spread(values, figure.decimals),
         NOTHING if isinstance(middle, NotEnoughData) else _estimate(middle, figure.decimals),
     )

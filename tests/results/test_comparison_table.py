@@ -9,7 +9,7 @@ import numpy as np
 
 from kickbench.cli import main
 from kickbench.results.episodes import EpisodeSides, EpisodeTable, write_episodes
-from kickbench.results.metrics import Metrics, summarise_sides, write_metrics
+from kickbench.results.metrics import Metrics, load_metrics, summarise_sides, write_metrics
 from kickbench.results.paired import PairedComparison, compare_on_starts
 from kickbench.results.provenance import Provenance
 
@@ -183,3 +183,20 @@ def test_the_text_is_ascii_and_repeatable(tmp_path, capsys) -> None:
     text = compare(tmp_path, capsys)
     assert text.isascii()
     assert text == compare(tmp_path, capsys)
+
+
+def test_a_method_without_a_figure_is_said_to_be_left_out_and_a_scaled_one_to_be_scaled(
+    tmp_path, capsys
+) -> None:
+    for seed, method in enumerate("abc"):
+        write_run(tmp_path, method, seed, 0.9)
+    path = tmp_path / "c/seed2/metrics.json"
+    metrics = load_metrics(path)
+    evaluation = metrics.evaluation.model_copy(update={"mirrored": None})
+    write_metrics(path, metrics.model_copy(update={"evaluation": evaluation, "scale": 0.1}))
+    text = compare(tmp_path, capsys)
+    assert rows(text, "c ")[0][:4] == ["c", "1", "450", "scaled"]
+    assert rows(text, "a ")[0][3] != "scaled"
+    mirrored_block = text[text.index("success mirrored") : text.index("|success")]
+    assert "c: left out, it has runs without this figure" in mirrored_block
+    assert "c:" not in text[: text.index("success mirrored")].replace("b - c:", "").replace("a - c:", "")
