@@ -13,8 +13,8 @@ from kickbench.runner import RunRequest, run
 
 ROOT = Path(__file__).parent.parent
 ARMS = ("baseline", "equivariant")
-# The claim of 15 points is about the mean of three seeds. Single ones lost from 15 to 65 points, one of them 14.9: of one
-# training no more than 10 points can be asked.
+# The claim of 15 points is about the mean of three seeds. Single trainings lost from 14.9 to 65 points: of one no more
+# than 10 can be asked.
 ONE_SEED = ("seeds=[0]", "claims.baseline_loses.bound=0.1")
 
 
