@@ -1,4 +1,4 @@
-"""The home-field effect, trained and measured at full size (thesis 4.3.2 on the mini kicker)."""
+"""The home-field effect, trained at full size and judged by the experiment's own claims (thesis 4.3.2, mini kicker)."""
 
 from __future__ import annotations
 
@@ -6,34 +6,41 @@ from pathlib import Path
 
 import pytest
 
-from kickbench.results.metrics import Metrics
+from kickbench.reported import load_reported
+from kickbench.results.measured import read_measured, run_path
+from kickbench.results.verdicts import judge
 from kickbench.runner import RunRequest, run
 
 ROOT = Path(__file__).parent.parent
-
-
-def train(method: str, folder: Path) -> Metrics:
-    request = RunRequest(
-        task=ROOT / "tasks/mini_home_field.yaml",
-        method=ROOT / f"methods/mini/{method}.yaml",
-        out=folder / method,
-    )
-    metrics = run(request).metrics
-    assert metrics is not None
-    return metrics
+ARMS = ("baseline", "equivariant")
+# The claim of 15 points is about the mean of three seeds. Single trainings lost from 14.9 to 65 points: of one no more
+# than 10 can be asked.
+ONE_SEED = ("seeds=[0]", "claims.baseline_loses.bound=0.1")
 
 
 @pytest.mark.slow
-def test_the_baseline_loses_on_the_mirrored_side_and_the_equivariant_policy_does_not(tmp_path):
-    success = {}
-    for method in ("baseline", "equivariant"):
-        evaluation = train(method, tmp_path).evaluation
-        assert evaluation.mirrored is not None
-        success[method] = (evaluation.in_distribution.success_rate, evaluation.mirrored.success_rate)
-        print(f"{method}: in distribution {success[method][0]:.1%}, mirrored {success[method][1]:.1%}")
-    home, away = success["baseline"]
-    assert home > 0.25, "the baseline has learned the task"
-    assert home - away >= 0.10, "and has not learned its mirror image"
-    home, away = success["equivariant"]
-    assert home > 0.25, "the equivariant policy has learned the task"
-    assert abs(home - away) <= 0.005, "and its mirror image with it"
+def test_the_claims_about_baseline_and_equivariant_method_are_met_by_a_training_of_each(tmp_path):
+    experiment = load_reported(ROOT / "results/reported/mini_home_field.yaml", ONE_SEED)
+    for name in ARMS:
+        arm = experiment.arms[name]
+        run(
+            RunRequest(
+                task=arm.task.document.file,
+                method=arm.method.document.file,
+                iterations=arm.iterations,
+                seed=0,
+                out=run_path(tmp_path, name, 0),
+            )
+        )
+    measured = read_measured(tmp_path, experiment)
+    for (trained,) in (measured.arms[name] for name in ARMS):
+        assert trained.metrics is not None
+        assert trained.metrics.evaluation.in_distribution.success_rate > 0.25, "it has learned the task"
+    verdicts = [
+        verdict
+        for verdict in judge(experiment, measured)
+        if {operand.arm for operand in verdict.claim.operands().values()} <= set(ARMS)
+    ]
+    print(*(verdict.sentence for verdict in verdicts), sep="\n")
+    assert {operand.arm for verdict in verdicts for operand in verdict.claim.operands().values()} == set(ARMS)
+    assert [verdict.outcome for verdict in verdicts] == ["met"] * len(verdicts)

@@ -177,6 +177,12 @@ def _add_inspection(verbs: argparse._SubParsersAction) -> None:
     verb.add_argument(
         "roots", type=Path, nargs="+", metavar="DIR", help="run directories, or folders of them"
     )
+    verb = _add_verb(
+        verbs, "compare", f"{module}:compare", "compare methods over their seeds and on the same starts"
+    )
+    verb.add_argument(
+        "roots", type=Path, nargs="+", metavar="DIR", help="run directories, or folders of them"
+    )
     text = "judge the claims of an experiment by its measured runs"
     verb = _add_verb(verbs, "claims", "kickbench.cli.claims:claims", text)
     verb.add_argument(
@@ -190,6 +196,7 @@ def _add_inspection(verbs: argparse._SubParsersAction) -> None:
         help="folder of its runs (default: measured/<experiment> beside the folder of the YAML file)",
     )
     verb.add_argument("--strict", action="store_true", help="exit code 1 unless every claim is met")
+    verb.add_argument("--json", action="store_true", help="print the verdicts as JSON (verdicts.json)")
 
 
 def _add_bench(verbs: argparse._SubParsersAction) -> None:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 
 from kickbench.errors import KickbenchError, shown
 from kickbench.reported import LoadedReported, load_reported
 from kickbench.results.measured import read_measured
+from kickbench.results.verdict_file import verdicts_json
 from kickbench.results.verdicts import judge, verdict_lines
 
 
@@ -20,9 +22,10 @@ def claims(arguments: argparse.Namespace) -> int:
         raise KickbenchError(f"{folder}: no such folder")
     measured = read_measured(folder, experiment)
     verdicts = judge(experiment, measured)
-    print("\n".join(verdict_lines(experiment, verdicts)))
+    print(verdicts_json(verdicts) if arguments.json else "\n".join(verdict_lines(experiment, verdicts)))
     for path in measured.strangers:
-        print(f"not planned by {experiment.name}, left out: {shown(path)}")
+        note = f"not planned by {experiment.name}, left out: {shown(path)}"
+        print(note, file=sys.stderr if arguments.json else sys.stdout)
     return int(arguments.strict and any(verdict.outcome != "met" for verdict in verdicts))
 
 

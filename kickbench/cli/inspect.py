@@ -1,15 +1,15 @@
-"""Verbs that look at files: `validate`, `show`, `schema`, `terms`, `list` and `table`."""
+"""Verbs that look at files: `validate`, `show`, `schema`, `terms`, `list`, `table` and `compare`."""
 
 from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from kickbench.errors import KickbenchError, Problem, SpecError
 from kickbench.results.metrics import load_metrics
-from kickbench.results.store import find_runs
+from kickbench.results.store import RunDirectory, find_runs
 from kickbench.results.table import render_table
 from kickbench.speccheck import KINDS, check_files, kind_of, model_of
 
@@ -117,8 +117,21 @@ def _specs(root: Path) -> Iterator[tuple[str, Path, str]]:
 
 def table(arguments: argparse.Namespace) -> int:
     """`kickbench table DIR...`: the table of finished runs."""
-    runs = [run for root in arguments.roots for run in find_runs(root)]
-    if not runs:
-        raise KickbenchError(f"no finished run in {', '.join(str(root) for root in arguments.roots)}")
-    print(render_table([load_metrics(run.metrics) for run in runs]))
+    print(render_table([load_metrics(run.metrics) for run in _finished_runs(arguments.roots)]))
     return 0
+
+
+def compare(arguments: argparse.Namespace) -> int:
+    """`kickbench compare DIR...`: every method against every other."""
+    from kickbench.results.comparison_table import render_comparison
+    from kickbench.results.figures_compared import gather
+
+    print(render_comparison(gather(_finished_runs(arguments.roots))))
+    return 0
+
+
+def _finished_runs(roots: Sequence[Path]) -> list[RunDirectory]:
+    runs = [run for root in roots for run in find_runs(root)]
+    if not runs:
+        raise KickbenchError(f"no finished run in {', '.join(map(str, roots))}")
+    return runs

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from kickbench.results.asymmetry import Asymmetry
-from kickbench.results.columns import NOTHING, Row, mean_and_spread, render_block
+from kickbench.results.columns import NOTHING, Row, mean_and_spread, probability, render_block
 from kickbench.results.metrics import Metrics
 from kickbench.results.statistics import Interval
 
@@ -70,7 +70,7 @@ def _cells(asymmetry: Asymmetry) -> list[str]:
         if value is None:
             cells.append(NOTHING)
         elif place == _P:
-            cells.append(_probability(value))
+            cells.append(probability(value))
         else:
             cells.append(f"{100 * value:.{decimals}f}")
     cells[_SAME_SIDE] += _interval(asymmetry.legs.same_side_ci)
@@ -92,7 +92,3 @@ def _summary_rows(method: str, found: Sequence[Asymmetry]) -> list[Row]:
 
 def _interval(interval: Interval | None) -> str:
     return "" if interval is None else f" [{100 * interval.low:.1f}, {100 * interval.high:.1f}]"
-
-
-def _probability(p: float) -> str:
-    return "<0.001" if p < 0.001 else f"{p:.3f}"

@@ -39,6 +39,11 @@ def mean_and_spread(values: Sequence[float], decimals: int) -> tuple[str, str]:
     return f"{mean:z.{decimals}f}", NOTHING if std is None else f"{std:.{decimals}f}"
 
 
+def probability(p: float) -> str:
+    """A p-value as text."""
+    return "<0.001" if p < 0.001 else f"{p:.3f}"
+
+
 def _group_line(groups: Row, widths: Sequence[int]) -> str:
     """The headings above the columns that they span."""
     line = ""

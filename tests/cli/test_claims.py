@@ -4,7 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 from kickbench.cli import main
+from kickbench.errors import KickbenchError
+from kickbench.results.verdict_file import read_verdicts
 
 ROOT = Path(__file__).parents[2]
 MINI = str(ROOT / "results/reported/mini_home_field.yaml")
@@ -21,6 +25,25 @@ def test_the_measured_runs_beside_the_experiment_are_judged(capsys):
         ("equivariant_keeps", "met"),
         ("augmentation_keeps", "met"),
     ]
+
+
+def test_as_json_they_are_the_file_that_the_repository_keeps(capsys, tmp_path):
+    assert main(["claims", MINI, "--json"]) == 0
+    (tmp_path / "verdicts.json").write_text(capsys.readouterr().out)
+    verdicts = read_verdicts(tmp_path / "verdicts.json")
+    assert [verdict.outcome for verdict in verdicts] == ["met"] * 3
+    assert verdicts[0].name == "baseline_loses"
+    assert verdicts[0].figure is not None
+    assert verdicts[0].figure > 0.15
+
+
+def test_a_damaged_file_of_verdicts_is_an_error_that_names_it(tmp_path):
+    path = tmp_path / "verdicts.json"
+    with pytest.raises(KickbenchError, match=r"verdicts\.json: cannot read"):
+        read_verdicts(path)
+    path.write_text('[{"name": "a", "outcome": "perhaps"}]')
+    with pytest.raises(KickbenchError, match=r"0\.outcome"):
+        read_verdicts(path)
 
 
 def test_without_runs_there_is_not_enough_data_which_only_strict_minds(capsys, tmp_path):

@@ -1,0 +1,202 @@
+"""`kickbench compare`: run directories in, the right figures under the right titles out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from kickbench.cli import main
+from kickbench.results.episodes import EpisodeSides, EpisodeTable, write_episodes
+from kickbench.results.metrics import Metrics, load_metrics, summarise_sides, write_metrics
+from kickbench.results.paired import PairedComparison, compare_on_starts
+from kickbench.results.provenance import Provenance
+
+STARTS, RADIUS = 200, 0.35
+
+
+def episodes(rate: float, seed: int) -> EpisodeTable:
+    """Episodes from the same starts for every policy; the share of successes is about `rate`."""
+    fixed, own = np.random.default_rng(0), np.random.default_rng([1, seed])
+    success = own.random(STARTS) < rate
+    count, zeros = np.arange(STARTS), np.zeros(STARTS)
+    return EpisodeTable(
+        world=count,
+        episode=0 * count,
+        start_ball_x=fixed.uniform(0.2, 0.4, STARTS),
+        start_ball_y=fixed.uniform(0.01, 0.3, STARTS),
+        target_x=fixed.uniform(1, 2, STARTS),
+        target_y=fixed.uniform(0, 1, STARTS),
+        final_ball_x=zeros,
+        final_ball_y=zeros,
+        distance=np.where(success, 0.1, 0.9),
+        success=success,
+        termination=np.where(success, "target_hit", "time_out"),
+        steps=count + 1,
+        episode_return=zeros,
+        kick_foot=np.full(STARTS, "left"),
+        kick_step=0 * count,
+        peak_ball_speed=zeros,
+    )
+
+
+def mirrored(table: EpisodeTable) -> EpisodeTable:
+    return replace(
+        table,
+        start_ball_y=-table.start_ball_y,
+        target_y=-table.target_y,
+        kick_foot=np.full(STARTS, "right"),
+    )
+
+
+def write_run(folder: Path, method: str, seed: int, rate: float, *, table: bool = True) -> EpisodeTable:
+    home = episodes(rate, seed)
+    sides = EpisodeSides(home, mirrored(home))
+    path = folder / method / f"seed{seed}"
+    path.mkdir(parents=True)
+    provenance = Provenance(
+        versions={},
+        device="a processor",
+        num_threads=1,
+        platform="Linux",
+        seed=seed,
+        commit=None,
+        dirty=None,
+        started="",
+        finished="",
+        seconds=0,
+        env_steps=0,
+        command=[],
+    )
+    metrics = Metrics(
+        task="a_task",
+        method=method,
+        seed=seed,
+        iterations=450,
+        env_steps=0,
+        training_seconds=0,
+        evaluation=summarise_sides(sides, RADIUS),
+        provenance=provenance,
+    )
+    write_metrics(path / "metrics.json", metrics)
+    if table:
+        write_episodes(path / "episodes.csv", sides)
+    return home
+
+
+def compare(folder: Path, capsys) -> str:
+    assert main(["compare", str(folder)]) == 0
+    return capsys.readouterr().out
+
+
+def rows(text: str, start: str) -> list[list[str]]:
+    return [line.split() for line in text.splitlines() if line.startswith(start)]
+
+
+def test_methods_have_a_row_and_pairs_have_theirs(tmp_path, capsys) -> None:
+    rates = {("a", seed): write_run(tmp_path, "a", seed, 0.9).success.mean() for seed in range(3)}
+    rates |= {("b", 3 + seed): write_run(tmp_path, "b", 3 + seed, 0.3).success.mean() for seed in range(3)}
+    first, second = ([100 * rate for (name, _), rate in rates.items() if name == method] for method in "ab")
+    text = compare(tmp_path, capsys)
+    assert text.startswith("task: a_task: success in distribution [%]\n")
+    assert rows(text, "a ")[0][:5] == [
+        "a",
+        "3",
+        "450",
+        f"{np.mean(first):.1f}",
+        f"{np.std(first, ddof=1):.1f}",
+    ]
+    over_seeds, on_starts = rows(text, "a - b")[:2]
+    difference = f"{np.mean(first) - np.mean(second):.1f}"
+    assert over_seeds[3] == on_starts[3] == difference
+    assert over_seeds[6:] == ["1.00", "[1.00,", "1.00]", "0.100", "0.100", "0.100"]
+    assert on_starts[6:] == ["200", "<0.001", "<0.001"]
+
+
+def test_policies_are_paired_by_start(tmp_path, capsys) -> None:
+    tables = [write_run(tmp_path, name, seed, 0.8) for name, seed in (("a", 0), ("a", 1), ("b", 2), ("b", 3))]
+    success = np.array([table.success for table in tables], dtype=float)
+    expected = compare_on_starts(success[:2], success[2:])
+    assert isinstance(expected, PairedComparison)
+    on_starts = rows(compare(tmp_path, capsys), "a - b")[1]
+    assert on_starts[-2] == f"{expected.p_value:.3f}"
+    low, high = (100 * end for end in expected.difference.interval)
+    assert on_starts[4:6] == [f"[{low:z.1f},", f"{high:z.1f}]"]
+
+
+def test_the_shorter_distance_is_the_better_one(tmp_path, capsys) -> None:
+    for seed in range(2):
+        write_run(tmp_path, "good", seed, 0.9)
+        write_run(tmp_path, "poor", seed, 0.2)
+    text = compare(tmp_path, capsys)
+    block = text[text.index("mean distance in distribution [m]") :]
+    assert rows(block, "good - poor")[0][3].startswith("-0.")
+    assert rows(block, "good - poor")[0][6] == "1.00"
+
+
+def test_one_seed_is_said_not_to_be_enough_and_policies_are_compared_all_the_same(tmp_path, capsys) -> None:
+    write_run(tmp_path, "a", 0, 0.9)
+    write_run(tmp_path, "b", 1, 0.3)
+    text = compare(tmp_path, capsys)
+    assert rows(text, "a - b ")[0][3:] == ["not", "enough", "data", "-", "-", "-", "-"]
+    assert "a - b: the first method has one seed; two are the least" in text
+    assert "on the same starts" in text
+    assert rows(text, "a - b ")[1][-1] == "<0.001"
+
+
+def test_runs_without_episodes_or_with_other_starts_are_not_compared_start_by_start(tmp_path, capsys) -> None:
+    for seed in range(2):
+        write_run(tmp_path, "a", seed, 0.9)
+        write_run(tmp_path, "b", seed, 0.3, table=bool(seed))
+    text = compare(tmp_path, capsys)
+    assert "not compared on the same starts: 1 of 4 runs have no episodes.csv, such as" in text
+    assert "b/seed0" in text
+    assert len(rows(text, "a - b")) == 5
+    home = episodes(0.3, 0)
+    moved = replace(home, start_ball_x=home.start_ball_x + 0.01)
+    write_episodes(tmp_path / "b/seed0/episodes.csv", EpisodeSides(moved, mirrored(moved)))
+    assert "b/seed0 was evaluated from other starts than" in compare(tmp_path, capsys)
+
+
+def test_the_same_seed_twice_is_an_error_since_it_would_count_twice(tmp_path, capsys) -> None:
+    write_run(tmp_path / "one", "a", 0, 0.9)
+    write_run(tmp_path / "two", "a", 0, 0.9)
+    assert main(["compare", str(tmp_path)]) == 2
+    assert "holds seed 0 of a on a_task, as does" in capsys.readouterr().err
+
+
+def test_a_single_method_has_nothing_to_be_compared_with(tmp_path, capsys) -> None:
+    write_run(tmp_path, "a", 0, 0.9)
+    assert compare(tmp_path, capsys) == "no two methods of one task to compare\n"
+
+
+def test_no_run_is_an_error(tmp_path, capsys) -> None:
+    assert main(["compare", str(tmp_path)]) == 2
+    assert "no finished run" in capsys.readouterr().err
+
+
+def test_the_text_is_ascii_and_repeatable(tmp_path, capsys) -> None:
+    for seed in range(3):
+        write_run(tmp_path, "a", seed, 0.9)
+        write_run(tmp_path, "b", seed, 0.8)
+    text = compare(tmp_path, capsys)
+    assert text.isascii()
+    assert text == compare(tmp_path, capsys)
+
+
+def test_a_method_without_a_figure_is_said_to_be_left_out_and_a_scaled_one_to_be_scaled(
+    tmp_path, capsys
+) -> None:
+    for seed, method in enumerate("abc"):
+        write_run(tmp_path, method, seed, 0.9)
+    path = tmp_path / "c/seed2/metrics.json"
+    metrics = load_metrics(path)
+    evaluation = metrics.evaluation.model_copy(update={"mirrored": None})
+    write_metrics(path, metrics.model_copy(update={"evaluation": evaluation, "scale": 0.1}))
+    text = compare(tmp_path, capsys)
+    assert rows(text, "c ")[0][:4] == ["c", "1", "450", "scaled"]
+    assert rows(text, "a ")[0][3] != "scaled"
+    mirrored_block = text[text.index("success mirrored") : text.index("|success")]
+    assert "c: left out, it has runs without this figure" in mirrored_block
+    assert "c:" not in text[: text.index("success mirrored")].replace("b - c:", "").replace("a - c:", "")
