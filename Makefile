@@ -52,7 +52,7 @@ format: $(INSTALLED)  ## let ruff format and fix what it can
 	$(BIN)/ruff check --fix .
 
 schemas: $(INSTALLED)  ## write the JSON Schemas that editors use
-	for kind in task method robot representations; do \
+	for kind in task method robot representations reported; do \
 	  $(BIN)/kickbench schema $$kind > kickbench/spec/schemas/$$kind.schema.json || exit 1; \
 	done
 

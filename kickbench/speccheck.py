@@ -10,20 +10,27 @@ from kickbench.errors import Mark, Problem, SpecError, did_you_mean
 from kickbench.experiment import read_symmetry
 from kickbench.mdp.catalog import task_model
 from kickbench.mdp.compile import CompiledTask, compile_task
+from kickbench.reported import LoadedReported, load_reported
 from kickbench.scene.agree import check_symmetry
 from kickbench.spec.base import Spec
 from kickbench.spec.load import Loaded, LoadedMethod, load, load_method, load_task
 from kickbench.spec.method import MethodSpec
+from kickbench.spec.reported import ReportedSpec
 from kickbench.spec.representation import RepresentationSpec
 from kickbench.spec.robot import RobotSpec
 from kickbench.yamlio import Document, load_document
 
-KINDS = ("task", "method", "robot", "representations")
+KINDS = ("task", "method", "robot", "representations", "reported")
 
 
 def model_of(kind: str) -> type[Spec]:
     """The model of a kind of file."""
-    models = {"method": MethodSpec, "robot": RobotSpec, "representations": RepresentationSpec}
+    models = {
+        "method": MethodSpec,
+        "robot": RobotSpec,
+        "representations": RepresentationSpec,
+        "reported": ReportedSpec,
+    }
     return task_model() if kind == "task" else models[kind]
 
 
@@ -37,9 +44,8 @@ def kind_of(document: Document) -> str:
     best = max(KINDS, key=lambda kind: known[kind])
     if not known[best] or known[best] == ("description" in document.data):
         keys = ", ".join(map(str, document.data))
-        raise document.error(
-            (), f"neither a task, a method, a robot nor a representation table; its keys: {keys}"
-        )
+        kinds = "neither a task, a method, a robot, a representation table nor a reported experiment"
+        raise document.error((), f"{kinds}; its keys: {keys}")
     return best
 
 
@@ -57,7 +63,7 @@ def check_files(files: Sequence[Path], overrides: Sequence[str] = ()) -> Iterato
     """Checks every file, and a single task with every method among them.
 
     Args:
-        files: Tasks, methods, robots and representation tables.
+        files: Tasks, methods, robots, representation tables and reported experiments.
         overrides: `key.path=value` texts, applied to the files whose kind has the first key.
     """
     unused = dict.fromkeys(overrides)
@@ -111,8 +117,28 @@ def _check(
         methods.append(load_method(path, overrides))
     elif report.kind == "robot":
         _compare_with_geometry(load(RobotSpec, path, overrides), report)
+    elif report.kind == "reported":
+        _check_reported(load_reported(path, overrides), report)
     else:
         load(RepresentationSpec, path, overrides)
+
+
+def _check_reported(experiment: LoadedReported, report: Report) -> None:
+    """Every task of an experiment with every method it is learned by, each pair once."""
+    tasks: dict[str, CompiledTask] = {}
+    pairs: set[tuple[str, str]] = set()
+    for arm in experiment.arms.values():
+        for task in (arm.task, *arm.also.values()):
+            key = (str(task.document.file), str(arm.method.document.file))
+            if key in pairs:
+                continue
+            pairs.add(key)
+            try:
+                if key[0] not in tasks:
+                    tasks[key[0]] = compile_task(task)
+                read_symmetry(tasks[key[0]], arm.method)
+            except SpecError as error:
+                report.problems += error.problems
 
 
 def _compare_with_geometry(robot: Loaded[RobotSpec], report: Report) -> None:

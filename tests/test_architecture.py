@@ -23,6 +23,7 @@ ROOMS = (
     ("env",),
     ("nets",),
     ("experiment",),
+    ("reported",),
     ("speccheck",),
     ("results",),
     ("evaluate",),

@@ -98,11 +98,17 @@ def _add_inspection(verbs: argparse._SubParsersAction) -> None:
     module = "kickbench.cli.inspect"
     verb = _add_verb(verbs, "validate", f"{module}:validate", "check YAML files and report all errors")
     verb.add_argument(
-        "files", type=Path, nargs="+", metavar="FILE", help="task, method, robot or representations"
+        "files",
+        type=Path,
+        nargs="+",
+        metavar="FILE",
+        help="task, method, robot, representations or reported",
     )
     _add_set(verb)
     verb = _add_verb(verbs, "show", f"{module}:show", "print a resolved spec and where each value came from")
-    verb.add_argument("file", type=Path, metavar="FILE", help="task, method, robot or representations")
+    verb.add_argument(
+        "file", type=Path, metavar="FILE", help="task, method, robot, representations or reported"
+    )
     verb.add_argument(
         "--plot",
         type=Path,
@@ -119,10 +125,13 @@ def _add_inspection(verbs: argparse._SubParsersAction) -> None:
     )
     _add_set(verb)
     verb = _add_verb(verbs, "schema", f"{module}:schema", "print the JSON Schema of a kind of file")
-    verb.add_argument("kind", choices=("task", "method", "robot", "representations"))
+    verb.add_argument("kind", choices=("task", "method", "robot", "representations", "reported"))
     _add_verb(verbs, "terms", f"{module}:terms", "list all terms with parameters, units and source")
     verb = _add_verb(
-        verbs, "list", f"{module}:list_files", "list tasks, methods, robots and runs below a folder"
+        verbs,
+        "list",
+        f"{module}:list_files",
+        "list tasks, methods, robots, experiments and runs below a folder",
     )
     verb.add_argument("root", type=Path, nargs="?", default=Path(), help="folder (default: here)")
     verb = _add_verb(verbs, "table", f"{module}:table", "print the table of finished runs")

@@ -78,7 +78,7 @@ def terms(arguments: argparse.Namespace) -> int:
 
 
 def list_files(arguments: argparse.Namespace) -> int:
-    """`kickbench list`: tasks, methods, robots and finished runs below a folder."""
+    """`kickbench list`: tasks, methods, robots, experiments and finished runs below a folder."""
     root = arguments.root
     if not root.is_dir():
         raise KickbenchError(f"{root}: no such folder")
@@ -98,13 +98,19 @@ def list_files(arguments: argparse.Namespace) -> int:
 def _specs(root: Path) -> Iterator[tuple[str, Path, str]]:
     from kickbench.yamlio import load_document
 
-    for pattern in ("tasks/**/*.yaml", "methods/**/*.yaml", "assets/*/*.yaml"):
+    folders = {
+        "tasks/**/*.yaml": "task",
+        "methods/**/*.yaml": "method",
+        "assets/*/*.yaml": "robot",
+        "results/reported/*.yaml": "reported",
+    }
+    for pattern, usual in folders.items():
         for path in root.glob(pattern):
             try:
                 document = load_document(path)
                 kind = kind_of(document)
             except SpecError as error:
-                yield KINDS[0], path, f"does not load: {error.problems[0]}"
+                yield usual, path, f"does not load: {error.problems[0]}"
                 continue
             yield kind, path, str(document.data.get("description", ""))
 

@@ -19,6 +19,7 @@ SHIPPED = {
     "method": sorted(ROOT.glob("methods/[!r]*/*.yaml")),
     "representations": sorted(ROOT.glob("methods/representations/*.yaml")),
     "robot": sorted(ROOT.glob("assets/*/*.yaml")),
+    "reported": sorted(ROOT.glob("results/reported/*.yaml")),
 }
 
 

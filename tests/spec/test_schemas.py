@@ -11,7 +11,11 @@ from kickbench.spec.json_schema import json_schema
 from kickbench.speccheck import KINDS, model_of
 
 ROOT = Path(__file__).parent.parent.parent
-SHIPPED = sorted(p for folder in ("tasks", "methods", "assets") for p in (ROOT / folder).rglob("*.yaml"))
+SHIPPED = sorted(
+    p
+    for folder in ("tasks", "methods", "assets", "results/reported")
+    for p in (ROOT / folder).rglob("*.yaml")
+)
 
 
 @pytest.mark.parametrize("kind", KINDS)

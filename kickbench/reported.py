@@ -1,0 +1,215 @@
+"""Experiments as files in `results/reported`: loaded with all their tasks and methods, and checked against them.
+
+Not to be taken for `kickbench.experiment`, which compiles one task and one method for one run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
+
+from kickbench.errors import KeyPath, Problem, SpecError, did_you_mean
+from kickbench.mdp.catalog import task_model
+from kickbench.spec.claims import OF_A_RUN, AnyClaim, NearReported, Operand
+from kickbench.spec.load import LoadedMethod, LoadedTask, load, load_method, load_task
+from kickbench.spec.reported import ArmSpec, ReportedFiguresSpec, ReportedSpec
+from kickbench.spec.task import TaskSpec
+from kickbench.spec.terms import TerminationParams
+from kickbench.yamlio import Document
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Arm:
+    """One arm of an experiment, with nothing left to default.
+
+    Attributes:
+        name: Its name, and that of its folder.
+        task: The task it is trained on.
+        method: The method.
+        seeds: Seeds of training; `seed<k>` is the folder of each.
+        iterations: Training iterations of each.
+        episodes: Evaluation episodes a side.
+        also: Further tasks the policies are evaluated on, by name.
+        reported: What was reported of it.
+    """
+
+    name: str
+    task: LoadedTask[TaskSpec]
+    method: LoadedMethod
+    seeds: tuple[int, ...]
+    iterations: int
+    episodes: int
+    also: Mapping[str, LoadedTask[TaskSpec]]
+    reported: ReportedFiguresSpec | None
+
+    def task_of(self, operand: Operand) -> LoadedTask[TaskSpec]:
+        """The task whose episodes an operand is about."""
+        return self.task if operand.task in (None, self.task.name) else self.also[str(operand.task)]
+
+
+@dataclass(frozen=True)
+class LoadedReported:
+    """An experiment with everything it names.
+
+    Attributes:
+        spec: What the file says.
+        document: Where it says it.
+        arms: The arms by name, in the order of the file.
+    """
+
+    spec: ReportedSpec
+    document: Document
+    arms: Mapping[str, Arm]
+
+    @property
+    def name(self) -> str:
+        """The file's stem, and the name of the experiment's folder."""
+        return self.document.file.stem
+
+    @property
+    def claims(self) -> Mapping[str, AnyClaim]:
+        """The claims by name, in the order of the file."""
+        return self.spec.claims
+
+
+def load_reported(path: str | Path, overrides: Sequence[str] = ()) -> LoadedReported:
+    """Loads an experiment, its tasks and its methods, and checks claims and figures against them.
+
+    Raises:
+        SpecError: With every problem of the file, or of the first file it names that has some.
+    """
+    loaded = load(ReportedSpec, path, overrides)
+    spec, document = loaded.spec, loaded.document
+    files = _Files()
+    also = {
+        task.name: task
+        for index, file in enumerate(spec.evaluation.also)
+        if (task := files.task(file, document, ("evaluation", "also", index)))
+    }
+    arms = {name: _arm(name, spec, document, files, also) for name in spec.arms}
+    if files.problems:
+        raise SpecError(files.problems)
+    complete = {name: arm for name, arm in arms.items() if arm is not None}
+    problems = [*_figure_problems(complete, document), *_claim_problems(spec, complete, document)]
+    if problems:
+        raise SpecError(problems)
+    return LoadedReported(spec, document, complete)
+
+
+class _Files:
+    """The tasks and methods that an experiment names, each read once, and what is wrong with them."""
+
+    def __init__(self) -> None:
+        self.problems: list[Problem] = []
+        self._read: dict[tuple[str, str], object] = {}
+
+    def task(self, file: str, document: Document, path: KeyPath) -> LoadedTask[TaskSpec] | None:
+        return self._once("task", file, document, path, lambda: load_task(task_model(), file))
+
+    def method(self, file: str, document: Document, path: KeyPath) -> LoadedMethod | None:
+        return self._once("method", file, document, path, lambda: load_method(file))
+
+    def _once(
+        self, kind: str, file: str, document: Document, path: KeyPath, read: Callable[[], T]
+    ) -> T | None:
+        if (kind, file) not in self._read:
+            self._read[kind, file] = None
+            try:
+                self._read[kind, file] = read()
+            except SpecError as error:
+                what = f"this {kind} does not load; its problems follow"
+                self.problems += [document.problem(path, what), *error.problems]
+        return self._read[kind, file]  # pyright: ignore[reportReturnType] (the key names the type)
+
+
+def _arm(
+    name: str,
+    spec: ReportedSpec,
+    document: Document,
+    files: _Files,
+    also: Mapping[str, LoadedTask[TaskSpec]],
+) -> Arm | None:
+    arm: ArmSpec = spec.arms[name]
+    own = ("arms", name, "task")
+    task = files.task(arm.task or str(spec.task), document, own if arm.task else ("task",))
+    method = files.method(arm.method, document, ("arms", name, "method"))
+    if task is None or method is None:
+        return None
+    return Arm(
+        name=name,
+        task=task,
+        method=method,
+        seeds=arm.seeds or spec.seeds,
+        iterations=arm.iterations or spec.iterations or method.spec.algorithm.iterations,
+        episodes=spec.evaluation.episodes or task.spec.evaluation.episodes,
+        also=also,
+        reported=arm.reported,
+    )
+
+
+def _figure_problems(arms: Mapping[str, Arm], document: Document) -> Iterator[Problem]:
+    for name, arm in arms.items():
+        if arm.reported and arm.reported.mirrored and not arm.task.spec.evaluation.mirrored:
+            path = ("arms", name, "reported", "mirrored")
+            yield document.problem(path, f"the task {arm.task.name} has no mirrored evaluation")
+
+
+def _claim_problems(spec: ReportedSpec, arms: Mapping[str, Arm], document: Document) -> Iterator[Problem]:
+    for name, claim in spec.claims.items():
+        for key, operand in claim.operands().items():
+            path = ("claims", name, key)
+            if operand.arm not in arms:
+                what = f"no such arm '{operand.arm}'; the arms: {', '.join(arms)}"
+                yield document.problem((*path, "arm"), what, did_you_mean(operand.arm, arms))
+            else:
+                yield from _operand_problems(claim, operand, arms[operand.arm], path, document)
+        yield from _termination_problems(name, claim, arms, document)
+
+
+def _operand_problems(
+    claim: AnyClaim, operand: Operand, arm: Arm, path: KeyPath, document: Document
+) -> Iterator[Problem]:
+    if operand.task not in (None, arm.task.name, *arm.also):
+        known = [arm.task.name, *arm.also]
+        what = f"the arm {arm.name} is not evaluated on '{operand.task}'; on: {', '.join(known)}"
+        yield document.problem((*path, "task"), what, did_you_mean(str(operand.task), known))
+        return
+    of_a_run = claim.metric in OF_A_RUN
+    if of_a_run and operand.side == "mirrored":
+        yield document.problem((*path, "side"), f"the metric {claim.metric} is of a run, and has no sides")
+    if of_a_run and operand.task not in (None, arm.task.name):
+        yield document.problem(
+            (*path, "task"), f"the metric {claim.metric} is measured on the task trained on only"
+        )
+    mirrored = operand.side == "mirrored" or claim.metric == "pair_agreement"
+    task = arm.task_of(operand)
+    if mirrored and not task.spec.evaluation.mirrored:
+        yield document.problem((*path, "side"), f"the task {task.name} has no mirrored evaluation")
+    if isinstance(claim, NearReported) and _reported_figure(claim, arm) is None:
+        what = f"no {claim.metric} of {operand.side} was reported of the arm {arm.name}"
+        yield document.problem(path, what)
+
+
+def _reported_figure(claim: NearReported, arm: Arm) -> float | None:
+    side = arm.reported.of_side(claim.value.side) if arm.reported else None
+    return getattr(side, claim.metric, None)
+
+
+def _termination_problems(
+    name: str, claim: AnyClaim, arms: Mapping[str, Arm], document: Document
+) -> Iterator[Problem]:
+    for operand in claim.operands().values():
+        arm = arms.get(operand.arm)
+        if arm is None or operand.task not in (None, arm.task.name, *arm.also):
+            continue
+        task = arm.task_of(operand)
+        known = task.spec.terminations.active(TerminationParams)
+        for index, termination in enumerate(claim.terminations):
+            if termination not in known:
+                what = f"the task {task.name} has no termination '{termination}'; it has: {', '.join(known)}"
+                hint = did_you_mean(termination, known)
+                yield document.problem(("claims", name, "terminations", index), what, hint)
