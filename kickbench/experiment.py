@@ -10,12 +10,16 @@ from kickbench.errors import SpecError
 from kickbench.mdp.catalog import task_model
 from kickbench.mdp.compile import CompiledTask, compile_task
 from kickbench.spec.load import Loaded, LoadedMethod, LoadedTask, load_method, load_task, split_overrides
+from kickbench.spec.method import MethodSpec
 from kickbench.spec.representation import RepresentationSpec
 from kickbench.spec.task import TaskSpec
 from kickbench.symmetry.field_table import FieldTable
 from kickbench.symmetry.mirror import mirror_actions, mirror_joints, mirror_qpos, mirror_qvel
 from kickbench.symmetry.representation import Representation
 from kickbench.symmetry.tables import field_table, resolve_expression
+
+MIN_SCALED_EPISODES = 100
+"""Episodes a side that scaling an experiment down leaves."""
 
 
 @dataclass(frozen=True)
@@ -52,17 +56,44 @@ class Experiment:
     symmetry: Symmetry
 
 
-def load_experiment(task: str | Path, method: str | Path, overrides: Sequence[str] = ()) -> Experiment:
+def load_experiment(
+    task: str | Path, method: str | Path, overrides: Sequence[str] = (), scale: float | None = None
+) -> Experiment:
     """Loads, checks and compiles a task and a method.
 
     Args:
         task: Path of the task's YAML file.
         method: Path of the method's YAML file.
         overrides: `key.path=value` texts; the first key tells whether task or method is meant.
+        scale: Factor in (0, 1) on iterations and evaluation episodes (`scaled_down`); None: full size.
 
     Raises:
         SpecError: With every problem found.
     """
+    loaded_task, loaded_method = _load(task, method, overrides)
+    if scale is not None:
+        loaded_task, loaded_method = _load(
+            task, method, [*overrides, *scaled_down(loaded_task.spec, loaded_method.spec, scale)]
+        )
+    compiled = compile_task(loaded_task)
+    return Experiment(loaded_task, loaded_method, compiled, read_symmetry(compiled, loaded_method))
+
+
+def scaled_down(task: TaskSpec, method: MethodSpec, scale: float) -> list[str]:
+    """What a scale changes, as overrides: iterations and evaluation episodes, nothing else.
+
+    At least one iteration is left, and `MIN_SCALED_EPISODES` episodes a side (or the task's, if it has fewer):
+    below that an interval says nothing. Schedules run over the iterations that are left.
+    """
+    iterations = max(1, round(scale * method.algorithm.iterations))
+    full = task.evaluation.episodes
+    episodes = max(round(scale * full), min(full, MIN_SCALED_EPISODES))
+    return [f"algorithm.iterations={iterations}", f"evaluation.episodes={episodes}"]
+
+
+def _load(
+    task: str | Path, method: str | Path, overrides: Sequence[str]
+) -> tuple[LoadedTask[TaskSpec], LoadedMethod]:
     of_task, of_method = split_overrides(overrides)
     problems, loaded_task, loaded_method = [], None, None
     try:
@@ -75,8 +106,7 @@ def load_experiment(task: str | Path, method: str | Path, overrides: Sequence[st
         problems += error.problems
     if loaded_task is None or loaded_method is None:
         raise SpecError(tuple(problems))
-    compiled = compile_task(loaded_task)
-    return Experiment(loaded_task, loaded_method, compiled, read_symmetry(compiled, loaded_method))
+    return loaded_task, loaded_method
 
 
 def read_symmetry(task: CompiledTask, method: LoadedMethod) -> Symmetry:

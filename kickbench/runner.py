@@ -40,6 +40,7 @@ class RunRequest:
         seed: Seed of networks, exploration and starts.
         overrides: `key.path=value` texts.
         iterations: Iterations; default: the method's.
+        scale: Factor in (0, 1) on iterations and evaluation episodes; the result says so. None: full size.
         num_envs: Parallel environments; default: the method's.
         out: Run directory; default: `runs/<task>/<method>/seed<k>`.
         device: Where to train.
@@ -54,6 +55,7 @@ class RunRequest:
     seed: int = 0
     overrides: tuple[str, ...] = ()
     iterations: int | None = None
+    scale: float | None = None
     num_envs: int | None = None
     out: Path | None = None
     device: str = "cpu"
@@ -104,7 +106,7 @@ def run(request: RunRequest) -> RunOutcome:
         KickbenchError: A run is in the way, or cannot be gone on with, or training diverged.
     """
     check_device(request.device)
-    experiment = load_experiment(request.task, request.method, request.all_overrides())
+    experiment = load_experiment(request.task, request.method, request.all_overrides(), request.scale)
     threads = request.threads or usable_cores()
     default = Path("runs", experiment.task.name, experiment.method.name, f"seed{request.seed}")
     directory = RunDirectory(request.out or default)
@@ -120,6 +122,7 @@ def _run_in(directory: RunDirectory, experiment: Experiment, request: RunRequest
         experiment.task.name,
         experiment.method.name,
         request.seed,
+        scale=request.scale,
         num_threads=threads,
         device=request.device,
         argv=request.command,
@@ -147,7 +150,8 @@ def _run_in(directory: RunDirectory, experiment: Experiment, request: RunRequest
 
 def _open(request: RunRequest, directory: RunDirectory, experiment: Experiment) -> Resume:
     if request.resume:
-        return take_up(directory, experiment, request.seed, extend=request.iterations is not None)
+        extend = request.iterations is not None
+        return take_up(directory, experiment, request.seed, scale=request.scale, extend=extend)
     directory.prepare(request.force)
     write_specs(directory, experiment)
     return Resume()

@@ -48,6 +48,7 @@ def test_a_run_directory_holds_everything(finished):
 
 def test_metrics_say_what_was_run_and_where_it_comes_from(finished):
     metrics = json.loads((finished / "metrics.json").read_text())
+    assert metrics["scale"] is None
     assert (metrics["task"], metrics["method"], metrics["seed"]) == ("mini_home_field", "equivariant", 3)
     assert (metrics["iterations"], metrics["env_steps"]) == (2, 2 * 16 * 24)
     for side in ("in_distribution", "mirrored"):
@@ -140,3 +141,27 @@ def test_the_table_of_finished_runs_is_printed(finished, capsys):
     assert "equivariant" in out
     assert "task: mini_home_field" in out
     assert "asymmetry: mini_home_field" in out
+
+
+def test_a_scaled_run_is_smaller_and_its_metrics_say_so(tmp_path, capsys):
+    out, rest = tmp_path / "run", ["--num-envs", "16", "--set", "episode.max_steps=30"]
+    command = ["run", TASK, METHOD, "--scale", "0.004", "--out", str(out), *rest]
+    assert main(command) == 0
+    metrics = load_metrics(out / "metrics.json")
+    # The method's 450 iterations; the task's 2,000 episodes come to 8, and 100 are the least.
+    assert (metrics.scale, metrics.iterations) == (0.004, 2)
+    assert metrics.evaluation.in_distribution.episodes == 100
+    assert metrics.schedule_iterations is None, "a schedule runs over the iterations that are left"
+    assert main([*command, "--resume"]) == 0
+    assert "nothing left to do" in capsys.readouterr().out
+    command[command.index("0.004")] = "0.005"
+    assert main([*command, "--resume"]) == 2
+    assert "scale: 0.005, but the run has 0.004" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("scale", ["0", "1", "1.5", "-0.1", "nan", "half"])
+def test_a_scale_is_between_0_and_1(scale, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["run", TASK, METHOD, "--scale", scale])
+    assert ended.value.code == 2
+    assert "between 0 and 1" in capsys.readouterr().err

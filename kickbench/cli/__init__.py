@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 from collections.abc import Sequence
 from importlib import import_module
@@ -67,6 +68,7 @@ def _add_run(verbs: argparse._SubParsersAction) -> None:
     verb.add_argument("method", type=Path, metavar="METHOD", help="method YAML")
     verb.add_argument("--seed", type=_natural, default=0, help="seed (default: 0)")
     verb.add_argument("--iterations", type=_positive, help="iterations (default: the method's)")
+    _add_scale(verb)
     verb.add_argument("--num-envs", type=_positive, help="parallel environments (default: the method's)")
     verb.add_argument(
         "--out", type=Path, metavar="DIR", help="run directory (default: runs/<task>/<method>/seed<k>)"
@@ -235,6 +237,16 @@ def _add_set(verb: argparse.ArgumentParser) -> None:
     )
 
 
+def _add_scale(verb: argparse.ArgumentParser) -> None:
+    verb.add_argument(
+        "--scale",
+        type=_scale,
+        metavar="S",
+        help="shrink iterations and evaluation episodes (100 a side at least) by this factor, below 1; "
+        "the result is marked",
+    )
+
+
 def _add_threads(verb: argparse.ArgumentParser) -> None:
     verb.add_argument("--threads", type=_positive, help="threads (default: the cores this process may use)")
 
@@ -247,6 +259,16 @@ def _natural(text: str) -> int:
     value = _whole_number(text, 0)
     if value >= 2**63:
         raise argparse.ArgumentTypeError(f"expected a number below 2^63, found {text}")
+    return value
+
+
+def _scale(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0 < value < 1:
+        raise argparse.ArgumentTypeError(f"expected a number between 0 and 1, found {text!r}")
     return value
 
 

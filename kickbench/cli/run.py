@@ -19,6 +19,7 @@ def run(arguments: argparse.Namespace) -> int:
             seed=arguments.seed,
             overrides=tuple(arguments.overrides),
             iterations=arguments.iterations,
+            scale=arguments.scale,
             num_envs=arguments.num_envs,
             out=arguments.out,
             device=arguments.device,

@@ -9,6 +9,11 @@ from typing import Any
 from kickbench.results.provenance import Provenance, code_state, collect_provenance
 
 
+def run_identity(task: str, method: str, seed: int, scale: float | None) -> dict[str, Any]:
+    """What tells a run from others beside its specs, named as in `metrics.json`."""
+    return {"task": task, "method": method, "seed": seed, "scale": scale}
+
+
 class RunHistory:
     """The identity of a run and the parts it was made in, one a process; the last part is this process.
 
@@ -22,6 +27,7 @@ class RunHistory:
         method: str,
         seed: int,
         *,
+        scale: float | None = None,
         num_threads: int,
         device: str = "cpu",
         argv: Sequence[str] = (),
@@ -33,12 +39,13 @@ class RunHistory:
             task: Name of the task.
             method: Name of the method.
             seed: Seed of the run.
+            scale: Factor that the run was scaled down by.
             num_threads: Threads that step the physics.
             device: Torch device.
             argv: The command as `sys.argv` has it.
             earlier: The parts before this one.
         """
-        self.identity: dict[str, Any] = {"task": task, "method": method, "seed": seed}
+        self.identity = run_identity(task, method, seed, scale)
         self._seed, self._threads, self._device, self._argv = seed, num_threads, device, tuple(argv)
         self._earlier = tuple(earlier)
         self._started, self._code = datetime.now(UTC), code_state()

@@ -83,6 +83,13 @@ class Metrics(Record):
     task: str
     method: str
     seed: int
+    scale: float | None = Field(
+        default=None,
+        gt=0,
+        lt=1,
+        description="factor on iterations and evaluation episodes of a run that was scaled down to try an "
+        "experiment out, by `--scale`; null for a run of full size",
+    )
     iterations: NonNegativeInt = Field(description="training iterations")
     env_steps: NonNegativeInt = Field(description="control steps of training, summed over worlds")
     training_seconds: NonNegativeFloat = Field(description="wall-clock time of training [s]")

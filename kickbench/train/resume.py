@@ -8,6 +8,7 @@ from typing import Any
 
 from kickbench.errors import KickbenchError, Problem, SpecError
 from kickbench.experiment import Experiment
+from kickbench.results.history import run_identity
 from kickbench.results.metrics import load_metrics
 from kickbench.results.specs import ITERATIONS, spec_differences, stored_method, write_specs
 from kickbench.results.store import RunDirectory
@@ -27,7 +28,9 @@ class Resume:
     finished: bool = False
 
 
-def take_up(directory: RunDirectory, experiment: Experiment, seed: int, *, extend: bool) -> Resume:
+def take_up(
+    directory: RunDirectory, experiment: Experiment, seed: int, *, scale: float | None = None, extend: bool
+) -> Resume:
     """Checks that the run in a directory is this one, and finds where it stands.
 
     A directory without a run, or whose run was killed before its first checkpoint, is made ready for the
@@ -37,17 +40,19 @@ def take_up(directory: RunDirectory, experiment: Experiment, seed: int, *, exten
         directory: The run directory.
         experiment: The experiment as the resume states it.
         seed: Its seed.
+        scale: What it is scaled down by.
         extend: Whether the experiment may have more iterations than the run.
 
     Raises:
         SpecError: The run is another one; every key that differs is a problem.
         KickbenchError: No checkpoint can be read.
     """
+    identity = run_identity(experiment.task.name, experiment.method.name, seed, scale)
     if not directory.holds_a_run:
         return _begin(directory, experiment)
     if directory.is_finished:
         recorded = load_metrics(directory.metrics)
-        _check_same(directory, experiment, seed, recorded.model_dump(include=_IDENTITY), extend)
+        _check_same(directory, experiment, identity, recorded.model_dump(include=set(identity)), extend)
         if recorded.iterations >= experiment.method.spec.algorithm.iterations:
             return Resume(finished=True)
     state = Checkpoints(directory.checkpoints).load()
@@ -57,11 +62,8 @@ def take_up(directory: RunDirectory, experiment: Experiment, seed: int, *, exten
                 f"{directory.path}: holds a run without a checkpoint; --force starts it again"
             )
         return _begin(directory, experiment)
-    _check_same(directory, experiment, seed, state["run"], extend)
+    _check_same(directory, experiment, identity, state["run"], extend)
     return Resume(state)
-
-
-_IDENTITY = {"task", "method", "seed"}
 
 
 def _begin(directory: RunDirectory, experiment: Experiment) -> Resume:
@@ -70,21 +72,49 @@ def _begin(directory: RunDirectory, experiment: Experiment) -> Resume:
     return Resume()
 
 
-def _check_same(
-    directory: RunDirectory, experiment: Experiment, seed: int, run: Mapping[str, Any], extend: bool
-) -> None:
-    here = {"task": experiment.task.name, "method": experiment.method.name, "seed": seed}
-    problems = [
-        Problem(None, (key,), f"{value}, but the run has {run[key]}")
-        for key, value in here.items()
-        if value != run[key]
-    ]
-    problems += spec_differences(directory, experiment)
+def run_differences(
+    directory: RunDirectory, experiment: Experiment, *, extend: bool = False
+) -> list[Problem]:
+    """Every key in which an experiment differs from the one that a directory's run was begun with.
+
+    Args:
+        directory: The run directory; it holds a run.
+        experiment: The experiment as it is to be now.
+        extend: Whether it may have more iterations than the run.
+
+    Raises:
+        SpecError: A stored spec is missing or not valid.
+    """
+    problems = spec_differences(directory, experiment)
     had = stored_method(directory).spec.algorithm.iterations
     wanted = experiment.method.spec.algorithm.iterations
     if wanted < had or (wanted > had and not extend):
         what = f"{wanted}, but the run has {had}"
         hint = f"--iterations {had} finishes it, a larger number extends it"
         problems.append(experiment.method.document.problem(ITERATIONS, what, hint))
+    return problems
+
+
+def identity_differences(identity: Mapping[str, Any], run: Mapping[str, Any]) -> list[Problem]:
+    """Every key of a `run_identity` in which a run differs from what it is to be; absent counts as none."""
+    return [
+        Problem(None, (key,), f"{_text(value)}, but the run has {_text(run.get(key))}")
+        for key, value in identity.items()
+        if value != run.get(key)
+    ]
+
+
+def _text(value: Any) -> str:
+    return "none" if value is None else str(value)
+
+
+def _check_same(
+    directory: RunDirectory,
+    experiment: Experiment,
+    identity: Mapping[str, Any],
+    run: Mapping[str, Any],
+    extend: bool,
+) -> None:
+    problems = identity_differences(identity, run) + run_differences(directory, experiment, extend=extend)
     if problems:
         raise SpecError([Problem(None, (), f"{directory.path} holds another run"), *problems])
