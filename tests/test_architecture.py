@@ -32,6 +32,7 @@ ROOMS = (
     ("runner",),
     ("audit",),
     ("view",),
+    ("report",),
     ("cli",),
     ("__main__",),
 )

@@ -133,9 +133,7 @@ def _panel(arms: Sequence[ArmData], quantity: Quantity, first: int, last: int) -
     return CurvePanel(quantity, first, last, window, tuple(arm for arm in lines if arm.seeds))
 
 
-def _arm_lines(
-    arm: ArmData, quantity: Quantity, first: int, last: int, window: int, step: int
-) -> ArmLines:
+def _arm_lines(arm: ArmData, quantity: Quantity, first: int, last: int, window: int, step: int) -> ArmLines:
     grid = np.arange(first, last, step)
     values: dict[int, NDArray[np.float64]] = {}
     for run in arm.runs:
@@ -147,9 +145,7 @@ def _arm_lines(
     return ArmLines(arm.name, shown, mean)
 
 
-def _on_grid(
-    progress: Progress, column: str, grid: NDArray[np.int64], window: int
-) -> NDArray[np.float64]:
+def _on_grid(progress: Progress, column: str, grid: NDArray[np.int64], window: int) -> NDArray[np.float64]:
     """Smoothed values at iterations [grid]; NaN where the run has no row (it was resumed without, or ends before)."""
     rows = np.full(progress.done, np.nan)
     rows[progress.iteration] = progress.columns[column]

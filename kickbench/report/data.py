@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from kickbench.results.episodes import EpisodeSides
 from kickbench.results.metrics import EvaluationMetrics, Metrics
+from kickbench.spec.reported import ReportedFiguresSpec
 
 Side = Literal["in_distribution", "mirrored"]
 SIDES: tuple[Side, ...] = ("in_distribution", "mirrored")
@@ -49,6 +50,7 @@ class RunData:
         episodes: Its evaluation, episode by episode, where the folder has it.
         notes: What is wrong with its files: sentences.
         started: Whether there is anything of it at all.
+        iterations_planned: Training iterations that its stored method asks for, if it is not finished.
     """
 
     arm: str
@@ -59,6 +61,7 @@ class RunData:
     episodes: EpisodeSides | None = None
     notes: tuple[str, ...] = ()
     started: bool = True
+    iterations_planned: int | None = None
 
     @property
     def state(self) -> RunState:
@@ -80,6 +83,15 @@ class RunData:
 
 
 @dataclass(frozen=True)
+class Plan:
+    """What an experiment plans for each run of an arm: training iterations, evaluation episodes a side, seeds."""
+
+    iterations: int
+    episodes: int
+    seeds: tuple[int, ...]
+
+
+@dataclass(frozen=True)
 class ArmData:
     """The runs of one arm of an experiment: one method on one task, a run a seed.
 
@@ -88,12 +100,16 @@ class ArmData:
         method: Name of the method.
         task: Name of the task.
         runs: Its runs by seed, planned ones that are missing among them.
+        plan: What the experiment plans for it; None without one.
+        reported: What was reported of it, if anything.
     """
 
     name: str
     method: str
     task: str
     runs: tuple[RunData, ...]
+    plan: Plan | None = None
+    reported: ReportedFiguresSpec | None = None
 
     @property
     def finished(self) -> tuple[RunData, ...]:
@@ -104,3 +120,39 @@ class ArmData:
         """Seed and metrics of every run that was evaluated on that side."""
         found = ((run.seed, run.side(side)) for run in self.finished)
         return tuple((seed, metrics) for seed, metrics in found if metrics is not None)
+
+
+@dataclass(frozen=True)
+class Note:
+    """A text that lies beside the runs and says more about them: its place, and what it says."""
+
+    place: str
+    text: str
+
+
+@dataclass(frozen=True)
+class Study:
+    """What one part of a page is about: an experiment, or all runs of one task.
+
+    Attributes:
+        name: Its name.
+        question: What was asked, in a line; empty if nothing says so.
+        section: Where the thesis describes it; empty if it does not.
+        arms: Its arms.
+        planned: Whether an experiment says what belongs to it.
+        notes: Texts that lie beside the runs.
+        problems: What could not be shown, and why: sentences.
+    """
+
+    name: str
+    question: str
+    section: str
+    arms: tuple[ArmData, ...]
+    planned: bool = False
+    notes: tuple[Note, ...] = ()
+    problems: tuple[str, ...] = ()
+
+    @property
+    def runs(self) -> tuple[RunData, ...]:
+        """The runs of all arms."""
+        return tuple(run for arm in self.arms for run in arm.runs)

@@ -17,6 +17,7 @@ class Measure:
     Attributes:
         key: Its name in `metrics.json`.
         title: In words.
+        short: In a word.
         unit: Its unit.
         scale: From the unit of `metrics.json` to that one.
         decimals: Digits behind the point.
@@ -26,6 +27,7 @@ class Measure:
 
     key: str
     title: str
+    short: str
     unit: str
     scale: float
     decimals: int
@@ -38,11 +40,12 @@ class Measure:
 
 
 SUCCESS = Measure(
-    "success_rate", "Success", "%", 100.0, 1, lambda of: of.success_rate, lambda of: of.success_ci
+    "success_rate", "Success", "Success", "%", 100.0, 1, lambda of: of.success_rate, lambda of: of.success_ci
 )
 DISTANCE = Measure(
     "mean_distance",
     "Mean distance of ball and target at the end",
+    "Distance",
     "m",
     1.0,
     3,

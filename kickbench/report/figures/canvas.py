@@ -127,7 +127,9 @@ def _finish(text: str, name: str, title: str, words: str, themed: bool) -> str:
                 parent.remove(child)
     _rename(root, name)
     for tag, content in (("desc", words), ("title", title)):
-        element = ElementTree.Element(f"{{{_SVG}}}{tag}", {"id": f"{name}-{'text' if tag == 'desc' else tag}"})
+        element = ElementTree.Element(
+            f"{{{_SVG}}}{tag}", {"id": f"{name}-{'text' if tag == 'desc' else tag}"}
+        )
         element.text = content
         root.insert(0, element)
     for element in root.iter():
@@ -163,7 +165,7 @@ def _shorten(element: ElementTree.Element) -> None:
         if key in element.attrib:
             element.set(key, re.sub(r"-?\d+\.\d{3,}", _rounded, element.get(key, "")))
     if "style" in element.attrib:
-        style = re.sub(r"font: ([\d.]+px)[^;]*", rf"font-size: \1", element.get("style", ""))
+        style = re.sub(r"font: ([\d.]+px)[^;]*", r"font-size: \1", element.get("style", ""))
         element.set("style", re.sub(r"font-family:[^;]*;?\s*", "", style))
 
 

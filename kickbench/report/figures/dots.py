@@ -57,7 +57,9 @@ def _draw_row(axes: Any, spread: Spread, scale: float, look: Look, y: float) -> 
         x, std = scale * spread.reported.value, scale * (spread.reported.std or 0.0)
         if std:
             axes.plot([x - std, x + std], [y - 0.3, y - 0.3], color=INK.light, linewidth=1.0)
-        axes.plot([x, x], [y - 0.36, y + 0.36], color=INK.light, linewidth=2.2, solid_capstyle="butt", zorder=4)
+        axes.plot(
+            [x, x], [y - 0.36, y + 0.36], color=INK.light, linewidth=2.2, solid_capstyle="butt", zorder=4
+        )
     for offset, seed in zip(_offsets(len(spread.seeds)), spread.seeds, strict=True):
         low, high = (scale * bound for bound in seed.interval)
         axes.plot([low, high], [y + offset] * 2, color=colour, linewidth=1.1, alpha=0.75)

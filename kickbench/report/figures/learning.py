@@ -49,11 +49,15 @@ def _text(panel: CurvePanel, scale: float) -> str:
     parts = []
     for arm in panel.arms:
         seeds = "; ".join(f"seed {seed} {_ends(line, scale, unit)}" for seed, line in arm.seeds)
-        mean = f"mean {_ends(arm.mean, scale, unit)}; " if arm.mean is not None and arm.mean.value.size else ""
+        mean = (
+            f"mean {_ends(arm.mean, scale, unit)}; " if arm.mean is not None and arm.mean.value.size else ""
+        )
         parts.append(f"{arm.arm}: {mean}{seeds}.")
     return " ".join(parts)
 
 
 def _ends(line: Line, scale: float, unit: str) -> str:
     first, last = scale * line.value[0], scale * line.value[-1]
-    return f"from {first:.4g}{unit} at iteration {line.iteration[0]} to {last:.4g}{unit} at {line.iteration[-1]}"
+    return (
+        f"from {first:.4g}{unit} at iteration {line.iteration[0]} to {last:.4g}{unit} at {line.iteration[-1]}"
+    )

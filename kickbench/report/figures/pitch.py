@@ -97,7 +97,14 @@ def draw_pitch(rest: Rest, window: Window, look: Look, name: str) -> Picture:
     for hit, colour in ((False, OTHER.light), (True, look.colour.light)):
         of = rest.success == hit
         axes.scatter(
-            rest.y[of], rest.x[of], s=size, color=colour, alpha=0.6, linewidth=0, zorder=2 + hit, rasterized=True
+            rest.y[of],
+            rest.x[of],
+            s=size,
+            color=colour,
+            alpha=0.6,
+            linewidth=0,
+            zorder=2 + hit,
+            rasterized=True,
         )
     axes.plot(0.0, 0.0, marker="^", markersize=8, color=INK.light, zorder=5)
     axes.set_aspect("equal")

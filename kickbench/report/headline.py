@@ -1,0 +1,103 @@
+"""What was asked, and what came out: the first lines of a part."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from kickbench.report.data import SIDE_WORDS, SIDES, ArmData, Study
+from kickbench.report.remarks import remarks
+from kickbench.report.spread import SUCCESS, spreads
+
+VerdictWord = Literal["met", "not met", "not enough data"]
+
+
+@dataclass(frozen=True)
+class Claimed:
+    """A claim and what the measured results say of it.
+
+    Attributes:
+        statement: The claim in words.
+        section: Where the thesis makes it; empty if it does not.
+        verdict: Whether it is met.
+        figure: The figure that says so, with its interval, in words.
+    """
+
+    statement: str
+    section: str
+    verdict: VerdictWord
+    figure: str
+
+
+@dataclass(frozen=True)
+class Headline:
+    """The first lines of a part.
+
+    Attributes:
+        name: Name of the experiment or task.
+        asked: What was asked.
+        section: Where the thesis asks it.
+        outcome: What came out: sentences.
+        warnings: What a reader must know before believing it: sentences.
+        claims: The claims and their verdicts.
+    """
+
+    name: str
+    asked: str
+    section: str
+    outcome: tuple[str, ...]
+    warnings: tuple[str, ...]
+    claims: tuple[Claimed, ...]
+
+
+def headline(study: Study, claims: Sequence[Claimed]) -> Headline:
+    """The first lines of a part.
+
+    Args:
+        study: The study.
+        claims: Its claims and their verdicts.
+    """
+    asked = study.question or f"All runs of the task {study.name} that were found."
+    outcome = (*_verdicts(claims), *filter(None, (_arm_sentence(arm) for arm in study.arms)))
+    return Headline(study.name, asked, study.section, outcome, warnings(study), tuple(claims))
+
+
+def warnings(study: Study) -> tuple[str, ...]:
+    """What is unfinished, smaller or other than planned, arm by arm, equal remarks of seeds said once."""
+    finished = sum(run.state == "finished" for run in study.runs)
+    found = [] if finished == len(study.runs) else [f"{finished} of {len(study.runs)} runs are finished."]
+    for arm in study.arms:
+        said: dict[tuple[str, ...], list[int]] = {}
+        for run in arm.runs:
+            said.setdefault(remarks(run, arm), []).append(run.seed)
+        for texts, seeds in said.items():
+            if texts:
+                which = "seed" if len(seeds) == 1 else "seeds"
+                found.append(f"{arm.name}, {which} {', '.join(map(str, seeds))}: {'; '.join(texts)}.")
+    return tuple(found)
+
+
+def _verdicts(claims: Sequence[Claimed]) -> tuple[str, ...]:
+    if not claims:
+        return ()
+    counts = [
+        (word, sum(claim.verdict == word for claim in claims))
+        for word in ("met", "not met", "not enough data")
+    ]
+    said = ", ".join(f"{count} {word}" for word, count in counts if count)
+    return (f"Of {len(claims)} claims: {said}.",)
+
+
+def _arm_sentence(arm: ArmData) -> str:
+    """`equivariant: 84.8 % in distribution, 84.9 % mirrored (mean of 3 seeds)`."""
+    found = {spread.side: spread for spread in spreads([arm], SUCCESS)}
+    rates = [
+        f"{SUCCESS.text(found[side].mean or 0.0)} % {SIDE_WORDS[side]}"
+        for side in SIDES
+        if side in found and found[side].mean is not None
+    ]
+    if not rates:
+        return ""
+    seeds = len(arm.finished)
+    return f"{arm.name}: success {', '.join(rates)} ({'1 seed' if seeds == 1 else f'mean of {seeds} seeds'})."

@@ -1,0 +1,42 @@
+"""`kickbench report DIR`: from a folder of runs to the file of a page."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from kickbench import __version__
+from kickbench.report.collect import collect
+from kickbench.report.headline import Claimed
+from kickbench.report.page import anchors, part_of, render
+from kickbench.report.remarks import commits
+from kickbench.reported import LoadedReported
+from kickbench.results.atomic import atomic_write_text
+from kickbench.results.provenance import code_state
+
+
+def write_report(root: Path, out: Path, experiment: LoadedReported | None = None) -> None:
+    """Writes the page of a folder of runs.
+
+    Args:
+        root: The folder.
+        out: File to write.
+        experiment: What should be there; default: whatever is there.
+
+    Raises:
+        KickbenchError: There is no run, or a library is missing.
+    """
+    studies = collect(root, experiment)
+    claims: tuple[Claimed, ...] = ()
+    parts = [part_of(study, claims, anchor) for study, anchor in zip(studies, anchors(studies), strict=True)]
+    title = f"kickbench: {studies[0].name if len(studies) == 1 else root.resolve().name}"
+    atomic_write_text(out, render(title, parts, _made_by(commits(studies))))
+
+
+def _made_by(of_runs: tuple[str, ...]) -> str:
+    """Version and commit of this code, and whether the runs are of other code."""
+    commit, dirty = code_state()
+    own = f"Page made by kickbench {__version__}"
+    if commit:
+        own += f" at commit {commit[:10]}{' with uncommitted changes' if dirty else ''}"
+    others = [name[:10] for name in of_runs if name != commit]
+    return f"{own}. Runs of other code than this: commits {', '.join(others)}." if others else f"{own}."
