@@ -16,7 +16,7 @@ from kickbench.spec.claims import OF_A_RUN, AnyClaim, NearReported, Operand
 from kickbench.spec.load import LoadedMethod, LoadedTask, load, load_method, load_task
 from kickbench.spec.reported import ArmSpec, ReportedFiguresSpec, ReportedSpec
 from kickbench.spec.task import TaskSpec
-from kickbench.spec.terms import TerminationParams
+from kickbench.spec.terms import RewardParams, TerminationParams
 from kickbench.yamlio import Document
 
 T = TypeVar("T")
@@ -167,7 +167,7 @@ def _claim_problems(spec: ReportedSpec, arms: Mapping[str, Arm], document: Docum
                 yield document.problem((*path, "arm"), what, did_you_mean(operand.arm, arms))
             else:
                 yield from _operand_problems(claim, operand, arms[operand.arm], path, document)
-        yield from _termination_problems(name, claim, arms, document)
+        yield from _term_problems(name, claim, arms, document)
 
 
 def _operand_problems(
@@ -199,17 +199,22 @@ def _reported_figure(claim: NearReported, arm: Arm) -> float | None:
     return getattr(side, claim.metric, None)
 
 
-def _termination_problems(
+def _term_problems(
     name: str, claim: AnyClaim, arms: Mapping[str, Arm], document: Document
 ) -> Iterator[Problem]:
+    """Terminations and rewards that a claim names and a task lacks."""
+    named = [("termination", ("terminations", i), term) for i, term in enumerate(claim.terminations)]
+    named += [("reward", ("reward",), claim.reward)] if claim.reward else []
     for operand in claim.operands().values():
         arm = arms.get(operand.arm)
         if arm is None or operand.task not in (None, arm.task.name, *arm.also):
             continue
         task = arm.task_of(operand)
-        known = task.spec.terminations.active(TerminationParams)
-        for index, termination in enumerate(claim.terminations):
-            if termination not in known:
-                what = f"the task {task.name} has no termination '{termination}'; it has: {', '.join(known)}"
-                hint = did_you_mean(termination, known)
-                yield document.problem(("claims", name, "terminations", index), what, hint)
+        known = {
+            "termination": task.spec.terminations.active(TerminationParams),
+            "reward": task.spec.rewards.active(RewardParams),
+        }
+        for kind, key, term in named:
+            if term not in known[kind]:
+                what = f"the task {task.name} has no {kind} '{term}'; it has: {', '.join(known[kind])}"
+                yield document.problem(("claims", name, *key), what, did_you_mean(term, known[kind]))

@@ -27,10 +27,13 @@ Metric = Literal[
     "equivariance_error",
     "pair_agreement",
     "return_length_correlation",
+    "raw_reward",
 ]
-"""What a claim may be about; `kickbench.results.figures` says how each follows from a run."""
+"""What a claim may be about; `kickbench.results.run_figures` says how each follows from a run."""
 
-OF_A_RUN: frozenset[Metric] = frozenset({"equivariance_error", "pair_agreement", "return_length_correlation"})
+OF_A_RUN: frozenset[Metric] = frozenset(
+    {"equivariance_error", "pair_agreement", "return_length_correlation", "raw_reward"}
+)
 """Metrics of a run as a whole: they have no sides and no further tasks."""
 
 
@@ -54,19 +57,21 @@ class _Claim(Spec):
     """Which figure is compared."""
     terminations: NameList = ()
     """Of `termination_share`: the terminations whose shares are added up."""
+    reward: str | None = None
+    """Of `raw_reward`: the reward term whose mean value per control step in training, without its weight, is meant."""
     seeds: Literal["mean", "each"] = "mean"
     """Whether the mean over the seeds is meant, or every single one."""
     value: Operand
     """Whose figure is claimed to be so."""
 
     @model_validator(mode="after")
-    def _terminations_are_of_their_metric(self) -> _Claim:
-        if self.metric == "termination_share" and not self.terminations:
-            raise ValueError("the metric termination_share needs terminations: which ones?")
-        if self.metric != "termination_share" and self.terminations:
-            raise ValueError(
-                f"terminations belong to the metric termination_share; the metric is {self.metric}"
-            )
+    def _what_a_metric_needs(self) -> _Claim:
+        needs = {"termination_share": ("terminations", self.terminations), "raw_reward": ("reward", self.reward)}
+        for metric, (key, given) in needs.items():
+            if self.metric == metric and not given:
+                raise ValueError(f"the metric {metric} needs {key}: which?")
+            if self.metric != metric and given:
+                raise ValueError(f"{key} is for the metric {metric}; the metric is {self.metric}")
         return self
 
     def operands(self) -> dict[str, Operand]:

@@ -1,0 +1,237 @@
+"""The number that a claim is about, with the interval that its seeds or its episodes leave.
+
+Every claim says that a sum of weighted figures lies in a range: `value - minus` in [bound, inf), `value - bound over` in
+(-inf, 0]. So one calculus serves them all.
+
+Two or more seeds an arm: Student's interval of the mean over seeds, and Welch's where two arms are compared. What the
+episodes of a seed leave open is part of the spread over seeds. With one seed an arm nothing is known of other trainings:
+the interval is then that of the episodes (square-and-add, Zou & Donner 2008), for *this* policy, and says so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import inf, sqrt
+
+import numpy as np
+
+from kickbench.results.comparison import welch
+from kickbench.results.measured import MeasuredRun
+from kickbench.results.run_figures import Figure, figure_of, pair_correlation
+from kickbench.results.statistics import Interval
+from kickbench.results.student import two_sided_quantile
+from kickbench.spec.claims import (
+    AnyClaim,
+    AtLeast,
+    AtMost,
+    DifferenceAtLeast,
+    DifferenceAtMost,
+    DifferenceWithin,
+    GreaterThan,
+    LessThan,
+    NearReported,
+    Operand,
+    RatioAtLeast,
+    RatioAtMost,
+)
+
+LEVEL = 0.95
+
+
+@dataclass(frozen=True)
+class Contrast:
+    """A sum of weighted figures and the range that it is claimed to lie in.
+
+    Attributes:
+        terms: Weights and operands.
+        low: Lower end of the range.
+        high: Upper end of the range.
+        open: Whether the ends do not belong to the range.
+    """
+
+    terms: tuple[tuple[float, Operand], ...]
+    low: float = -inf
+    high: float = inf
+    open: bool = False
+
+    def holds(self, interval: Interval) -> bool:
+        """Whether all of an interval lies in the range."""
+        if self.open:
+            return self.low < interval.low and interval.high < self.high
+        return self.low <= interval.low and interval.high <= self.high
+
+    def fails(self, interval: Interval) -> bool:
+        """Whether nothing of an interval lies in the range."""
+        if self.open:
+            return interval.high <= self.low or interval.low >= self.high
+        return interval.high < self.low or interval.low > self.high
+
+    def margin(self, value: float) -> float:
+        """How far inside the range a value lies; negative outside."""
+        return min(value - self.low, self.high - value)
+
+
+def contrast_of(claim: AnyClaim, reported: float | None = None) -> Contrast:
+    """The contrast that a claim is about.
+
+    Args:
+        claim: The claim.
+        reported: The reported figure, which `near_reported` compares with.
+    """
+    value = (1.0, claim.value)
+    match claim:
+        case AtLeast():
+            return Contrast((value,), low=claim.bound)
+        case AtMost():
+            return Contrast((value,), high=claim.bound)
+        case GreaterThan():
+            return Contrast((value, (-1.0, claim.than)), low=0.0, open=True)
+        case LessThan():
+            return Contrast((value, (-1.0, claim.than)), high=0.0, open=True)
+        case DifferenceAtLeast():
+            return Contrast((value, (-1.0, claim.minus)), low=claim.bound)
+        case DifferenceAtMost():
+            return Contrast((value, (-1.0, claim.minus)), high=claim.bound)
+        case DifferenceWithin():
+            return Contrast((value, (-1.0, claim.minus)), -claim.bound, claim.bound)
+        case RatioAtMost():
+            return Contrast((value, (-claim.bound, claim.over)), high=0.0)
+        case RatioAtLeast():
+            return Contrast((value, (-claim.bound, claim.over)), low=0.0)
+        case NearReported():
+            assert reported is not None, "the loader has checked that there is a reported figure"
+            return Contrast((value,), reported - claim.bound, reported + claim.bound)
+
+
+@dataclass(frozen=True)
+class Term:
+    """A weighted figure of one run."""
+
+    weight: float
+    operand: Operand
+    figure: Figure
+
+
+@dataclass(frozen=True)
+class RunTerms:
+    """The part of a contrast that one run gives.
+
+    Attributes:
+        terms: Its weighted figures.
+        correlation: Between the figures of its two sides, over episodes.
+    """
+
+    terms: tuple[Term, ...]
+    correlation: float = 0.0
+
+    @property
+    def value(self) -> float:
+        """The weighted sum."""
+        return sum(term.weight * term.figure.value for term in self.terms)
+
+
+def run_terms(run: MeasuredRun, claim: AnyClaim, contrast: Contrast) -> RunTerms | None:
+    """The part of a contrast that a run gives; None if the run lacks a figure."""
+    terms = []
+    for weight, operand in contrast.terms:
+        if operand.arm == run.arm:
+            figure = figure_of(run, claim, operand)
+            if figure is None:
+                return None
+            terms.append(Term(weight, operand, figure))
+    both_sides = {term.operand.side for term in terms} == {"in_distribution", "mirrored"}
+    on_own = all(term.operand.task is None for term in terms)
+    known = claim.metric == "success_rate" and both_sides and on_own and run.metrics is not None
+    return RunTerms(tuple(terms), pair_correlation(run.metrics) if known and run.metrics else 0.0)
+
+
+@dataclass(frozen=True)
+class Estimated:
+    """A contrast as measured.
+
+    Attributes:
+        value: Mean over seeds.
+        interval: What is left open, 95 %; None where it is not known.
+        basis: What the interval covers, in words.
+    """
+
+    value: float
+    interval: Interval | None
+    basis: str
+
+
+def estimate(arms: Mapping[str, Sequence[RunTerms]]) -> Estimated:
+    """A contrast over all seeds.
+
+    Args:
+        arms: For each arm that the claim is about what its runs give, at least one run each.
+    """
+    samples = [[run.value for run in runs] for runs in arms.values()]
+    seeds = min(len(sample) for sample in samples)
+    value = sum(float(np.mean(sample)) for sample in samples)
+    if seeds == 1:
+        return Estimated(value, over_episodes(list(arms.values())), "episodes of one seed")
+    basis = f"{seeds} seeds"
+    if len(samples) == 1:
+        return Estimated(value, over_seeds(samples[0]), basis)
+    first, second = samples
+    return Estimated(value, welch(first, [-x for x in second], LEVEL).interval, basis)
+
+
+def over_seeds(values: Sequence[float]) -> Interval:
+    """Student's interval of the mean of a figure over seeds: mean ± t s / sqrt(n), n - 1 degrees of freedom.
+
+    Args:
+        values: One figure a seed [n], n >= 2.
+    """
+    sample = np.asarray(values, dtype=np.float64)
+    half = two_sided_quantile(LEVEL, sample.size - 1) * float(sample.std(ddof=1)) / sqrt(sample.size)
+    return Interval(float(sample.mean()) - half, float(sample.mean()) + half)
+
+
+def over_episodes(arms: Sequence[Sequence[RunTerms]]) -> Interval | None:
+    """The interval of a contrast of given policies, by square-and-add of the intervals of its figures.
+
+    With l_i and u_i the distances from a figure to the ends of its interval, taken the other way round where its weight
+    w_i is negative: the lower end lies sqrt(sum w_i^2 l_i^2 + 2 rho w_1 w_2 l_1 l_2) below the value, the upper end
+    likewise above it, with rho the correlation of a run's two sides. Newcombe's interval is the special case
+    of a difference of two proportions.
+
+    Args:
+        arms: What the runs of each arm give.
+
+    Returns:
+        The interval; None if that of a figure is not known.
+
+    Source: G. Y. Zou and A. Donner, "Construction of confidence limits about effect measures: a general approach", 2008.
+    """
+    value, below, above = 0.0, 0.0, 0.0
+    for runs in arms:
+        value += sum(run.value for run in runs) / len(runs)
+        for run in runs:
+            arms_of_run = [_distances(term) for term in run.terms]
+            if None in arms_of_run:
+                return None
+            lows, highs = zip(*(pair for pair in arms_of_run if pair), strict=True)
+            below += _squared(run, lows) / len(runs) ** 2
+            above += _squared(run, highs) / len(runs) ** 2
+    return Interval(value - sqrt(below), value + sqrt(above))
+
+
+def _distances(term: Term) -> tuple[float, float] | None:
+    """From the weighted figure down and up to the ends of its weighted interval."""
+    figure, weight = term.figure, abs(term.weight)
+    if figure.interval is None:
+        return None
+    down = weight * max(0.0, figure.value - figure.interval.low)
+    up = weight * max(0.0, figure.interval.high - figure.value)
+    return (down, up) if term.weight > 0 else (up, down)
+
+
+def _squared(run: RunTerms, distances: Sequence[float]) -> float:
+    total = sum(d**2 for d in distances)
+    if len(distances) == 2:
+        sign = np.sign(run.terms[0].weight * run.terms[1].weight)
+        total += 2 * run.correlation * float(sign) * distances[0] * distances[1]
+    return max(0.0, total)

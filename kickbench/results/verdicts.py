@@ -1,0 +1,226 @@
+"""Claims judged by what was measured: met, not met, or not enough data to say.
+
+A claim is met if the whole 95 % interval of its figure lies where the claim puts it, and not met if nothing of it
+does. Otherwise there is not enough data, whatever the figure itself says; nor is there if a planned run is missing,
+unfinished or smaller than planned. A claim about each seed is met if it is by every one, and not met if one fails.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from kickbench.reported import LoadedReported
+from kickbench.results.columns import NOTHING, render_block
+from kickbench.results.contrast import (
+    Contrast,
+    Estimated,
+    RunTerms,
+    contrast_of,
+    estimate,
+    over_episodes,
+    run_terms,
+)
+from kickbench.results.measured import Measured
+from kickbench.results.run_units import Unit, unit_of
+from kickbench.results.statistics import Interval
+from kickbench.spec.claims import AnyClaim, NearReported, Operand, RatioAtLeast, RatioAtMost
+
+Outcome = Literal["met", "not met", "not enough data"]
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What the data say of a claim.
+
+    Attributes:
+        name: The claim's name.
+        claim: The claim.
+        outcome: Met, not met, or not enough data.
+        figure: What the claim compares with its bound: a figure, a difference or a ratio; of the seed nearest to the
+            bound, if each seed is meant. None if nothing was measured. In the metric's unit.
+        interval: Its 95 % interval, None where it is not known.
+        basis: What the interval covers, in words.
+        reported: The same figure from what the thesis reported; None if it did not.
+        reason: Why there is not enough data.
+        unit: How figures are written.
+    """
+
+    name: str
+    claim: AnyClaim
+    outcome: Outcome
+    figure: float | None
+    interval: Interval | None
+    basis: str
+    reported: float | None
+    reason: str | None
+    unit: Unit
+
+    @property
+    def sentence(self) -> str:
+        """The verdict in one line: claim, outcome, figure with interval, and why."""
+        figure = NOTHING if self.figure is None else self.unit.write(self.figure, self.interval)
+        basis = f" ({self.basis})" if self.figure is not None else ""
+        reason = f"; {self.reason}" if self.reason else ""
+        return f"{self.claim.statement}: {self.outcome}. {figure}{basis}{reason}"
+
+
+def judge(experiment: LoadedReported, measured: Measured) -> tuple[Verdict, ...]:
+    """Judges every claim of an experiment, in the order of its file.
+
+    Raises:
+        KickbenchError: A file that a claim needs cannot be read.
+    """
+    return tuple(_judge(name, claim, experiment, measured) for name, claim in experiment.claims.items())
+
+
+def verdict_lines(experiment: LoadedReported, verdicts: Sequence[Verdict]) -> list[str]:
+    """Verdicts as lines of a table: outcome, figure beside what was reported, and below it what is missing."""
+    if not verdicts:
+        return [f"{experiment.name}: no claims"]
+    rows = [(_row(verdict),) for verdict in verdicts]
+    header = ("claim", "verdict", "measured [95 % interval]", "over", "reported")
+    lines = render_block(f"claims: {experiment.name}", ("",) * len(header), header, rows).splitlines()
+    lines.append("")
+    for verdict in verdicts:
+        section = f" (thesis {verdict.claim.section})" if verdict.claim.section else ""
+        reason = f" {verdict.outcome}: {verdict.reason}." if verdict.reason else ""
+        lines.append(f"{verdict.name}: {verdict.claim.statement}{section}.{reason}")
+    return lines
+
+
+def _row(verdict: Verdict) -> tuple[str, ...]:
+    unit = verdict.unit
+    measured = NOTHING if verdict.figure is None else unit.write(verdict.figure, verdict.interval)
+    reported = NOTHING if verdict.reported is None else unit.write(verdict.reported)
+    return verdict.name, verdict.outcome, measured, verdict.basis, reported
+
+
+def _judge(name: str, claim: AnyClaim, experiment: LoadedReported, measured: Measured) -> Verdict:
+    contrast = contrast_of(claim, _reported(claim.value, claim, experiment))
+    parts, lacks = _parts(claim, contrast, measured)
+    if not all(parts.values()):
+        outcome, estimated, reason = "not enough data", None, None
+    elif claim.seeds == "each":
+        outcome, estimated, reason = _each(contrast, parts)
+    else:
+        estimated = estimate(parts)
+        outcome, reason = _outcome(contrast, estimated.interval)
+    if lacks:
+        outcome, reason = "not enough data", "; ".join(lacks)
+    figure, interval = _shown(claim, estimated, parts) if estimated else (None, None)
+    return Verdict(
+        name=name,
+        claim=claim,
+        outcome=outcome,
+        figure=figure,
+        interval=interval,
+        basis=estimated.basis if estimated else NOTHING,
+        reported=_reported_figure(claim, contrast, experiment),
+        reason=reason,
+        unit=unit_of(claim),
+    )
+
+
+def _parts(
+    claim: AnyClaim, contrast: Contrast, measured: Measured
+) -> tuple[dict[str, list[RunTerms]], list[str]]:
+    """What the runs of each arm give, and in words what is missing."""
+    parts: dict[str, list[RunTerms]] = {}
+    lacks: list[str] = []
+    for arm in dict.fromkeys(operand.arm for _, operand in contrast.terms):
+        parts[arm] = []
+        for run in measured.arms[arm]:
+            terms = run_terms(run, claim, contrast)
+            if terms is not None:
+                parts[arm].append(terms)
+            if run.lack:
+                lacks.append(f"{arm} seed {run.seed}: {run.lack}")
+            elif terms is None:
+                lacks.append(f"{arm} seed {run.seed}: has no {claim.metric}")
+    return parts, lacks
+
+
+def _outcome(contrast: Contrast, interval: Interval | None) -> tuple[Outcome, str | None]:
+    if interval is None:
+        return "not enough data", "one seed, and no interval is known of its figure"
+    if contrast.holds(interval):
+        return "met", None
+    if contrast.fails(interval):
+        return "not met", None
+    return "not enough data", "the interval reaches across the bound"
+
+
+def _each(
+    contrast: Contrast, parts: Mapping[str, Sequence[RunTerms]]
+) -> tuple[Outcome, Estimated, str | None]:
+    """Every seed by itself, each by its episodes; the seed nearest to the bound is shown."""
+    (runs,) = parts.values()
+    judged = [(run.value, over_episodes([[run]])) for run in runs]
+    value, interval = min(judged, key=lambda pair: contrast.margin(pair[0]))
+    outcomes = [_outcome(contrast, interval) for _, interval in judged]
+    shown = Estimated(value, interval, f"worst of {len(runs)} seeds")
+    for wanted in ("not met", "not enough data"):
+        for outcome, reason in outcomes:
+            if outcome == wanted:
+                return outcome, shown, reason
+    return "met", shown, None
+
+
+def _shown(
+    claim: AnyClaim, estimated: Estimated, parts: Mapping[str, Sequence[RunTerms]]
+) -> tuple[float | None, Interval | None]:
+    """The figure as people read it: of a ratio claim the ratio, of any other the contrast itself."""
+    value, interval = estimated.value, estimated.interval
+    if not isinstance(claim, RatioAtMost | RatioAtLeast):
+        return value, _possible(claim, interval)
+    runs = parts[claim.over.arm]
+    figures = [t.figure.value for run in runs for t in run.terms if t.operand is claim.over]
+    over = sum(figures) / len(figures)
+    if over <= 0:
+        return None, None
+    # value - bound over = 0 is where the ratio is the bound: so the interval judges the same way in either form.
+    ratio = claim.bound + value / over
+    if interval is None:
+        return ratio, None
+    return ratio, Interval(claim.bound + interval.low / over, claim.bound + interval.high / over)
+
+
+def _possible(claim: AnyClaim, interval: Interval | None) -> Interval | None:
+    """An interval of a share without what no share can be; that of a few seeds may reach beyond."""
+    if interval is None or len(claim.operands()) > 1 or not unit_of(claim).is_share:
+        return interval
+    return Interval(max(0.0, interval.low), min(1.0, interval.high))
+
+
+def _reported(operand: Operand, claim: AnyClaim, experiment: LoadedReported) -> float | None:
+    """What was reported of an operand's metric."""
+    figures = experiment.arms[operand.arm].reported
+    side = figures.of_side(operand.side) if figures and operand.task is None else None
+    return getattr(side, claim.metric, None)
+
+
+def _reported_figure(claim: AnyClaim, contrast: Contrast, experiment: LoadedReported) -> float | None:
+    """The claim's figure from what was reported: of every operand, or of none."""
+    values = [(weight, _reported(operand, claim, experiment)) for weight, operand in contrast.terms]
+    known = [weight * value for weight, value in values if value is not None]
+    if len(known) < len(values):
+        return None
+    if isinstance(claim, RatioAtMost | RatioAtLeast):
+        over = values[1][1]
+        return values[0][1] / over if values[0][1] is not None and over else None
+    return sum(known)
+
+
+def is_met_as_reported(verdict: Verdict) -> bool | None:
+    """Whether the reported figures themselves meet a claim; None if there are none, or it is about nearness to them."""
+    claim, figure = verdict.claim, verdict.reported
+    if figure is None or isinstance(claim, NearReported):
+        return None
+    contrast = contrast_of(claim)
+    if isinstance(claim, RatioAtMost):
+        return figure <= claim.bound
+    if isinstance(claim, RatioAtLeast):
+        return figure >= claim.bound
+    return contrast.holds(Interval(figure, figure))
