@@ -99,7 +99,7 @@ def _planned_study(root: Path, folders: list[Path], experiment: LoadedReported) 
     planned = {root / run.place for arm in arms for run in arm.runs}
     strangers = [folder for folder in folders if folder not in planned]
     problems = tuple(
-        f"{_place(root, folder)}: no run of this experiment, and not shown" for folder in strangers
+        f"{_place(root, folder)}: no run of this experiment, and not shown." for folder in strangers
     )
     return Study(
         experiment.name,

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import get_args
 
 from kickbench.report.data import SIDE_WORDS, SIDES, ArmData, Study
 from kickbench.report.remarks import remarks
 from kickbench.report.spread import SUCCESS, spreads
-
-VerdictWord = Literal["met", "not met", "not enough data"]
+from kickbench.results.verdicts import Outcome, Verdict
 
 
 @dataclass(frozen=True)
@@ -21,13 +20,27 @@ class Claimed:
         statement: The claim in words.
         section: Where the thesis makes it; empty if it does not.
         verdict: Whether it is met.
-        figure: The figure that says so, with its interval, in words.
+        figure: The figure that says so, with its interval and what that covers, in words.
+        reported: The same figure as it was reported; empty if it was not.
+        reason: Why there is not enough data; empty otherwise.
     """
 
     statement: str
     section: str
-    verdict: VerdictWord
+    verdict: Outcome
     figure: str
+    reported: str = ""
+    reason: str = ""
+
+
+def claimed(verdict: Verdict) -> Claimed:
+    """A verdict as the page says it."""
+    figure = "not measured"
+    if verdict.figure is not None:
+        figure = f"measured {verdict.unit.write(verdict.figure, verdict.interval)} ({verdict.basis})"
+    reported = "" if verdict.reported is None else f"reported {verdict.unit.write(verdict.reported)}"
+    claim = verdict.claim
+    return Claimed(claim.statement, claim.section, verdict.outcome, figure, reported, verdict.reason or "")
 
 
 @dataclass(frozen=True)
@@ -64,27 +77,30 @@ def headline(study: Study, claims: Sequence[Claimed]) -> Headline:
 
 
 def warnings(study: Study) -> tuple[str, ...]:
-    """What is unfinished, smaller or other than planned, arm by arm, equal remarks of seeds said once."""
+    """What is unfinished, smaller or other than planned: each remark once, with the runs that it is about."""
     finished = sum(run.state == "finished" for run in study.runs)
     found = [] if finished == len(study.runs) else [f"{finished} of {len(study.runs)} runs are finished."]
+    about: dict[str, dict[str, list[int]]] = {}
     for arm in study.arms:
-        said: dict[tuple[str, ...], list[int]] = {}
         for run in arm.runs:
-            said.setdefault(remarks(run, arm), []).append(run.seed)
-        for texts, seeds in said.items():
-            if texts:
-                which = "seed" if len(seeds) == 1 else "seeds"
-                found.append(f"{arm.name}, {which} {', '.join(map(str, seeds))}: {'; '.join(texts)}.")
-    return tuple(found)
+            for remark in remarks(run, arm):
+                about.setdefault(remark, {}).setdefault(arm.name, []).append(run.seed)
+    return (*found, *(f"{remark[0].upper()}{remark[1:]}: {_runs(arms)}." for remark, arms in about.items()))
+
+
+def _runs(arms: Mapping[str, Sequence[int]]) -> str:
+    """`baseline seeds 0 and 1, equivariant seed 0`."""
+    parts = []
+    for arm, seeds in arms.items():
+        *most, last = map(str, seeds)
+        parts.append(f"{arm} seeds {', '.join(most)} and {last}" if most else f"{arm} seed {last}")
+    return ", ".join(parts)
 
 
 def _verdicts(claims: Sequence[Claimed]) -> tuple[str, ...]:
     if not claims:
         return ()
-    counts = [
-        (word, sum(claim.verdict == word for claim in claims))
-        for word in ("met", "not met", "not enough data")
-    ]
+    counts = [(word, sum(claim.verdict == word for claim in claims)) for word in get_args(Outcome)]
     said = ", ".join(f"{count} {word}" for word, count in counts if count)
     return (f"Of {len(claims)} claims: {said}.",)
 
