@@ -75,7 +75,9 @@ def binned_success(arms: Sequence[ArmData], coordinate: Coordinate) -> tuple[Bin
         arms: The arms.
         coordinate: What the bins are of.
     """
-    tables = {(arm.name, side): _tables(arm, side) for arm in arms for side in SIDES}
+    tables: dict[tuple[str, Side], list[EpisodeTable]] = {
+        (arm.name, side): _tables(arm, side) for arm in arms for side in SIDES
+    }
     values = [coordinate.of(table) for found in tables.values() for table in found]
     if not values:
         return ()

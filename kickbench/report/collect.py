@@ -13,6 +13,7 @@ from kickbench.report.data import ArmData, Note, Plan, RunData, Study
 from kickbench.report.progress import read_progress
 from kickbench.reported import Arm, LoadedReported
 from kickbench.results.episodes import read_episodes
+from kickbench.results.measured import also_path, run_path
 from kickbench.results.metrics import load_metrics
 from kickbench.results.specs import stored_method
 from kickbench.results.store import RunDirectory
@@ -119,11 +120,13 @@ def _planned_arm(root: Path, arm: Arm) -> ArmData:
 
 
 def _planned_run(root: Path, arm: Arm, seed: int) -> RunData:
-    place = f"{arm.name}/seed{seed}"
+    place = run_path(Path(), arm.name, seed).as_posix()
     run = read_run(root / place, place, arm.name, seed)
     if run.metrics is None:
         return run
     metrics, notes = run.metrics, list(run.notes)
+    also = {task: _try(load_metrics, also_path(root / place, task), notes) for task in arm.also}
+    also = {task: result for task, result in also.items() if result is not None}
     for what, found, wanted in (
         ("task", metrics.task, arm.task.name),
         ("method", metrics.method, arm.method.name),
@@ -131,7 +134,7 @@ def _planned_run(root: Path, arm: Arm, seed: int) -> RunData:
     ):
         if found != wanted:
             notes.append(f"its {what} is {found}, but the experiment has {wanted}")
-    return replace(run, notes=tuple(notes))
+    return replace(run, notes=tuple(notes), also=also)
 
 
 def read_run(folder: Path, place: str, arm: str, seed: int) -> RunData:

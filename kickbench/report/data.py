@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -51,6 +52,7 @@ class RunData:
         notes: What is wrong with its files: sentences.
         started: Whether there is anything of it at all.
         iterations_planned: Training iterations that its stored method asks for, if it is not finished.
+        also: Results of its policy on further tasks, by task.
     """
 
     arm: str
@@ -62,6 +64,7 @@ class RunData:
     notes: tuple[str, ...] = ()
     started: bool = True
     iterations_planned: int | None = None
+    also: Mapping[str, Metrics] = field(default_factory=dict)
 
     @property
     def state(self) -> RunState:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from importlib.resources import files
+from typing import Literal
 
 from kickbench.report.breakdown import COORDINATES, binned_success
 from kickbench.report.curves import QUANTITIES, SPLIT, curve_panels, has_quantity
-from kickbench.report.data import Note, RunState, Study
+from kickbench.report.data import Note, Study
 from kickbench.report.figures.binned import draw_binned
 from kickbench.report.figures.canvas import Picture
 from kickbench.report.figures.dots import draw_dots
@@ -23,6 +24,7 @@ from kickbench.report.tables import (
     Table,
     asymmetry_table,
     comparison_table,
+    further_table,
     provenance_table,
     reported_of,
     runs_table,
@@ -50,7 +52,7 @@ class Figure:
         keys: Legend.
         pictures: Panels.
         absent: What is not there, and why: sentences.
-        small: Whether panels are small enough for three in a row.
+        layout: How panels are placed: `wide`, `small` for three in a row, `pairs` for two.
         captions: Whether each panel's figures are printed below it.
     """
 
@@ -60,7 +62,7 @@ class Figure:
     keys: tuple[Key, ...] = ()
     pictures: tuple[Picture, ...] = ()
     absent: tuple[str, ...] = ()
-    small: bool = False
+    layout: Literal["wide", "small", "pairs"] = "wide"
     captions: bool = False
 
 
@@ -77,7 +79,7 @@ class Part:
     figures: tuple[Figure, ...]
     notes: tuple[Note, ...]
     problems: tuple[str, ...]
-    states: Mapping[RunState, int] = field(default_factory=dict)
+    further: Table | None = None
 
 
 def part_of(study: Study, claims: Sequence[Claimed], anchor: str) -> Part:
@@ -100,6 +102,7 @@ def part_of(study: Study, claims: Sequence[Claimed], anchor: str) -> Part:
         tuple(figures),
         study.notes,
         study.problems,
+        further_table(study),
     )
 
 
@@ -148,19 +151,22 @@ def _curves(study: Study, looks: Mapping[str, Look], anchor: str) -> Figure:
     some = any(run.progress is not None for run in study.runs)
     for quantity in QUANTITIES:
         if some and not has_quantity(study.arms, quantity):
-            absent.append(f"{quantity.title}: this task has no such thing.")
+            absent.append(f"{quantity.title}: this task has no such ending.")
         for number, panel in enumerate(curve_panels(study.arms, quantity)):
             window = max(window, panel.window)
             pictures.append(draw_curves(panel, looks, f"{anchor}-{quantity.key}-{number}"))
     return Figure(
         f"{anchor}-curves",
         "Learning curves",
-        f"The thesis' two panels (4.3.1): up to iteration {SPLIT}, and from there on. Thick: mean over seeds, as far as "
-        "all of them have come; thin: single seeds. Rates are of episodes in training, with exploration noise; every "
-        f"point is a moving mean over at most {window} iterations.",
+        f"As the thesis' (4.3.1) in two panels: up to iteration {SPLIT}, and from there on. Thick: mean over seeds, as "
+        "far as all of them have come; thin: single seeds. Rates are of episodes in training, with exploration noise; "
+        f"every point is a moving mean over at most {window} iterations.",
         _arm_keys(study, looks),
         tuple(pictures),
         tuple(absent),
+        layout="pairs"
+        if len(pictures) > len({picture.title.split(",")[0] for picture in pictures})
+        else "wide",
     )
 
 
@@ -176,10 +182,13 @@ def _pitch(study: Study, looks: Mapping[str, Look], anchor: str) -> Figure:
         f"{anchor}-pitch",
         "Where the balls stopped",
         "The pitch from above: the robot stands in the triangle and looks up. In colour: at the target; grey: not.",
-        (*_arm_keys(study, looks), Key(OTHER, "not at the target", "●")),
+        (
+            *(Key(looks[arm.name].colour, f"{arm.name}, at the target", "●") for arm in study.arms),
+            Key(OTHER, "not at the target", "●"),
+        ),
         tuple(pictures),
         _without(study, "episodes", "table of episodes (episodes.csv)"),
-        small=True,
+        layout="small",
         captions=True,
     )
 
@@ -216,7 +225,7 @@ def _feet(study: Study, looks: Mapping[str, Look], anchor: str) -> Figure:
         keys,
         tuple(pictures),
         _without(study, "episodes", "table of episodes (episodes.csv)"),
-        small=True,
+        layout="small",
         captions=True,
     )
 

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from math import inf, sqrt
 
 from kickbench.report.data import SIDES, ArmData, Side
 from kickbench.results.metrics import EvaluationMetrics
 from kickbench.results.statistics import Interval, mean_std_over_seeds
+from kickbench.results.student import two_sided_quantile
 
 
 @dataclass(frozen=True)
@@ -44,7 +46,7 @@ SUCCESS = Measure(
 )
 DISTANCE = Measure(
     "mean_distance",
-    "Mean distance of ball and target at the end",
+    "Mean final distance of ball and target",
     "Distance",
     "m",
     1.0,
@@ -81,12 +83,14 @@ class Spread:
         side: Side of the evaluation.
         seeds: Every finished run's.
         reported: What was reported, if anything.
+        most: The highest value that the figure can have.
     """
 
     arm: str
     side: Side
     seeds: tuple[SeedFigure, ...]
     reported: Reported | None = None
+    most: float = inf
 
     @property
     def mean(self) -> float | None:
@@ -97,6 +101,15 @@ class Spread:
     def std(self) -> float | None:
         """Sample standard deviation over seeds; None below two."""
         return mean_std_over_seeds([seed.value for seed in self.seeds]).std if self.seeds else None
+
+    @property
+    def interval(self) -> Interval | None:
+        """95 % interval of the mean over seeds (Student's), the episodes' for one seed; clipped to what can be."""
+        if len(self.seeds) < 2:
+            return self.seeds[0].interval if self.seeds else None
+        mean, std, count = mean_std_over_seeds([seed.value for seed in self.seeds])
+        half = two_sided_quantile(0.95, count - 1) * (std or 0.0) / sqrt(count)
+        return Interval(max(mean - half, 0.0), min(mean + half, self.most))
 
 
 ReportedFigures = Callable[[str, Side, Measure], Reported | None]
@@ -122,6 +135,7 @@ def spreads(
                 for seed, metrics in arm.sides(side)
             ),
             reported(arm.name, side, measure),
+            1.0 if measure.unit == "%" else inf,
         )
         for arm in arms
         for side in SIDES

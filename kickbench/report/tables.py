@@ -6,7 +6,17 @@ from dataclasses import dataclass
 
 from kickbench.report.data import SIDE_WORDS, ArmData, RunData, Side, Study
 from kickbench.report.remarks import remarks
-from kickbench.report.spread import MEASURES, SUCCESS, Measure, Reported, ReportedFigures, Spread, spreads
+from kickbench.report.spread import (
+    DISTANCE,
+    MEASURES,
+    SUCCESS,
+    Measure,
+    Reported,
+    ReportedFigures,
+    Spread,
+    spreads,
+)
+from kickbench.results.metrics import EvaluationMetrics
 from kickbench.results.provenance import Provenance
 from kickbench.results.statistics import Interval
 
@@ -75,14 +85,14 @@ def reported_cell(spread: Spread, measure: Measure, arm: ArmData) -> Cell:
 
 
 def measured_cell(spread: Spread, measure: Measure) -> Cell:
-    """A measured figure: mean ± standard deviation over seeds, or a single seed's with its interval."""
+    """A measured figure with its interval: mean ± standard deviation over seeds, or a single seed's."""
     if spread.mean is None:
         return Cell(NOT_MEASURED, faint=True)
     if spread.std is None:
         return Cell(measure.text(spread.mean), f"95 % {_interval(spread.seeds[0].interval, measure)}, 1 seed")
-    low, high = min(of.value for of in spread.seeds), max(of.value for of in spread.seeds)
     text = f"{measure.text(spread.mean)} ± {measure.text(spread.std)}"
-    return Cell(text, f"{len(spread.seeds)} seeds, {measure.text(low)} to {measure.text(high)}")
+    interval = spread.interval
+    return Cell(text, f"95 % {_interval(interval, measure)}, {len(spread.seeds)} seeds" if interval else "")
 
 
 def runs_table(study: Study) -> Table:
@@ -108,6 +118,19 @@ def asymmetry_table(study: Study) -> Table | None:
     told = [run for run in study.runs if run.metrics and run.metrics.evaluation.asymmetry]
     rows = tuple(_asymmetry_row(run) for run in study.runs if run.metrics is not None)
     return Table("Left and right, a row a run", columns, rows) if told else None
+
+
+def further_table(study: Study) -> Table | None:
+    """Results of the same policies on further tasks, a row a run and task; None if there are none."""
+    rows = []
+    for run in study.runs:
+        for task, metrics in run.also.items():
+            home, mirrored = metrics.evaluation.in_distribution, metrics.evaluation.mirrored
+            rows.append((_name(run), Cell(task), _success(home), _success(mirrored), _distance(home)))
+    columns = ("Run", "Task", "Success in distribution [%]", "Success mirrored [%]", "Distance [m]")
+    return (
+        Table("The same policies on tasks they were not trained on", columns, tuple(rows)) if rows else None
+    )
 
 
 def provenance_table(study: Study) -> Table:
@@ -153,25 +176,26 @@ def _effort_cell(arm: ArmData) -> Cell:
 
 def _run_row(run: RunData, arm: ArmData) -> tuple[Cell, ...]:
     home, mirrored, metrics = run.side("in_distribution"), run.side("mirrored"), run.metrics
-    missing = Cell(NOT_MEASURED, faint=True)
-    success = [
-        Cell(SUCCESS.text(of.success_rate), _interval(of.success_ci, SUCCESS)) if of else missing
-        for of in (home, mirrored)
-    ]
-    distance = MEASURES[1]
-    far = (
-        Cell(distance.text(home.mean_distance), _interval(home.mean_distance_ci, distance))
-        if home
-        else missing
-    )
     done = "-" if run.iterations is None else f"{run.iterations:,} iterations"
     training = Cell(done, hours(metrics.training_seconds) if metrics else "", faint=run.iterations is None)
     said = "; ".join(remarks(run, arm)) or ("as planned" if arm.plan else "none")
-    return (_name(run), *success, far, training, Cell(said))
+    return (_name(run), _success(home), _success(mirrored), _distance(home), training, Cell(said))
 
 
 def _name(run: RunData) -> Cell:
     return Cell(run.arm, f"seed {run.seed}")
+
+
+def _success(of: EvaluationMetrics | None) -> Cell:
+    if of is None:
+        return Cell(NOT_MEASURED, faint=True)
+    return Cell(SUCCESS.text(of.success_rate), _interval(of.success_ci, SUCCESS))
+
+
+def _distance(of: EvaluationMetrics | None) -> Cell:
+    if of is None:
+        return Cell(NOT_MEASURED, faint=True)
+    return Cell(DISTANCE.text(of.mean_distance), _interval(of.mean_distance_ci, DISTANCE))
 
 
 def _asymmetry_row(run: RunData) -> tuple[Cell, ...]:

@@ -1,4 +1,4 @@
-"""Success over a coordinate of the target: solid in distribution, thin and hollow mirrored; bands are 95 % intervals."""
+"""Success over a coordinate of the target: solid in distribution, hollow mirrored; bands are 95 % intervals."""
 
 from __future__ import annotations
 

@@ -20,16 +20,18 @@ def draw_dots(
     looks: Mapping[str, Look],
     name: str,
     *,
+    names: Sequence[str] | None = None,
     width: float = 340,
     themed: bool = True,
 ) -> Picture:
-    """A row an arm and side: filled marks in distribution, hollow ones mirrored, an upright bar for the reported figure.
+    """A row an arm and side: filled marks in distribution, hollow ones mirrored, a black bar for what was reported.
 
     Args:
         found: What to draw, from the top.
         measure: The figure it is of.
         looks: The look of each arm.
         name: Unique in the page.
+        names: What each row is called; default: its arm and side.
         width: CSS pixels.
         themed: See `Panel.picture`.
     """
@@ -37,7 +39,9 @@ def draw_dots(
     axes = canvas.axes
     for row, spread in enumerate(found):
         _draw_row(axes, spread, measure.scale, looks[spread.arm], -row)
-    axes.set_yticks([-row for row in range(len(found))], [_row_name(spread, found) for spread in found])
+    axes.set_yticks(
+        [-row for row in range(len(found))], names or [_row_name(spread, found) for spread in found]
+    )
     axes.tick_params(axis="y", length=0)
     axes.spines["left"].set_visible(False)
     axes.grid(axis="y", visible=False)
@@ -46,7 +50,7 @@ def draw_dots(
         axes.set_xlim(-2, 102)
     else:
         axes.set_xlim(left=0.0)
-    axes.set_xlabel(f"{measure.title.lower()}, {measure.unit}")
+    axes.set_xlabel(f"{measure.short.lower()}, {measure.unit}")
     text = " ".join(_text(spread, measure) for spread in found)
     return canvas.picture(name, measure.title, text, themed=themed)
 

@@ -119,8 +119,9 @@ def rest_text(rest: Rest, window: Window) -> str:
     """The picture in figures."""
     beyond = outside(rest, window)
     note = f" {beyond} lie outside the picture." if beyond else ""
+    y = float(np.median(rest.y))
     seeds = "1 seed" if rest.seeds == 1 else f"{rest.seeds} seeds"
     return (
         f"{len(rest.x):,} balls of {seeds}; {int(rest.success.sum()):,} solved the task. "
-        f"Median place: {np.median(rest.x):.2f} m forward, {np.median(rest.y):.2f} m to the left.{note}"
+        f"Median place: {np.median(rest.x):.2f} m forward, {abs(y):.2f} m to the {'left' if y >= 0 else 'right'}.{note}"
     )
