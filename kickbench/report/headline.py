@@ -85,11 +85,11 @@ def warnings(study: Study) -> tuple[str, ...]:
         for run in arm.runs:
             for remark in remarks(run, arm):
                 about.setdefault(remark, {}).setdefault(arm.name, []).append(run.seed)
-    return (*found, *(f"{remark[0].upper()}{remark[1:]}: {_runs(arms)}." for remark, arms in about.items()))
+    return (*found, *(f"{remark[0].upper()}{remark[1:]}: {listed(arms)}." for remark, arms in about.items()))
 
 
-def _runs(arms: Mapping[str, Sequence[int]]) -> str:
-    """`baseline seeds 0 and 1, equivariant seed 0`."""
+def listed(arms: Mapping[str, Sequence[int]]) -> str:
+    """Seeds by arm: `baseline seeds 0 and 1, equivariant seed 0`."""
     parts = []
     for arm, seeds in arms.items():
         *most, last = map(str, seeds)
@@ -101,7 +101,8 @@ def _verdicts(claims: Sequence[Claimed]) -> tuple[str, ...]:
     if not claims:
         return ()
     counts = [(word, sum(claim.verdict == word for claim in claims)) for word in get_args(Outcome)]
-    said = ", ".join(f"{count} {word}" for word, count in counts if count)
+    words = {"not enough data": "without enough data to say"}
+    said = ", ".join(f"{count} {words.get(word, word)}" for word, count in counts if count)
     return (f"Of {len(claims)} claims: {said}.",)
 
 

@@ -9,7 +9,7 @@ from typing import Literal
 
 from kickbench.report.breakdown import COORDINATES, binned_success
 from kickbench.report.curves import QUANTITIES, SPLIT, curve_panels, has_quantity
-from kickbench.report.data import Note, Study
+from kickbench.report.data import Note, RunData, Study
 from kickbench.report.figures.binned import draw_binned
 from kickbench.report.figures.canvas import Picture
 from kickbench.report.figures.dots import draw_dots
@@ -17,7 +17,7 @@ from kickbench.report.figures.equivariance import draw_errors, error_dots
 from kickbench.report.figures.feet import draw_feet, kicks_of
 from kickbench.report.figures.learning import draw_curves
 from kickbench.report.figures.pitch import common_window, draw_pitch, resting_places
-from kickbench.report.headline import Claimed, Headline, headline
+from kickbench.report.headline import Claimed, Headline, headline, listed
 from kickbench.report.palette import COLOURS, LEFT_FOOT, OTHER, RIGHT_FOOT, Colour, Look, looks_of
 from kickbench.report.spread import MEASURES, spreads
 from kickbench.report.tables import (
@@ -143,6 +143,7 @@ def _results(study: Study, looks: Mapping[str, Look], anchor: str) -> Figure:
         _arm_keys(study, looks),
         tuple(pictures),
         (f"Not measured: {', '.join(unfinished)}.",) if unfinished else (),
+        layout="pairs",
     )
 
 
@@ -207,6 +208,7 @@ def _breakdown(study: Study, looks: Mapping[str, Look], anchor: str) -> Figure:
         _arm_keys(study, looks),
         tuple(pictures),
         _without(study, "episodes", "table of episodes (episodes.csv)"),
+        layout="pairs",
     )
 
 
@@ -220,8 +222,8 @@ def _feet(study: Study, looks: Mapping[str, Look], anchor: str) -> Figure:
     return Figure(
         f"{anchor}-feet",
         "Which foot kicks",
-        "The ball before the kick, by what touched it first; both sides of the evaluation. A policy with a favourite "
-        "leg is of one colour, a symmetric one is its own mirror image with the colours swapped.",
+        "Where the ball lay, in tiles, each divided by what touched it first; both sides of the evaluation. A policy "
+        "with a favourite leg is of one colour, a symmetric one is its own mirror image with the colours swapped.",
         keys,
         tuple(pictures),
         _without(study, "episodes", "table of episodes (episodes.csv)"),
@@ -233,7 +235,7 @@ def _feet(study: Study, looks: Mapping[str, Look], anchor: str) -> Figure:
 def _errors(study: Study, looks: Mapping[str, Look], anchor: str) -> Figure:
     dots = error_dots(study.arms)
     told = {(dot.arm, dot.seed) for dot in dots}
-    silent = [f"{run.arm} seed {run.seed}" for run in study.runs if (run.arm, run.seed) not in told]
+    silent = [run for run in study.runs if (run.arm, run.seed) not in told]
     return Figure(
         f"{anchor}-error",
         "Equivariance error",
@@ -241,7 +243,7 @@ def _errors(study: Study, looks: Mapping[str, Look], anchor: str) -> Figure:
         "two have nothing in common.",
         _arm_keys(study, looks),
         (draw_errors(dots, looks, f"{anchor}-error-dots"),) if dots else (),
-        (f"Not measured: {_listed(silent)}.",) if silent else (),
+        (f"Not measured: {_names(silent)}.",) if silent else (),
     )
 
 
@@ -249,13 +251,16 @@ _FIGURES = (_results, _curves, _pitch, _breakdown, _feet, _errors)
 
 
 def _without(study: Study, what: str, words: str) -> tuple[str, ...]:
-    """Names the runs that have been started but lack a file."""
-    silent = [f"{run.arm} seed {run.seed}" for run in study.runs if getattr(run, what) is None]
-    return (f"Not measured, no {words}: {_listed(silent)}.",) if silent else ()
+    """Names the runs that lack a file."""
+    silent = [run for run in study.runs if getattr(run, what) is None]
+    return (f"Not measured, no {words}: {_names(silent)}.",) if silent else ()
 
 
-def _listed(names: Sequence[str]) -> str:
-    return ", ".join(names)
+def _names(runs: Sequence[RunData]) -> str:
+    arms: dict[str, list[int]] = {}
+    for run in runs:
+        arms.setdefault(run.arm, []).append(run.seed)
+    return listed(arms)
 
 
 def anchors(studies: Sequence[Study]) -> Iterator[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,9 +11,10 @@ from numpy.typing import NDArray
 from kickbench.report.data import RunData
 from kickbench.report.figures.canvas import Panel, Picture
 from kickbench.report.palette import INK, LEFT_FOOT, OTHER, RIGHT_FOOT
+from kickbench.view.extra import require
 
 _WIDTH = 250
-_LOOKS = {"left": (LEFT_FOOT, "<"), "right": (RIGHT_FOOT, ">"), "other": (OTHER, "x")}
+_LOOKS = {"left": LEFT_FOOT, "right": RIGHT_FOOT, "other": OTHER}
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,8 +51,39 @@ def kicks_of(run: RunData) -> Kicked | None:
     return Kicked(run.arm, run.seed, x[touched], y[touched], foot[touched], int((~touched).sum()))
 
 
+@dataclass(frozen=True)
+class Tile:
+    """A piece of floor, m, and how many balls on it were first touched by what: by name of the foot."""
+
+    x: tuple[float, float]
+    y: tuple[float, float]
+    counts: dict[str, int]
+
+
+def tiles(kicked: Kicked, along: int = 12) -> tuple[Tile, ...]:
+    """Square tiles, `along` of them side by side, that are symmetric to the robot's middle; only those with kicks.
+
+    Args:
+        kicked: The kicks.
+        along: Tiles from right to left, an even number.
+    """
+    if not len(kicked.x):
+        return ()
+    reach = max(float(np.abs(kicked.y).max()), 1e-3)
+    size, start = 2 * reach / along, float(kicked.x.min())
+    column = np.clip(((kicked.y + reach) / size).astype(int), 0, along - 1)
+    row = ((kicked.x - start) / size).astype(int)
+    found = []
+    for i, j in sorted(set(zip(row.tolist(), column.tolist(), strict=True))):
+        feet = kicked.foot[(row == i) & (column == j)].tolist()
+        counts = {foot: feet.count(foot) for foot in _LOOKS}
+        x, y = start + i * size, -reach + j * size
+        found.append(Tile((x, x + size), (y, y + size), counts))
+    return tuple(found)
+
+
 def draw_feet(kicked: Kicked, name: str) -> Picture:
-    """Balls before the kick, coloured by the foot that touched them first; the robot stands below and looks up.
+    """Tiles of floor, each divided from left to right by what touched the balls on it; the robot stands below.
 
     Args:
         kicked: The kicks.
@@ -58,19 +91,29 @@ def draw_feet(kicked: Kicked, name: str) -> Picture:
     """
     canvas = Panel(_WIDTH, 190)
     axes = canvas.axes
-    size = float(np.clip(8000 / max(len(kicked.x), 1), 1.5, 12.0))
-    for foot, (colour, marker) in _LOOKS.items():
-        of = kicked.foot == foot
-        axes.scatter(
-            kicked.y[of], kicked.x[of], s=size, marker=marker, color=colour.light, alpha=0.75,
-            linewidth=0.6 if marker == "x" else 0, rasterized=True,
-        )  # fmt: skip
+    for tile in tiles(kicked):
+        total, edge = sum(tile.counts.values()), tile.y[1]
+        gap = 0.08 * (tile.y[1] - tile.y[0])
+        width, height = tile.y[1] - tile.y[0] - gap, tile.x[1] - tile.x[0] - gap
+        for foot in ("left", "other", "right"):
+            share = width * tile.counts[foot] / total
+            if share:
+                box = (edge - share, tile.x[0])
+                axes.add_patch(_rectangle(box, share, height, _LOOKS[foot].light))
+            edge -= share
     axes.axvline(0.0, color=INK.light, linewidth=0.8, linestyle=(0, (2, 2)))
+    axes.grid(visible=False)
     axes.set_aspect("equal", adjustable="datalim")
+    axes.autoscale_view()
     axes.invert_xaxis()
     axes.set_xlabel("ball y, m (left)")
     axes.set_ylabel("ball x, m (forward)")
     return canvas.picture(name, f"{kicked.arm}, seed {kicked.seed}", kicks_text(kicked))
+
+
+def _rectangle(corner: tuple[float, float], width: float, height: float, colour: str) -> Any:
+    rectangle = require("matplotlib.patches", "a report", "report").Rectangle
+    return rectangle(corner, width, height, facecolor=colour, linewidth=0)
 
 
 def kicks_text(kicked: Kicked) -> str:
