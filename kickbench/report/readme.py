@@ -153,3 +153,10 @@ def _row(cells: list[str]) -> str:
 def _plain(text: str) -> str:
     """A text that Markdown shows as it is, in one line."""
     return " ".join(text.split()).replace("|", "\\|").replace("<", "&lt;").replace("*", "\\*")
+
+
+def _read(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise KickbenchError(f"{path}: cannot read it: {error.strerror}") from None
