@@ -149,7 +149,7 @@ def read_run(folder: Path, place: str, arm: str, seed: int) -> RunData:
     directory, notes = RunDirectory(folder), []
     metrics = _try(load_metrics, directory.metrics, notes)
     planned = None
-    if metrics is None and directory.method_spec.is_file():
+    if directory.method_spec.is_file():
         loaded = _try(lambda _: stored_method(directory), directory.method_spec, notes)
         planned = loaded.spec.algorithm.iterations if loaded else None
     return RunData(

@@ -51,7 +51,7 @@ class RunData:
         episodes: Its evaluation, episode by episode, where the folder has it.
         notes: What is wrong with its files: sentences.
         started: Whether there is anything of it at all.
-        iterations_planned: Training iterations that its stored method asks for, if it is not finished.
+        iterations_planned: Training iterations that its stored method asks for, if it is there.
         also: Results of its policy on further tasks, by task.
     """
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import get_args
 
 from kickbench.report.data import SIDE_WORDS, SIDES, ArmData, Study
-from kickbench.report.remarks import remarks
+from kickbench.report.remarks import listed, remarks
 from kickbench.report.spread import SUCCESS, spreads
 from kickbench.results.verdicts import Outcome, Verdict
 
@@ -64,37 +64,29 @@ class Headline:
     claims: tuple[Claimed, ...]
 
 
-def headline(study: Study, claims: Sequence[Claimed]) -> Headline:
+def headline(study: Study, claims: Sequence[Claimed], commit: str | None = None) -> Headline:
     """The first lines of a part.
 
     Args:
         study: The study.
         claims: Its claims and their verdicts.
+        commit: Commit of the present code, if results of other code are to be named.
     """
     asked = study.question or f"All runs of the task {study.name} that were found."
     outcome = (*_verdicts(claims), *filter(None, (_arm_sentence(arm) for arm in study.arms)))
-    return Headline(study.name, asked, study.section, outcome, warnings(study), tuple(claims))
+    return Headline(study.name, asked, study.section, outcome, warnings(study, commit), tuple(claims))
 
 
-def warnings(study: Study) -> tuple[str, ...]:
-    """What is unfinished, smaller or other than planned: each remark once, with the runs that it is about."""
+def warnings(study: Study, commit: str | None = None) -> tuple[str, ...]:
+    """What is unfinished, smaller, other than planned or of other code: each remark once, with its runs."""
     finished = sum(run.state == "finished" for run in study.runs)
     found = [] if finished == len(study.runs) else [f"{finished} of {len(study.runs)} runs are finished."]
     about: dict[str, dict[str, list[int]]] = {}
     for arm in study.arms:
         for run in arm.runs:
-            for remark in remarks(run, arm):
+            for remark in remarks(run, arm, commit):
                 about.setdefault(remark, {}).setdefault(arm.name, []).append(run.seed)
     return (*found, *(f"{remark[0].upper()}{remark[1:]}: {listed(arms)}." for remark, arms in about.items()))
-
-
-def listed(arms: Mapping[str, Sequence[int]]) -> str:
-    """Seeds by arm: `baseline seeds 0 and 1, equivariant seed 0`."""
-    parts = []
-    for arm, seeds in arms.items():
-        *most, last = map(str, seeds)
-        parts.append(f"{arm} seeds {', '.join(most)} and {last}" if most else f"{arm} seed {last}")
-    return ", ".join(parts)
 
 
 def _verdicts(claims: Sequence[Claimed]) -> tuple[str, ...]:

@@ -17,14 +17,16 @@ from kickbench.report.figures.equivariance import draw_errors, error_dots
 from kickbench.report.figures.feet import draw_feet, kicks_of
 from kickbench.report.figures.learning import draw_curves
 from kickbench.report.figures.pitch import common_window, draw_pitch, resting_places
-from kickbench.report.headline import Claimed, Headline, headline, listed
+from kickbench.report.headline import Claimed, Headline, headline
 from kickbench.report.palette import COLOURS, LEFT_FOOT, OTHER, RIGHT_FOOT, Colour, Look, looks_of
+from kickbench.report.remarks import listed
 from kickbench.report.spread import MEASURES, spreads
 from kickbench.report.tables import (
     Table,
     asymmetry_table,
     comparison_table,
     further_table,
+    origins_table,
     provenance_table,
     reported_of,
     runs_table,
@@ -75,6 +77,7 @@ class Part:
     comparison: Table
     runs: Table
     asymmetry: Table | None
+    origins: Table
     provenance: Table
     figures: tuple[Figure, ...]
     notes: tuple[Note, ...]
@@ -82,22 +85,24 @@ class Part:
     further: Table | None = None
 
 
-def part_of(study: Study, claims: Sequence[Claimed], anchor: str) -> Part:
+def part_of(study: Study, claims: Sequence[Claimed], anchor: str, commit: str | None = None) -> Part:
     """The part of one study, all figures drawn.
 
     Args:
         study: The study.
         claims: Its claims with their verdicts.
         anchor: Unique in the page: letters, digits, dashes.
+        commit: Commit of the code that makes the page, if it is known.
     """
     looks = looks_of((arm.name, arm.method) for arm in study.arms)
     figures = (figure(study, looks, anchor) for figure in _FIGURES)
     return Part(
         anchor,
-        headline(study, claims),
+        headline(study, claims, commit),
         comparison_table(study),
         runs_table(study),
         asymmetry_table(study),
+        origins_table(study),
         provenance_table(study),
         tuple(figures),
         study.notes,
@@ -218,7 +223,7 @@ def _feet(study: Study, looks: Mapping[str, Look], anchor: str) -> Figure:
         draw_feet(kicked, f"{anchor}-feet-{number}")
         for number, kicked in enumerate(kick for kick in kicks if kick is not None)
     ]
-    keys = (Key(LEFT_FOOT, "left foot", "◀"), Key(RIGHT_FOOT, "right foot", "▶"), Key(OTHER, "no foot", "✕"))
+    keys = (Key(LEFT_FOOT, "left foot", "■"), Key(RIGHT_FOOT, "right foot", "■"), Key(OTHER, "no foot", "■"))
     return Figure(
         f"{anchor}-feet",
         "Which foot kicks",
@@ -244,6 +249,7 @@ def _errors(study: Study, looks: Mapping[str, Look], anchor: str) -> Figure:
         _arm_keys(study, looks),
         (draw_errors(dots, looks, f"{anchor}-error-dots"),) if dots else (),
         (f"Not measured: {_names(silent)}.",) if silent else (),
+        layout="pairs",
     )
 
 

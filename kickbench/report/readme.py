@@ -115,7 +115,7 @@ def _study_text(study: Study, claims: tuple[Claimed, ...]) -> str:
         [f"{cell.text} ({cell.note})" if cell.note else cell.text for cell in row[:-1]] for row in table.rows
     ]
     arms = {arm.name: arm for arm in study.arms}
-    columns = [*table.columns[:-1], "Iterations", "Steps a run", "Hours a run", "Hardware", "Commit"]
+    columns = [*table.columns[:-1], "Iterations", "Steps a run", "Training a run", "Hardware", "Commit"]
     lines += [_row(columns), _row(["---"] * len(columns))]
     lines += [_row([*row, *_effort(arms[row[0]])]) for row in rows]
     if claims:
@@ -123,7 +123,10 @@ def _study_text(study: Study, claims: tuple[Claimed, ...]) -> str:
             "",
             *(f"- {_plain(of.statement)}: **{of.verdict}**, {_plain(_evidence(of))}" for of in claims),
         ]
-    notes = [*warnings(study), *(f"{note.place}: a note beside the runs says more." for note in study.notes)]
+    notes = [
+        *warnings(study),
+        *(f"results/measured/{study.name}/{note.place} says more of these runs." for note in study.notes),
+    ]
     if notes:
         lines += ["", *(f"- Note: {_plain(note)}" for note in notes)]
     return "\n".join(lines)
@@ -139,11 +142,17 @@ def _effort(arm: ArmData) -> list[str]:
     columns = (
         [f"{of.iterations:,}" for of in found],
         [f"{of.env_steps:,}" for of in found],
-        [hours(of.training_seconds) for of in found],
+        _range([of.training_seconds for of in found]),
         [hardware(of.provenance) for of in found],
         [commit_text(of.provenance) for of in found],
     )
     return [", ".join(dict.fromkeys(values)) or "none" for values in columns]
+
+
+def _range(seconds: list[float]) -> list[str]:
+    """Shortest and longest time."""
+    ends = dict.fromkeys(map(hours, (min(seconds), max(seconds)))) if seconds else {}
+    return [" to ".join(ends)] if ends else []
 
 
 def _row(cells: list[str]) -> str:

@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
-from kickbench.report.data import ArmData, RunData, Study
+from kickbench.report.data import ArmData, RunData
 
 
-def remarks(run: RunData, arm: ArmData) -> tuple[str, ...]:
-    """In which respects a run is unfinished, smaller or other than planned.
+def remarks(run: RunData, arm: ArmData, commit: str | None = None) -> tuple[str, ...]:
+    """In which respects a run is unfinished, smaller or other than planned, or by other code.
 
     Args:
         run: The run.
         arm: Its arm.
+        commit: Commit of the present code; None: do not compare.
     """
     if run.state == "missing":
         return ("not run",)
     found = [] if run.metrics is not None else [_unfinished(run, arm)]
     if run.metrics is not None:
         found += _size(run, arm)
+        made_by = run.metrics.provenance.commit
+        if commit is not None and made_by != commit:
+            found.append(f"run by other code than this page's, commit {(made_by or 'unknown')[:10]}")
         if run.metrics.provenance.dirty:
             found.append("run by code with uncommitted changes")
         if run.metrics.schedule_iterations is not None:
@@ -26,10 +30,13 @@ def remarks(run: RunData, arm: ArmData) -> tuple[str, ...]:
     return (*found, *run.notes)
 
 
-def commits(studies: Sequence[Study]) -> tuple[str, ...]:
-    """The commits that finished runs were made by, in the order of the page; `unknown` for those without."""
-    finished = (run.metrics for study in studies for run in study.runs if run.metrics is not None)
-    return tuple(dict.fromkeys(metrics.provenance.commit or "unknown" for metrics in finished))
+def listed(arms: Mapping[str, Sequence[int]]) -> str:
+    """Seeds by arm: `baseline seeds 0 and 1, equivariant seed 0`."""
+    parts = []
+    for arm, seeds in arms.items():
+        *most, last = map(str, seeds)
+        parts.append(f"{arm} seeds {', '.join(most)} and {last}" if most else f"{arm} seed {last}")
+    return ", ".join(parts)
 
 
 def _unfinished(run: RunData, arm: ArmData) -> str:
@@ -48,8 +55,9 @@ def _size(run: RunData, arm: ArmData) -> list[str]:
     found = []
     if metrics.scale is not None:
         found.append(f"scaled down to {metrics.scale:g} of its size")
-    if arm.plan is not None and metrics.iterations != arm.plan.iterations:
-        found.append(f"{metrics.iterations:,} of {arm.plan.iterations:,} iterations")
+    planned = arm.plan.iterations if arm.plan else run.iterations_planned
+    if planned not in (None, metrics.iterations):
+        found.append(f"{metrics.iterations:,} of {planned:,} iterations")
     episodes = metrics.evaluation.in_distribution.episodes
     if arm.plan is not None and episodes != arm.plan.episodes:
         found.append(f"{episodes:,} of {arm.plan.episodes:,} episodes a side")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from kickbench.report.data import SIDE_WORDS, ArmData, RunData, Side, Study
-from kickbench.report.remarks import remarks
+from kickbench.report.remarks import listed, remarks
 from kickbench.report.spread import (
     DISTANCE,
     MEASURES,
@@ -25,11 +25,19 @@ NOT_MEASURED, NOT_REPORTED = "not measured", "not reported"
 
 @dataclass(frozen=True)
 class Cell:
-    """A cell: what it says, and in small below it what qualifies that; `faint` for what is not there."""
+    """A cell.
+
+    Attributes:
+        text: What it says.
+        note: What qualifies that, in small.
+        faint: Whether it says that something is not there.
+        whole: Whether it stays in one line.
+    """
 
     text: str
     note: str = ""
     faint: bool = False
+    whole: bool = False
 
 
 @dataclass(frozen=True)
@@ -133,13 +141,24 @@ def further_table(study: Study) -> Table | None:
     )
 
 
+def origins_table(study: Study) -> Table:
+    """Code, hardware and versions, a row for all runs that share them."""
+    groups: dict[tuple[Cell, ...], dict[str, list[int]]] = {}
+    for run in study.runs:
+        if run.metrics is not None:
+            key = _origin(run.metrics.provenance)
+            groups.setdefault(key, {}).setdefault(run.arm, []).append(run.seed)
+    rows = tuple((Cell(listed(arms)), *cells) for cells, arms in groups.items())
+    return Table("Code and hardware", ("Runs", "Commit", "Hardware", "Versions"), rows)
+
+
 def provenance_table(study: Study) -> Table:
-    """Where every result comes from."""
-    columns = ("Run", "Commit", "Hardware", "Hours", "Steps", "Finished", "Versions", "Command")
+    """What every finished run took, and the command that made it."""
+    columns = ("Run", "Time", "Steps", "Finished", "Command")
     rows = tuple(
         _provenance_row(run, run.metrics.provenance) for run in study.runs if run.metrics is not None
     )
-    return Table("Provenance of every finished run", columns, rows)
+    return Table("Finished runs", columns, rows)
 
 
 def hours(seconds: float) -> str:
@@ -225,16 +244,21 @@ def _interval(interval: Interval, measure: Measure) -> str:
     return f"[{measure.text(interval.low)}, {measure.text(interval.high)}]"
 
 
-def _provenance_row(run: RunData, provenance: Provenance) -> tuple[Cell, ...]:
+def _origin(provenance: Provenance) -> tuple[Cell, ...]:
     versions = ", ".join(f"{name} {version}" for name, version in provenance.versions.items())
+    return (
+        Cell(commit_text(provenance), whole=True),
+        Cell(hardware(provenance), provenance.platform),
+        Cell(versions),
+    )
+
+
+def _provenance_row(run: RunData, provenance: Provenance) -> tuple[Cell, ...]:
     parts = f"in {len(provenance.resumed_from) + 1} parts" if provenance.resumed_from else ""
     return (
         _name(run),
-        Cell(commit_text(provenance)),
-        Cell(hardware(provenance), provenance.platform),
-        Cell(hours(provenance.seconds), parts),
-        Cell(f"{provenance.env_steps:,}"),
-        Cell(provenance.finished[:10]),
-        Cell(versions),
+        Cell(hours(provenance.seconds), parts, whole=True),
+        Cell(f"{provenance.env_steps:,}", whole=True),
+        Cell(provenance.finished[:10], whole=True),
         Cell(" ".join(provenance.command)),
     )

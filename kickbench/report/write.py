@@ -10,7 +10,6 @@ from kickbench.errors import KickbenchError
 from kickbench.report.collect import collect
 from kickbench.report.headline import Claimed, claimed
 from kickbench.report.page import anchors, part_of, render
-from kickbench.report.remarks import commits
 from kickbench.reported import LoadedReported
 from kickbench.results.atomic import atomic_write_text
 from kickbench.results.measured import read_measured
@@ -34,9 +33,12 @@ def write_report(root: Path, out: Path, experiment: LoadedReported | None = None
     if experiment is not None:
         claims, problems = judged(root, experiment)
         studies = tuple(replace(study, problems=(*study.problems, *problems)) for study in studies)
-    parts = [part_of(study, claims, anchor) for study, anchor in zip(studies, anchors(studies), strict=True)]
+    parts = [
+        part_of(study, claims, anchor, code_state()[0])
+        for study, anchor in zip(studies, anchors(studies), strict=True)
+    ]
     title = f"kickbench: {studies[0].name if len(studies) == 1 else root.resolve().name}"
-    atomic_write_text(out, render(title, parts, _made_by(commits(studies))))
+    atomic_write_text(out, render(title, parts, _made_by()))
 
 
 def judged(root: Path, experiment: LoadedReported) -> tuple[tuple[Claimed, ...], tuple[str, ...]]:
@@ -48,11 +50,7 @@ def judged(root: Path, experiment: LoadedReported) -> tuple[tuple[Claimed, ...],
     return tuple(map(claimed, verdicts)), ()
 
 
-def _made_by(of_runs: tuple[str, ...]) -> str:
-    """Version and commit of this code, and whether the runs are of other code."""
+def _made_by() -> str:
     commit, dirty = code_state()
-    own = f"Page made by kickbench {__version__}"
-    if commit:
-        own += f" at commit {commit[:10]}{' with uncommitted changes' if dirty else ''}"
-    others = [name[:10] for name in of_runs if name != commit]
-    return f"{own}. Runs of other code than this: commits {', '.join(others)}." if others else f"{own}."
+    at = f" at commit {commit[:10]}{' with uncommitted changes' if dirty else ''}" if commit else ""
+    return f"Page made by kickbench {__version__}{at}."

@@ -13,7 +13,7 @@ from kickbench.report.figures.canvas import Panel, Picture
 from kickbench.report.palette import INK, LEFT_FOOT, OTHER, RIGHT_FOOT
 from kickbench.view.extra import require
 
-_WIDTH = 250
+_WIDTH = 300
 _LOOKS = {"left": LEFT_FOOT, "right": RIGHT_FOOT, "other": OTHER}
 
 
@@ -89,7 +89,7 @@ def draw_feet(kicked: Kicked, name: str) -> Picture:
         kicked: The kicks.
         name: Unique in the page.
     """
-    canvas = Panel(_WIDTH, 190)
+    canvas = Panel(_WIDTH, 215)
     axes = canvas.axes
     for tile in tiles(kicked):
         total, edge = sum(tile.counts.values()), tile.y[1]
