@@ -48,9 +48,9 @@ RIGHT_FOOT = Colour("right-foot", "#e08214", "#f5b362")
 OTHER = Colour("other", "#9aa2ab", "#7d8691")
 
 _KNOWN = {
-    "baseline": Look(Colour("vermillion", "#c94f00", "#f58a4b"), "o"),
+    "baseline": Look(Colour("vermillion", "#c94f00", "#f58a4b"), "o", (1.5, 1.2)),
     "augmentation": Look(Colour("blue", "#0072b2", "#58b0e6"), "s", (5, 1.5)),
-    "equivariant": Look(Colour("green", "#00805e", "#3bc99c"), "D", (1.2, 1.2)),
+    "equivariant": Look(Colour("green", "#00805e", "#3bc99c"), "D"),
     "mirror_loss": Look(Colour("purple", "#b5578c", "#dd8fba"), "^", (5, 1.5, 1.2, 1.5)),
     "relaxed_equivariant": Look(Colour("amber", "#b07d00", "#e6b94a"), "v", (3, 3)),
 }
