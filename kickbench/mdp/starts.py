@@ -43,8 +43,9 @@ class Starts:
 
     def take(self, rows: Tensor) -> Starts:
         """The starts of the given row numbers."""
-        by_side = {name: values[rows] for name, values in self.by_side.items()}
-        return Starts(self.qpos[rows], self.qvel[rows], self.target[rows], self.joints, by_side)
+        by_side = {name: values.index_select(0, rows) for name, values in self.by_side.items()}
+        qpos, qvel, target = (table.index_select(0, rows) for table in (self.qpos, self.qvel, self.target))
+        return Starts(qpos, qvel, target, self.joints, by_side)
 
     def mirrored(self, qpos: Mirror, qvel: Mirror) -> Starts:
         """Reflects every start in the xz plane; `qpos` and `qvel` are the model's mirror maps."""
