@@ -85,11 +85,7 @@ def load_reported(path: str | Path, overrides: Sequence[str] = ()) -> LoadedRepo
     loaded = load(ReportedSpec, path, overrides)
     spec, document = loaded.spec, loaded.document
     files = _Files()
-    also = {
-        task.name: task
-        for index, file in enumerate(spec.evaluation.also)
-        if (task := files.task(file, document, ("evaluation", "also", index)))
-    }
+    also = _also(spec, document, files)
     arms = {name: _arm(name, spec, document, files, also) for name in spec.arms}
     if files.problems:
         raise SpecError(files.problems)
@@ -126,6 +122,19 @@ class _Files:
         return self._read[kind, file]  # pyright: ignore[reportReturnType] (the key names the type)
 
 
+def _also(spec: ReportedSpec, document: Document, files: _Files) -> dict[str, LoadedTask[TaskSpec]]:
+    """The further tasks by name, which is also that of their result's file."""
+    also: dict[str, LoadedTask[TaskSpec]] = {}
+    for index, file in enumerate(spec.evaluation.also):
+        path = ("evaluation", "also", index)
+        task = files.task(file, document, path)
+        if task is not None and task.name in also:
+            files.problems.append(document.problem(path, f"there are two tasks of the name {task.name}"))
+        elif task is not None:
+            also[task.name] = task
+    return also
+
+
 def _arm(
     name: str,
     spec: ReportedSpec,
@@ -139,6 +148,9 @@ def _arm(
     method = files.method(arm.method, document, ("arms", name, "method"))
     if task is None or method is None:
         return None
+    if task.name in also:
+        what = f"the arm {name} is trained on {task.name}, and evaluated on it anyway"
+        files.problems.append(document.problem(("evaluation", "also"), what))
     return Arm(
         name=name,
         task=task,
@@ -160,6 +172,9 @@ def _figure_problems(arms: Mapping[str, Arm], document: Document) -> Iterator[Pr
 
 def _claim_problems(spec: ReportedSpec, arms: Mapping[str, Arm], document: Document) -> Iterator[Problem]:
     for name, claim in spec.claims.items():
+        if claim.seeds == "each" and len({operand.arm for operand in claim.operands().values()}) > 1:
+            what = "each seed of two arms cannot be compared: seeds of the same number share nothing but it"
+            yield document.problem(("claims", name, "seeds"), what)
         for key, operand in claim.operands().items():
             path = ("claims", name, key)
             if operand.arm not in arms:

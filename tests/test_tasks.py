@@ -25,10 +25,10 @@ OFF = None
 
 STUDIES = {
     "misaligned_reward": {"rewards.survival.weight": 0.5, "rewards.upright.weight": 1.0},
-    "no_ball_not_moving": {"rewards.ball_not_moving": OFF},
+    "no_ball_not_moving": {"rewards.ball_not_moving.weight": 0.0},
     "approach_after_touch": {"rewards.agent_approach_ball.until_touch": False},
     "no_fall_penalties": {"rewards.fell_over": OFF, "rewards.fall_down": OFF},
-    "no_arm_penalties": {"rewards.arm_swing": OFF, "rewards.arm_posture": OFF},
+    "no_arm_penalties": {"rewards.arm_swing.weight": 0.0, "rewards.arm_posture.weight": 0.0},
     "no_double_touch": {"terminations.double_touch": OFF},
 }
 """Study -> what differs from the general task, and its value there (thesis 4.1)."""

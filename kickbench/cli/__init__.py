@@ -141,6 +141,19 @@ def _add_inspection(verbs: argparse._SubParsersAction) -> None:
     verb.add_argument(
         "roots", type=Path, nargs="+", metavar="DIR", help="run directories, or folders of them"
     )
+    text = "judge the claims of an experiment by its measured runs"
+    verb = _add_verb(verbs, "claims", "kickbench.cli.claims:claims", text)
+    verb.add_argument(
+        "experiment", type=Path, metavar="EXPERIMENT", help="experiment YAML (results/reported)"
+    )
+    verb.add_argument(
+        "folder",
+        type=Path,
+        nargs="?",
+        metavar="DIR",
+        help="folder of its runs (default: measured/<experiment> beside the folder of the YAML file)",
+    )
+    verb.add_argument("--strict", action="store_true", help="exit code 1 unless every claim is met")
 
 
 def _add_bench(verbs: argparse._SubParsersAction) -> None:

@@ -1,11 +1,12 @@
 """The number that a claim is about, with the interval that its seeds or its episodes leave.
 
-Every claim says that a sum of weighted figures lies in a range: `value - minus` in [bound, inf), `value - bound over` in
-(-inf, 0]. So one calculus serves them all.
+Every claim says that a sum of weighted figures lies in a range: `value - minus` in [bound, inf), `value - bound over`
+in (-inf, 0]. So one calculus serves them all.
 
 Two or more seeds an arm: Student's interval of the mean over seeds, and Welch's where two arms are compared. What the
-episodes of a seed leave open is part of the spread over seeds. With one seed an arm nothing is known of other trainings:
-the interval is then that of the episodes (square-and-add, Zou & Donner 2008), for *this* policy, and says so.
+episodes of a seed leave open is part of the spread over seeds. With one seed an arm nothing is known of other
+trainings: the interval is then that of the episodes (square-and-add, Zou & Donner 2008), for *this* policy, and says
+so.
 """
 
 from __future__ import annotations
@@ -204,16 +205,17 @@ def over_episodes(arms: Sequence[Sequence[RunTerms]]) -> Interval | None:
     Returns:
         The interval; None if that of a figure is not known.
 
-    Source: G. Y. Zou and A. Donner, "Construction of confidence limits about effect measures: a general approach", 2008.
+    Source: G. Y. Zou and A. Donner, "Construction of confidence limits about effect measures: a general approach",
+    2008.
     """
     value, below, above = 0.0, 0.0, 0.0
     for runs in arms:
         value += sum(run.value for run in runs) / len(runs)
         for run in runs:
-            arms_of_run = [_distances(term) for term in run.terms]
-            if None in arms_of_run:
+            distances = [_distances(term) for term in run.terms]
+            if None in distances:
                 return None
-            lows, highs = zip(*(pair for pair in arms_of_run if pair), strict=True)
+            lows, highs = zip(*(pair for pair in distances if pair), strict=True)
             below += _squared(run, lows) / len(runs) ** 2
             above += _squared(run, highs) / len(runs) ** 2
     return Interval(value - sqrt(below), value + sqrt(above))

@@ -1,4 +1,4 @@
-"""The runs of an experiment in a folder, `<folder>/<arm>/seed<k>`: what is there, and what is missing of what was planned."""
+"""The runs of an experiment in a folder, `<folder>/<arm>/seed<k>`, and what is missing of what was planned."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def run_path(folder: Path, arm: str, seed: int) -> Path:
 
 
 def also_path(run: Path, task: str) -> Path:
-    """Where a run has the metrics of its policy on a further task. (Not named metrics.json: it is no run.)"""
+    """Where a run has the metrics of its policy on a further task; not named metrics.json, for it is no run."""
     return Path(run) / _ALSO / f"{task}.json"
 
 
@@ -102,9 +102,7 @@ def _read_run(root: Path, arm: Arm, seed: int) -> MeasuredRun:
         for name in arm.also
         if (path := also_path(directory.path, name)).exists()
     }
-    return MeasuredRun(
-        arm.name, seed, directory.path, "finished", metrics, also, _deviation(metrics, arm)
-    )
+    return MeasuredRun(arm.name, seed, directory.path, "finished", metrics, also, _deviation(metrics, arm))
 
 
 def _checked(path: Path, arm: Arm, task: str, seed: int) -> Metrics:

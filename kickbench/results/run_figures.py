@@ -134,7 +134,7 @@ def _return_length_correlation(run: MeasuredRun, _: AnyClaim) -> Figure | None:
     known = curves[:, np.isfinite(curves).all(axis=0)]
     if known.shape[1] < 3 or not known.std(axis=1).all():
         return None
-    return Figure(float(np.corrcoef(known)[0, 1]))
+    return Figure(float(np.corrcoef(known[0], known[1]).item(1)))
 
 
 def _raw_reward(run: MeasuredRun, claim: AnyClaim) -> Figure | None:

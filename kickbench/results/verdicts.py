@@ -85,8 +85,8 @@ def verdict_lines(experiment: LoadedReported, verdicts: Sequence[Verdict]) -> li
     lines.append("")
     for verdict in verdicts:
         section = f" (thesis {verdict.claim.section})" if verdict.claim.section else ""
-        reason = f" {verdict.outcome}: {verdict.reason}." if verdict.reason else ""
-        lines.append(f"{verdict.name}: {verdict.claim.statement}{section}.{reason}")
+        lines.append(f"{verdict.name}: {verdict.claim.statement}{section}")
+        lines += [f"    {verdict.reason}"] if verdict.reason else []
     return lines
 
 
@@ -130,15 +130,13 @@ def _parts(
     parts: dict[str, list[RunTerms]] = {}
     lacks: list[str] = []
     for arm in dict.fromkeys(operand.arm for _, operand in contrast.terms):
-        parts[arm] = []
-        for run in measured.arms[arm]:
-            terms = run_terms(run, claim, contrast)
-            if terms is not None:
-                parts[arm].append(terms)
-            if run.lack:
-                lacks.append(f"{arm} seed {run.seed}: {run.lack}")
-            elif terms is None:
-                lacks.append(f"{arm} seed {run.seed}: has no {claim.metric}")
+        runs = measured.arms[arm]
+        given = {run.seed: run_terms(run, claim, contrast) for run in runs}
+        parts[arm] = [terms for terms in given.values() if terms is not None]
+        without = {run.seed: run.lack or (None if given[run.seed] else f"no {claim.metric}") for run in runs}
+        for lack in dict.fromkeys(filter(None, without.values())):
+            seeds = [str(seed) for seed, found in without.items() if found == lack]
+            lacks.append(f"{arm} seed{'s' * (len(seeds) > 1)} {', '.join(seeds)}: {lack}")
     return parts, lacks
 
 
@@ -160,7 +158,9 @@ def _each(
     judged = [(run.value, over_episodes([[run]])) for run in runs]
     value, interval = min(judged, key=lambda pair: contrast.margin(pair[0]))
     outcomes = [_outcome(contrast, interval) for _, interval in judged]
-    shown = Estimated(value, interval, f"worst of {len(runs)} seeds")
+    shown = Estimated(
+        value, interval, f"worst of {len(runs)} seeds" if len(runs) > 1 else "episodes of one seed"
+    )
     for wanted in ("not met", "not enough data"):
         for outcome, reason in outcomes:
             if outcome == wanted:

@@ -81,15 +81,40 @@ def hints_below(hint: Hint, key: str | int) -> Iterator[Hint]:
         yield from unfold(items[0])
 
 
-def hints_at(model: type[BaseModel], path: KeyPath) -> list[Hint]:
-    """Lists the types that a value may have at a path of a model; the path may end in `DICT_KEY`."""
+def hints_at(model: type[BaseModel], path: KeyPath, data: Any) -> list[Hint]:
+    """Lists the types that the value of a path in the data of a model may have; the path may end in `DICT_KEY`.
+
+    Of models that are told apart by a key of one value, such as `kind`, only that which the data name is meant.
+    """
     hints = [Hint(model)]
     for key in path:
         if key == DICT_KEY:
             # The step before went to the value under the key; the key's own type is wanted.
-            return [h for above in hints_at(model, path[:-2]) for h in _key_hints(above)]
-        hints = [below for hint in hints for below in hints_below(hint, key)]
-    return hints
+            return [h for above in hints_at(model, path[:-2], data) for h in _key_hints(above)]
+        hints = [below for hint in _named(hints, data) for below in hints_below(hint, key)]
+        data = _below(data, key)
+    return _named(hints, data)
+
+
+def _named(hints: list[Hint], data: Any) -> list[Hint]:
+    """The hints whose models have the tags that the data have, if any has."""
+    if not isinstance(data, Mapping):
+        return hints
+    return [hint for hint in hints if hint.model is None or _has_tags(hint.model, data)] or hints
+
+
+def _has_tags(model: type[BaseModel], data: Mapping[str, Any]) -> bool:
+    for name, field in model.model_fields.items():
+        choices = [choice for hint in unfold(field.annotation) for choice in hint.choices]
+        if len(choices) == 1 and data.get(name, choices[0]) != choices[0]:
+            return False
+    return True
+
+
+def _below(data: Any, key: str | int) -> Any:
+    if isinstance(data, Mapping):
+        return data.get(key)
+    return data[key] if isinstance(data, list) and isinstance(key, int) and key < len(data) else None
 
 
 def _key_hints(hint: Hint) -> Iterator[Hint]:

@@ -66,7 +66,10 @@ class _Claim(Spec):
 
     @model_validator(mode="after")
     def _what_a_metric_needs(self) -> _Claim:
-        needs = {"termination_share": ("terminations", self.terminations), "raw_reward": ("reward", self.reward)}
+        needs = {
+            "termination_share": ("terminations", self.terminations),
+            "raw_reward": ("reward", self.reward),
+        }
         for metric, (key, given) in needs.items():
             if self.metric == metric and not given:
                 raise ValueError(f"the metric {metric} needs {key}: which?")

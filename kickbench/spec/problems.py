@@ -57,9 +57,9 @@ def _words(group: list[_Finding], document: Document) -> Iterable[Problem]:
 def _find(detail: ErrorDetails, model: type[BaseModel], data: Any) -> _Finding:
     kind, found, context = detail["type"], detail["input"], detail.get("ctx", {})
     path, of_key = _path(detail["loc"], data, absent=kind == "missing")
-    hints = hints_at(model, (*path, DICT_KEY) if of_key else path)
+    hints = hints_at(model, (*path, DICT_KEY) if of_key else path, data)
     if kind == "extra_forbidden":
-        return _unknown_key(path, hints_at(model, path[:-1]), data)
+        return _unknown_key(path, hints_at(model, path[:-1], data), data)
     if kind == "missing":
         return _missing(path, model, data)
     if kind in ("literal_error", "enum"):
@@ -126,19 +126,20 @@ def _unknown_key(path: KeyPath, above: list[Hint], data: Any) -> _Finding:
 
 def _missing(path: KeyPath, model: type[BaseModel], data: Any) -> _Finding:
     name, above = path[-1], path[:-1]
+    hints = hints_at(model, above, data)
     if isinstance(name, int):  # an entry of a tuple of fixed length
         for key in above:
             data = data[key]
-        length = next((hint.length for hint in hints_at(model, above) if hint.length), name + 1)
+        length = next((hint.length for hint in hints if hint.length), name + 1)
         return _Finding(above, expected=f"a list of {length}", found=data)
-    fields = [m.model_fields[name] for m in _models(hints_at(model, above)) if name in m.model_fields]
+    fields = [m.model_fields[name] for m in _models(hints) if name in m.model_fields]
     description = next((field.description for field in fields if field.description), None)
     hint = " ".join(description.split()) if description else None
     return _Finding(path, message=f"missing key '{name}'", hint=hint)
 
 
 def _wrong_choice(path: KeyPath, found: Any, hints: list[Hint], expected: str, of_key: bool) -> _Finding:
-    choices = [str(choice) for hint in hints for choice in hint.choices]
+    choices = list(dict.fromkeys(str(choice) for hint in hints for choice in hint.choices))
     listed = ", ".join(choices) or expected
     hint = did_you_mean(found, choices) if isinstance(found, str) else None
     if of_key:

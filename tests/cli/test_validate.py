@@ -455,6 +455,9 @@ def test_errors_of_several_files_are_reported_together_and_the_others_are_fine(e
     assert [line.split(":")[0] for line in printed] == [HOME, EQUIVARIANT]
 
 
+NO_KIND = "neither a task, a method, a robot, a representation table nor a reported experiment"
+
+
 @pytest.mark.parametrize(
     ("content", "complaint"),
     [
@@ -463,11 +466,11 @@ def test_errors_of_several_files_are_reported_together_and_the_others_are_fine(e
         (b"description: caf\xe9\n", "x.yaml:1:17: not UTF-8: the byte 0xe9"),
         (
             b"colour: red\n",
-            "x.yaml:1:1: neither a task, a method, a robot nor a representation table; its keys: colour",
+            f"x.yaml:1:1: {NO_KIND}; its keys: colour",
         ),
         (
             b"description: hm\n",
-            "x.yaml:1:1: neither a task, a method, a robot nor a representation table; its keys: description",
+            f"x.yaml:1:1: {NO_KIND}; its keys: description",
         ),
     ],
     ids=["empty", "list", "not UTF-8", "other keys", "description only"],

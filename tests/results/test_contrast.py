@@ -1,0 +1,81 @@
+"""The calculus of claims: intervals over seeds and over episodes."""
+
+from __future__ import annotations
+
+from math import inf
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from kickbench.results.contrast import Contrast, RunTerms, Term, estimate, over_episodes, over_seeds
+from kickbench.results.run_figures import Figure
+from kickbench.results.statistics import Interval, two_proportions, wilson
+from kickbench.spec.claims import Operand
+
+ARM = Operand(arm="a")
+NUMBER = st.floats(-100, 100)
+INTERVAL = st.tuples(NUMBER, NUMBER).map(lambda pair: Interval(min(pair), max(pair)))
+
+
+def terms(*parts: tuple[float, float, Interval | None], correlation: float = 0.0) -> RunTerms:
+    return RunTerms(tuple(Term(w, ARM, Figure(v, i)) for w, v, i in parts), correlation)
+
+
+@given(INTERVAL, INTERVAL, st.booleans())
+def test_no_interval_both_holds_and_fails(interval, bounds, is_open):
+    contrast = Contrast((), bounds.low, bounds.high, is_open)
+    assert not (contrast.holds(interval) and contrast.fails(interval))
+
+
+@given(INTERVAL, NUMBER)
+def test_at_least_and_less_than_contradict_each_other(interval, bound):
+    at_least, less = Contrast((), low=bound), Contrast((), high=bound, open=True)
+    assert at_least.holds(interval) == less.fails(interval)
+    assert at_least.fails(interval) == less.holds(interval)
+
+
+@given(st.lists(NUMBER, min_size=2, max_size=6), NUMBER)
+def test_the_interval_over_seeds_moves_with_the_figures(values, shift):
+    first, second = over_seeds(values), over_seeds([value + shift for value in values])
+    assert second == pytest.approx((first.low + shift, first.high + shift), abs=1e-6)
+
+
+def test_the_interval_over_seeds_is_students():
+    # Mean 2, s = 1, t(0.975, 2) = 4.3027.
+    assert over_seeds([1.0, 2.0, 3.0]) == pytest.approx((2 - 2.4841, 2 + 2.4841), abs=1e-4)
+
+
+@given(st.integers(0, 200), st.integers(0, 300))
+def test_the_difference_of_two_proportions_has_newcombes_interval(first, second):
+    p, q = first / 200, second / 300
+    run = terms((1.0, p, wilson(first, 200)), (-1.0, q, wilson(second, 300)))
+    found = over_episodes([[run]])
+    assert found is not None
+    clipped = (max(-1.0, found.low), min(1.0, found.high))
+    assert clipped == pytest.approx(two_proportions(first, 200, second, 300).interval, abs=1e-9)
+
+
+def test_two_sides_that_always_agree_leave_nothing_open():
+    interval = wilson(170, 200)
+    run = terms((1.0, 0.85, interval), (-1.0, 0.85, interval), correlation=1.0)
+    low, high = over_episodes([[run]]) or (-inf, inf)
+    # The interval is not symmetric about the proportion, so its two halves do not cancel exactly.
+    assert abs(low) < 0.02
+    assert abs(high) < 0.02
+
+
+def test_a_figure_without_an_interval_has_no_interval_over_episodes():
+    assert over_episodes([[terms((1.0, 0.5, None))]]) is None
+
+
+def test_more_policies_make_the_mean_sharper():
+    run = terms((1.0, 0.5, Interval(0.4, 0.6)))
+    assert over_episodes([[run] * 4]) == pytest.approx((0.45, 0.55))
+
+
+def test_an_arm_of_one_seed_makes_it_a_matter_of_episodes():
+    many = [terms((1.0, v, Interval(v - 0.1, v + 0.1))) for v in (0.5, 0.6, 0.7)]
+    found = estimate({"a": many, "b": [terms((-1.0, 0.3, Interval(0.2, 0.4)))]})
+    assert found.value == pytest.approx(0.3)
+    assert found.basis == "episodes of one seed"
