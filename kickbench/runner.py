@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -222,8 +221,12 @@ def evaluate(
     return EpisodeSides(home, mirrored), probe.result()
 
 
-def load_run(path: Path) -> tuple[Experiment, Policy]:
+def load_run(path: Path, task: Path | None = None) -> tuple[Experiment, Policy]:
     """Loads experiment and policy of a run directory.
+
+    Args:
+        path: The run directory.
+        task: Another task for the policy; default: the one it was trained on.
 
     Raises:
         KickbenchError: The directory holds no run with a policy.
@@ -231,7 +234,7 @@ def load_run(path: Path) -> tuple[Experiment, Policy]:
     directory = RunDirectory(path)
     if not directory.task_spec.is_file():
         raise KickbenchError(f"{os.fspath(path)}: not a run directory (it has no {directory.task_spec.name})")
-    experiment = load_experiment(directory.task_spec, directory.method_spec)
+    experiment = load_experiment(task or directory.task_spec, directory.method_spec)
     symmetry = experiment.symmetry
     policy = build_actor(experiment.method.spec, symmetry.groups["actor"], symmetry.actions)
     load_policy(directory.policy, policy)
@@ -239,11 +242,13 @@ def load_run(path: Path) -> tuple[Experiment, Policy]:
 
 
 def reevaluate(
-    path: Path, episodes: int | None, seed: int | None, threads: int | None, command: Sequence[str] = ()
+    path: Path, episodes: int | None, seed: int | None, threads: int | None, task: Path | None = None
 ) -> tuple[Metrics, EpisodeSides]:
-    """Evaluates the policy of a finished run again; the run itself is left as it is."""
+    """Evaluates the policy of a finished run again, on another task if there is one; the run is left as it is."""
     recorded = load_metrics(RunDirectory(path).metrics)
-    experiment, policy = load_run(path)
+    experiment, policy = load_run(path, task)
     sides, equivariance = evaluate(experiment, policy, episodes=episodes, seed=seed, threads=threads)
     evaluation = summarise_sides(sides, experiment.task.spec.evaluation.success_radius, equivariance)
-    return recorded.model_copy(update={"evaluation": evaluation}), sides
+    # Where a run keeps its task, the file's name is not the task's.
+    name = experiment.task.name if task else recorded.task
+    return recorded.model_copy(update={"task": name, "evaluation": evaluation}), sides

@@ -33,6 +33,7 @@ ROOMS = (
     ("audit",),
     ("view",),
     ("report",),
+    ("reproduce",),
     ("cli",),
     ("__main__",),
 )

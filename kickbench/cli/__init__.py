@@ -45,6 +45,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"kickbench {__version__}")
     verbs = parser.add_subparsers(required=True, metavar="VERB")
     _add_run(verbs)
+    _add_reproduce(verbs)
     _add_eval(verbs)
     _add_inspection(verbs)
     _add_bench(verbs)
@@ -86,11 +87,40 @@ def _add_run(verbs: argparse._SubParsersAction) -> None:
     )
 
 
+def _add_reproduce(verbs: argparse._SubParsersAction) -> None:
+    module = "kickbench.cli.reproduce"
+    verb = _add_verb(
+        verbs, "reproduce", f"{module}:reproduce", "run a whole experiment, or what is left of it"
+    )
+    verb.add_argument("reported", type=Path, metavar="REPORTED", help="experiment YAML (results/reported/)")
+    verb.add_argument("--only", action="append", metavar="ARM", help="this arm only; may be repeated")
+    verb.add_argument(
+        "--seeds", type=_natural, nargs="+", metavar="K", help="seeds (default: the experiment's)"
+    )
+    _add_scale(verb)
+    _add_set(verb)
+    verb.add_argument("--jobs", type=_positive, default=1, help="runs at a time (default: 1)")
+    _add_threads(verb)
+    verb.add_argument(
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help="folder of the runs (default: runs/<experiment>; with --scale or --set one of its own)",
+    )
+    verb.add_argument("--dry-run", action="store_true", help="show the plan, write nothing")
+    verb = _add_verb(verbs, "status", "kickbench.cli.status:status", "say how far the runs of a folder are")
+    verb.add_argument("root", type=Path, metavar="DIR", help="folder of runs")
+
+
 def _add_eval(verbs: argparse._SubParsersAction) -> None:
     verb = _add_verb(
         verbs, "eval", "kickbench.cli.run:evaluate", "evaluate the policy of a finished run again"
     )
     verb.add_argument("run", type=Path, metavar="RUN", help="run directory")
+    verb.add_argument("--task", type=Path, metavar="TASK", help="another task (default: the run's)")
+    verb.add_argument(
+        "--save", action="store_true", help="keep the figures on another task in RUN/also/<task>.json"
+    )
     verb.add_argument("--episodes", type=_positive, help="episodes a side (default: the task's)")
     verb.add_argument("--seed", type=_natural, help="seed of the starts (default: the task's)")
     verb.add_argument("--json", action="store_true", help="print the metrics as JSON")

@@ -5,6 +5,9 @@ from __future__ import annotations
 import argparse
 import sys
 
+from kickbench.errors import KickbenchError
+from kickbench.results.metrics import write_metrics
+from kickbench.results.store import RunDirectory
 from kickbench.results.table import render_table
 from kickbench.runner import RunRequest, reevaluate
 from kickbench.runner import run as run_experiment
@@ -41,6 +44,12 @@ def run(arguments: argparse.Namespace) -> int:
 
 def evaluate(arguments: argparse.Namespace) -> int:
     """`kickbench eval RUN`."""
-    metrics, _ = reevaluate(arguments.run, arguments.episodes, arguments.seed, arguments.threads)
+    if arguments.save and not arguments.task:
+        raise KickbenchError("--save keeps the figures on another task beside the run: it needs --task")
+    metrics, _ = reevaluate(
+        arguments.run, arguments.episodes, arguments.seed, arguments.threads, arguments.task
+    )
+    if arguments.save:
+        write_metrics(RunDirectory(arguments.run).also(metrics.task), metrics)
     print(metrics.model_dump_json(indent=2) if arguments.json else render_table([metrics]))
     return 0

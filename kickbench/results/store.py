@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import os
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,12 +13,22 @@ from kickbench.errors import KickbenchError
 from kickbench.results.atomic import TEMPORARY_PREFIX, atomic_file, atomic_write_bytes, atomic_write_text
 from kickbench.results.metrics import load_metrics
 
-__all__ = ["RunDirectory", "atomic_file", "atomic_write_bytes", "atomic_write_text", "find_runs"]
+__all__ = [
+    "RunDirectory",
+    "atomic_file",
+    "atomic_write_bytes",
+    "atomic_write_text",
+    "find_begun_runs",
+    "find_runs",
+]
 
 _SPEC_FILES = ("task.yaml", "method.yaml", "robot.yaml", "representations.yaml", "robot.xml")
 _TOP_FILES = ("metrics.json", "episodes.csv", "progress.csv", "policy.pt")
 _EVENT_FILES = "events.out.tfevents.*"
 _CHECKPOINT_FILES = "iteration_*.pt"
+
+_PATIENCE = 0.5
+"""How long a run waits for its folder's lock, s."""
 
 
 class RunDirectory:
@@ -94,6 +105,30 @@ class RunDirectory:
         return self.path / "tensorboard"
 
     @property
+    def log(self) -> Path:
+        """What the run has printed, where `kickbench reproduce` has started it."""
+        return self.path / "run.log"
+
+    def also(self, task: str) -> Path:
+        """The metrics of the run's policy on a task that it was not trained on."""
+        return self.path / "also" / f"{task}.json"
+
+    @property
+    def is_occupied(self) -> bool:
+        """Whether a process runs in the folder at this moment."""
+        try:
+            descriptor = os.open(self.path, os.O_RDONLY)
+        except OSError:
+            return False
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
+        finally:
+            os.close(descriptor)
+        return False
+
+    @property
     def is_finished(self) -> bool:
         """Whether a valid metrics.json exists. A damaged one counts as none."""
         if not self.metrics.is_file():
@@ -119,16 +154,15 @@ class RunDirectory:
         self._make(self.path)
         descriptor = os.open(self.path, os.O_RDONLY)
         try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if not _locked(descriptor):
+                raise KickbenchError(f"{self.path}: another process runs in it")
             yield
-        except BlockingIOError:
-            raise KickbenchError(f"{self.path}: another process runs in it") from None
         finally:
             os.close(descriptor)
 
     def reopen(self) -> None:
         """Make a run ready to go on: remove its result and what a kill left half written, keep its training."""
-        for file in (self.metrics, self.episodes, self.policy, *self._half_written()):
+        for file in (self.metrics, self.episodes, self.policy, *self._also_files(), *self._half_written()):
             file.unlink(missing_ok=True)
 
     def prepare(self, force: bool = False) -> None:
@@ -168,7 +202,7 @@ class RunDirectory:
         # metrics.json goes first: a run that is half removed must not look finished.
         for file in self._own_files():
             file.unlink(missing_ok=True)
-        for folder in (self.tensorboard, self.checkpoints, self.specs):
+        for folder in (self.tensorboard, self.checkpoints, self.specs, self.path / "also"):
             if folder.is_dir() and not any(folder.iterdir()):
                 folder.rmdir()
 
@@ -177,14 +211,39 @@ class RunDirectory:
         yield from (self.specs / name for name in _SPEC_FILES)
         yield from self.tensorboard.glob(_EVENT_FILES)
         yield from self.checkpoints.glob(_CHECKPOINT_FILES)
+        yield from self._also_files()
         yield from self._half_written()
 
+    def _also_files(self) -> Iterator[Path]:
+        yield from (self.path / "also").glob("*.json")
+
     def _half_written(self) -> Iterator[Path]:
-        for folder in (self.path, self.specs, self.checkpoints):
+        for folder in (self.path, self.specs, self.checkpoints, self.path / "also"):
             yield from folder.glob(f"{TEMPORARY_PREFIX}*")
+
+
+def _locked(descriptor: int) -> bool:
+    """Takes the lock of a folder; `is_occupied` of another process may hold it for a moment."""
+    deadline = time.monotonic() + _PATIENCE
+    while True:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return True
+        except BlockingIOError:
+            if time.monotonic() > deadline:
+                return False
+            time.sleep(0.02)
 
 
 def find_runs(root: Path | str) -> list[RunDirectory]:
     """The finished runs in `root` (itself or any folder below), in the order of their paths."""
     candidates = sorted(file.parent for file in Path(root).rglob("metrics.json"))
     return [run for run in map(RunDirectory, candidates) if run.is_finished]
+
+
+def find_begun_runs(root: Path | str) -> list[RunDirectory]:
+    """The runs in `root` (itself or any folder below), finished or not, in the order of their paths."""
+    root = Path(root)
+    candidates = {file.parent for name in ("metrics.json", "progress.csv") for file in root.rglob(name)}
+    candidates |= {file.parent.parent for file in root.rglob("specs/method.yaml")}
+    return [RunDirectory(path) for path in sorted(candidates)]

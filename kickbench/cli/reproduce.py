@@ -1,0 +1,75 @@
+"""Verb `reproduce`."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+
+from kickbench.errors import KickbenchError, shown
+from kickbench.physics.cpu import usable_cores
+from kickbench.reported import load_reported
+from kickbench.reproduce.display import standard_display
+from kickbench.reproduce.estimate import Remaining, estimate
+from kickbench.reproduce.jobs import Jobs, Outcome
+from kickbench.reproduce.plan import Plan, PlannedRun, Selection, make_plan
+from kickbench.reproduce.record import write_record
+from kickbench.reproduce.tables import counts, run_table
+from kickbench.results.store import RunDirectory
+from kickbench.results.table import render_table
+
+
+def reproduce(arguments: argparse.Namespace) -> int:
+    """`kickbench reproduce REPORTED`."""
+    seeds = tuple(arguments.seeds or ())
+    if len(set(seeds)) < len(seeds):
+        raise KickbenchError("--seeds: a seed is there twice")
+    selection = Selection(
+        only=tuple(arguments.only or ()),
+        seeds=seeds,
+        scale=arguments.scale,
+        overrides=tuple(arguments.overrides),
+        out=arguments.out,
+    )
+    plan = make_plan(load_reported(arguments.reported), selection)
+    threads = arguments.threads or max(1, usable_cores() // arguments.jobs)
+    _print_plan(plan, arguments.jobs, threads)
+    if arguments.dry_run:
+        return 0
+    with RunDirectory(plan.folder).occupied():
+        write_record(plan.folder, plan.record)
+        jobs = Jobs(plan.runs, arguments.jobs, threads)
+        if not all(job.has_ended for job in jobs.jobs):
+            jobs.carry_out(standard_display(arguments.jobs))
+    return _conclude(plan, jobs)
+
+
+def _print_plan(plan: Plan, jobs: int, threads: int) -> None:
+    states = [(run, run.read_state()) for run in plan.runs]
+    rows = [(run.name, state, _missing(run)) for run, state in states]
+    deviation = f", {plan.record.deviation}" if plan.record.deviation else ""
+    print(run_table(f"{plan.experiment.name}{deviation}: {shown(plan.folder)}", rows))
+    left = estimate([Remaining(run.record.arm, state) for run, state in states], jobs)
+    print(f"\n{counts([state for _, state in states])}; {jobs} at a time, {threads} threads each")
+    print(f"time left: {left}\n", flush=True)
+
+
+def _missing(run: PlannedRun) -> str:
+    tasks = run.missing_evaluations
+    return f"to be evaluated on {', '.join(tasks)}" if tasks else ""
+
+
+def _conclude(plan: Plan, jobs: Jobs) -> int:
+    """Prints what came of it; the exit code."""
+    finished = [state.metrics for job in jobs.jobs if (state := job.run.read_state()).metrics]
+    if finished:
+        print(f"\n{render_table(finished)}\n")
+    if plan.record.deviation:
+        print(f"not the experiment as it is stated: {plan.record.deviation}")
+    print(f"runs: {shown(plan.folder)}")
+    failed = [job for job in jobs.jobs if job.outcome is Outcome.FAILED]
+    for job in failed:
+        print(f"{job.run.name} failed: {job.reason} ({shown(job.run.directory.log)})", file=sys.stderr)
+    if jobs.interrupted:
+        print("stopped; the same command goes on", file=sys.stderr)
+        return 130
+    return 1 if failed else 0

@@ -1,0 +1,147 @@
+"""How the jobs do, for people: one line a run on a terminal, plain lines elsewhere."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Sequence
+from typing import TextIO
+
+from kickbench.errors import shown
+from kickbench.reproduce.estimate import Remaining, estimate
+from kickbench.reproduce.jobs import Display, Job, Outcome
+from kickbench.reproduce.tables import figures, iteration
+from kickbench.train.progress import Clock, duration, percent
+
+
+class PlainDisplay:
+    """A line when a run begins, every tenth of it or minute, and when it has ended.
+
+    Args:
+        stream: Where the lines go.
+        clock: Seconds that only grow; another one in tests.
+    """
+
+    _EVERY_SECONDS = 60.0
+    _EVERY_FRACTION = 0.1
+
+    def __init__(self, stream: TextIO | None = None, clock: Clock = time.monotonic) -> None:
+        self._stream, self._clock = stream or sys.stdout, clock
+        self._known: dict[str, tuple[Outcome, str]] = {}
+        self._printed: dict[str, tuple[float, int]] = {}
+
+    def update(self, jobs: Sequence[Job]) -> None:
+        """Prints what is new."""
+        first = not self._known
+        for job in jobs:
+            name, now = job.run.name, (job.outcome, job.reason)
+            if self._known.get(name) != now:
+                self._known[name] = now
+                if text := _event(job, first):
+                    self.say(f"{name}: {text}")
+                self._printed[name] = self._clock(), job.state.done
+            elif job.outcome is Outcome.RUNNING and self._is_due(job):
+                self._printed[name] = self._clock(), job.state.done
+                self.say(f"{name}: {_progress(job)}")
+
+    def say(self, text: str) -> None:
+        """Prints a line."""
+        print(text, file=self._stream, flush=True)
+
+    def _is_due(self, job: Job) -> bool:
+        when, done = self._printed[job.run.name]
+        if job.state.done == done:
+            return False
+        step = self._EVERY_FRACTION * (job.state.total or 1)
+        return job.state.done - done >= step or self._clock() - when >= self._EVERY_SECONDS
+
+
+class TerminalDisplay:
+    """A table that is redrawn in place, and stays on the screen as it last was.
+
+    Args:
+        at_a_time: Runs at a time, for the time left.
+        stream: The terminal.
+        force_terminal: Draw even if `stream` is none (tests).
+    """
+
+    def __init__(
+        self, at_a_time: int, stream: TextIO | None = None, force_terminal: bool | None = None
+    ) -> None:
+        from rich.console import Console
+        from rich.live import Live
+
+        self._at_a_time = at_a_time
+        self._console = Console(file=stream, force_terminal=force_terminal)
+        # Drawn by `update` alone: no thread may run while processes are started.
+        self._live = Live(console=self._console, auto_refresh=False)
+        self._drawn_at = 0.0
+
+    def update(self, jobs: Sequence[Job]) -> None:
+        """Draws the table, at most twice a second."""
+        ended = all(job.has_ended for job in jobs)
+        if not ended and time.monotonic() - self._drawn_at < 0.5:
+            return
+        self._drawn_at = time.monotonic()
+        if not self._live.is_started:
+            self._live.start()
+        self._live.update(self._table(jobs), refresh=True)
+        if ended:
+            self._live.stop()
+
+    def say(self, text: str) -> None:
+        """Prints a line above the table."""
+        self._console.print(text, highlight=False, markup=False)
+
+    def _table(self, jobs: Sequence[Job]):
+        from rich.progress_bar import ProgressBar
+        from rich.table import Table
+        from rich.text import Text
+
+        left = estimate([Remaining(job.run.record.arm, job.state) for job in jobs], self._at_a_time)
+        done = sum(job.outcome is Outcome.DONE for job in jobs)
+        caption = f"{done} of {len(jobs)} runs done" + ("" if done == len(jobs) else f"; time left: {left}")
+        table = Table(box=None, pad_edge=False, caption=caption, caption_justify="left")
+        for title in ("run", "state", "", "iteration", "success", "steps/s", "time left"):
+            table.add_column(title, no_wrap=True, justify="right" if title in _TO_THE_RIGHT else "left")
+        for job in jobs:
+            bar = ProgressBar(total=max(1, job.state.total or 1), completed=job.state.done, width=20)
+            cells = (Text(text) for text in (iteration(job.state), *figures(job.state)))
+            table.add_row(Text(job.run.name), Text(job.reason or _words(job)), bar, *cells)
+        return table
+
+
+_TO_THE_RIGHT = ("iteration", "success", "steps/s", "time left")
+
+
+def standard_display(at_a_time: int, stream: TextIO | None = None) -> Display:
+    """The display that fits the output."""
+    output = stream or sys.stdout
+    return TerminalDisplay(at_a_time, output) if output.isatty() else PlainDisplay(output)
+
+
+def _words(job: Job) -> str:
+    return job.state.note if job.outcome is Outcome.RUNNING and job.state.note else job.outcome.value
+
+
+def _event(job: Job, first: bool) -> str:
+    match job.outcome:
+        case Outcome.WAITING:
+            return job.reason
+        case Outcome.RUNNING:
+            if job.command[:1] == ("eval",):
+                return f"is evaluated on {job.command[3]}"
+            return f"goes on at iteration {iteration(job.state)}" if job.state.done else "begins"
+        case Outcome.DONE:
+            return (
+                "" if first else f"done after {duration(job.seconds)}, success {percent(job.state.success)}"
+            )
+        case Outcome.FAILED:
+            return f"failed: {job.reason}; its output: {shown(job.run.directory.log)}"
+        case Outcome.STOPPED:
+            return f"stopped at iteration {iteration(job.state)}"
+
+
+def _progress(job: Job) -> str:
+    success, speed, left = figures(job.state)
+    return f"iteration {iteration(job.state)}  success {success}  {speed} steps/s  left {left}"

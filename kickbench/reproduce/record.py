@@ -1,0 +1,70 @@
+"""`plan.json`: which runs a folder is to hold, so that `kickbench status` knows what is missing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+from pydantic import Field, NonNegativeInt, PositiveInt, ValidationError
+
+from kickbench.errors import KickbenchError
+from kickbench.results.atomic import atomic_write_text
+from kickbench.results.record import Record
+
+FILE = "plan.json"
+
+
+class RunRecord(Record):
+    """One run of a plan; its folder is `<arm>/seed<seed>`."""
+
+    arm: str
+    seed: NonNegativeInt
+    task: str
+    method: str
+    iterations: PositiveInt
+    episodes: PositiveInt = Field(description="evaluation episodes a side")
+    also: tuple[str, ...] = Field(default=(), description="further tasks that the policy is evaluated on")
+
+    @property
+    def folder(self) -> Path:
+        """Where it lies in the plan's folder."""
+        return Path(self.arm, f"seed{self.seed}")
+
+
+class PlanRecord(Record):
+    """What an experiment asks of a folder: all its runs, whether or not they have been asked for yet."""
+
+    schema_version: Literal[1] = 1
+    experiment: str
+    scale: float | None = Field(default=None, gt=0, lt=1, description="as in metrics.json")
+    overrides: tuple[str, ...] = Field(
+        default=(),
+        description="`--set` texts by which the runs differ from the experiment as its file has it",
+    )
+    runs: tuple[RunRecord, ...]
+
+    @property
+    def deviation(self) -> str:
+        """In what the runs differ from the experiment; empty if they do not."""
+        scaled = [f"scaled down to {self.scale:g}"] if self.scale else []
+        return ", ".join([*scaled, *(f"with --set {text}" for text in self.overrides)])
+
+
+def write_record(folder: Path, record: PlanRecord) -> None:
+    """Writes a folder's plan, atomically."""
+    atomic_write_text(folder / FILE, record.model_dump_json(indent=2) + "\n")
+
+
+def read_record(folder: Path) -> PlanRecord | None:
+    """Reads a folder's plan; None if it has none.
+
+    Raises:
+        KickbenchError: It is not valid.
+    """
+    path = folder / FILE
+    try:
+        return PlanRecord.model_validate_json(path.read_bytes())
+    except FileNotFoundError:
+        return None
+    except (OSError, ValidationError) as error:
+        raise KickbenchError(f"{path}: no valid plan of an experiment: {error}") from error
