@@ -23,6 +23,7 @@ class Claimed:
         figure: The figure that says so, with its interval and what that covers, in words.
         reported: The same figure as it was reported; empty if it was not.
         reason: Why there is not enough data; empty otherwise.
+        measured: Whether there is a figure.
     """
 
     statement: str
@@ -31,6 +32,7 @@ class Claimed:
     figure: str
     reported: str = ""
     reason: str = ""
+    measured: bool = True
 
 
 def claimed(verdict: Verdict) -> Claimed:
@@ -40,7 +42,15 @@ def claimed(verdict: Verdict) -> Claimed:
         figure = f"measured {verdict.unit.write(verdict.figure, verdict.interval)} ({verdict.basis})"
     reported = "" if verdict.reported is None else f"reported {verdict.unit.write(verdict.reported)}"
     claim = verdict.claim
-    return Claimed(claim.statement, claim.section, verdict.outcome, figure, reported, verdict.reason or "")
+    return Claimed(
+        claim.statement,
+        claim.section,
+        verdict.outcome,
+        figure,
+        reported,
+        verdict.reason or "",
+        verdict.figure is not None,
+    )
 
 
 @dataclass(frozen=True)

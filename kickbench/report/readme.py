@@ -117,12 +117,10 @@ def _study_text(study: Study, claims: tuple[Claimed, ...]) -> str:
     arms = {arm.name: arm for arm in study.arms}
     columns = [*table.columns[:-1], "Iterations", "Steps a run", "Training a run", "Hardware", "Commit"]
     lines += [_row(columns), _row(["---"] * len(columns))]
-    lines += [_row([*row, *_effort(arms[row[0]])]) for row in rows]
+    # Methods that have not been run are named below the table.
+    lines += [_row([*row, *_effort(arms[row[0]])]) for row in rows if arms[row[0]].finished]
     if claims:
-        lines += [
-            "",
-            *(f"- {_plain(of.statement)}: **{of.verdict}**, {_plain(_evidence(of))}" for of in claims),
-        ]
+        lines += ["", *_claim_lines(claims)]
     notes = [
         *warnings(study),
         *(f"results/measured/{study.name}/{note.place} says more of these runs." for note in study.notes),
@@ -132,21 +130,38 @@ def _study_text(study: Study, claims: tuple[Claimed, ...]) -> str:
     return "\n".join(lines)
 
 
+def _claim_lines(claims: tuple[Claimed, ...]) -> list[str]:
+    """The claims that something was measured for, and how many others there are."""
+    told = [of for of in claims if of.measured]
+    lines = [f"- {_plain(of.statement)}: **{of.verdict}**, {_plain(_evidence(of))}" for of in told]
+    rest = len(claims) - len(told)
+    if rest:
+        lines.append(
+            f"- {rest} more {'claim is' if rest == 1 else 'claims are'} about runs that are missing."
+        )
+    return lines
+
+
 def _evidence(claim: Claimed) -> str:
-    return "; ".join(filter(None, (claim.figure, claim.reported, claim.reason)))
+    return "; ".join(filter(None, (claim.figure, claim.reported)))
 
 
 def _effort(arm: ArmData) -> list[str]:
     """Iterations, steps, hours, hardware and commit of an arm's finished runs, each value once."""
     found = [run.metrics for run in arm.finished if run.metrics is not None]
     columns = (
-        [f"{of.iterations:,}" for of in found],
+        [_iterations(arm, of.iterations) for of in found],
         [f"{of.env_steps:,}" for of in found],
         _range([of.training_seconds for of in found]),
         [hardware(of.provenance) for of in found],
         [commit_text(of.provenance) for of in found],
     )
     return [", ".join(dict.fromkeys(values)) or "none" for values in columns]
+
+
+def _iterations(arm: ArmData, done: int) -> str:
+    planned = arm.plan.iterations if arm.plan else done
+    return f"{done:,}" if done == planned else f"{done:,} of {planned:,}"
 
 
 def _range(seconds: list[float]) -> list[str]:
