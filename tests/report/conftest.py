@@ -112,6 +112,18 @@ class Folder:
         return run
 
 
+@pytest.fixture(scope="session")
+def make_folder(tmp_path_factory):
+    """Makes folders of runs that several tests share: `make_folder()`."""
+
+    def make() -> Folder:
+        path = tmp_path_factory.mktemp("runs") / "mini_home_field"
+        path.mkdir()
+        return Folder(path)
+
+    return make
+
+
 @pytest.fixture
 def folder(tmp_path: Path) -> Folder:
     """An empty folder of runs, named after the task."""

@@ -23,8 +23,9 @@ from kickbench.report.spread import DISTANCE, SUCCESS, Reported, spreads
 SVG = "{http://www.w3.org/2000/svg}"
 
 
-@pytest.fixture
-def study(folder) -> Study:
+@pytest.fixture(scope="module")
+def study(make_folder) -> Study:
+    folder = make_folder()
     folder.add("baseline", 0)
     folder.add("baseline", 1)
     folder.add("equivariant", 0)

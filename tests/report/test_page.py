@@ -58,16 +58,17 @@ def page_of(folder: Path, *options: str) -> tuple[Page, str]:
     return Page(text), text
 
 
-@pytest.fixture
-def three(folder):
-    """Three methods, one of them with two seeds."""
+@pytest.fixture(scope="module")
+def whole(make_folder) -> tuple[Page, str]:
+    """The page of three methods, one of them with two seeds."""
+    folder = make_folder()
     for method, seed in (("baseline", 0), ("baseline", 1), ("augmentation", 0), ("equivariant", 0)):
         folder.add(method, seed)
-    return folder
+    return page_of(folder.path)
 
 
-def test_a_page_is_well_formed_and_needs_nothing_else(three):
-    page, text = page_of(three.path)
+def test_a_page_is_well_formed_and_needs_nothing_else(whole):
+    page, text = whole
     tags = {tag for tag, _ in page.tags}
     assert not tags & {"script", "link", "iframe", "img", "object", "embed"}
     references = [*page.attributes("href"), *page.attributes("xlink:href"), *page.attributes("src")]
@@ -77,8 +78,8 @@ def test_a_page_is_well_formed_and_needs_nothing_else(three):
     assert len(text) < 3_000_000
 
 
-def test_names_in_a_page_are_unique_and_links_lead_somewhere(three):
-    page, _ = page_of(three.path)
+def test_names_in_a_page_are_unique_and_links_lead_somewhere(whole):
+    page, _ = whole
     names = page.attributes("id")
     assert len(names) == len(set(names))
     used = {name for value in page.attributes("aria-labelledby") for name in value.split()}
@@ -86,16 +87,16 @@ def test_names_in_a_page_are_unique_and_links_lead_somewhere(three):
     assert used <= set(names)
 
 
-def test_every_picture_has_a_name_and_every_table_headings(three):
-    page, text = page_of(three.path)
+def test_every_picture_has_a_name_and_every_table_headings(whole):
+    page, text = whole
     pictures = [attributes for tag, attributes in page.tags if tag == "svg"]
     assert len(pictures) == text.count("<title id=") == text.count("<desc id=")
     assert all(attributes["role"] == "img" and attributes["aria-labelledby"] for attributes in pictures)
     assert [attributes["scope"] for tag, attributes in page.tags if tag == "th"]
 
 
-def test_every_figure_is_there(three):
-    page, _ = page_of(three.path)
+def test_every_figure_is_there(whole):
+    page, _ = whole
     for title in (
         "Success and distance", "Learning curves", "Where the balls stopped", "Success by target",
         "Which foot kicks", "Left and right in figures", "Provenance",
@@ -106,8 +107,8 @@ def test_every_figure_is_there(three):
     assert "Equivariance error: Not measured" in page.text
 
 
-def test_figures_stand_beside_what_they_rest_on(three):
-    page, _ = page_of(three.path)
+def test_figures_stand_beside_what_they_rest_on(whole):
+    page, _ = whole
     assert "equivariant: success 66.7 % in distribution, 66.7 % mirrored (1 seed)." in page.text
     assert "A Processor, 2 threads" in page.text
     assert "2,764,800" in page.text
@@ -126,8 +127,8 @@ def test_results_alone_make_a_page_that_says_what_is_missing(folder):
 
 
 def test_an_experiment_names_missing_unfinished_and_smaller_runs(folder):
-    folder.add("baseline", 0)
-    folder.add("equivariant", 0, iterations=45, scale=0.1)
+    folder.add("baseline", 0, curves=None, table=False)
+    folder.add("equivariant", 0, curves=None, table=False, iterations=45, scale=0.1)
     unfinished = folder.path / "augmentation" / "seed2"
     unfinished.mkdir(parents=True)
     (unfinished / "progress.csv").write_text("iteration,mean_return\n0,1\n1,2\n")
@@ -165,7 +166,7 @@ def test_reported_figures_stand_beside_measured_ones(tmp_path):
 
 
 def test_a_damaged_result_is_told_and_not_shown(folder):
-    run = folder.add("baseline")
+    run = folder.add("baseline", curves=None)
     (run / "metrics.json").write_text('{"schema_version": 1}')
     (run / "episodes.csv").write_text("nonsense\n")
     page, _ = page_of(folder.path, "--experiment", str(REPORTED))
@@ -176,8 +177,8 @@ def test_a_damaged_result_is_told_and_not_shown(folder):
 
 
 def test_a_run_that_the_experiment_does_not_plan_is_named(folder):
-    folder.add("baseline", 0)
-    folder.add("baseline", 7)
+    folder.add("baseline", 0, curves=None, table=False)
+    folder.add("baseline", 7, curves=None, table=False)
     page, _ = page_of(folder.path, "--experiment", str(REPORTED))
     assert "baseline/seed7: no run of this experiment, and not shown." in page.text
 
@@ -194,12 +195,13 @@ def test_names_cannot_break_out_of_the_page(folder):
     assert "<img src=x onerror=alert(1)>" in page.text
 
 
-def test_the_same_runs_make_the_same_page(three):
-    assert page_of(three.path)[1] == page_of(three.path)[1]
+def test_the_same_runs_make_the_same_page(folder):
+    folder.add("baseline", curves=None)
+    assert page_of(folder.path)[1] == page_of(folder.path)[1]
 
 
 def test_a_single_run_has_a_page(folder):
-    run = folder.add("baseline")
+    run = folder.add("baseline", curves=None, table=False)
     assert main(["report", str(run)]) == 0
     assert "baseline: success 66.7 %" in Page((run / "report.html").read_text()).text
 
