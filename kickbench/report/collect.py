@@ -56,12 +56,7 @@ def collect(root: Path, experiment: LoadedReported | None = None) -> tuple[Study
 def _run_folders(root: Path) -> list[Path]:
     """Folders with a result, a training or specs of a run, in the order of their paths."""
     names = ("metrics.json", "progress.csv", "specs/task.yaml")
-    files = {
-        root.joinpath(*file.relative_to(root).parts[: -len(Path(name).parts)])
-        for name in names
-        for file in root.rglob(name)
-    }
-    return sorted(files)
+    return sorted({file.parents[name.count("/")] for name in names for file in root.rglob(name)})
 
 
 def _identify(root: Path, folder: Path) -> _Found:

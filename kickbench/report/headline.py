@@ -84,7 +84,9 @@ def headline(study: Study, claims: Sequence[Claimed], commit: str | None = None)
     """
     asked = study.question or f"All runs of the task {study.name} that were found."
     outcome = (*_verdicts(claims), *filter(None, (_arm_sentence(arm) for arm in study.arms)))
-    return Headline(study.name, asked, study.section, outcome, warnings(study, commit), tuple(claims))
+    # Many descriptions name the section themselves.
+    section = "" if "thesis" in asked.lower() else study.section
+    return Headline(study.name, asked, section, outcome, warnings(study, commit), tuple(claims))
 
 
 def warnings(study: Study, commit: str | None = None) -> tuple[str, ...]:

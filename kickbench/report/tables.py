@@ -73,7 +73,7 @@ def comparison_table(study: Study) -> Table:
         columns += [f"{title}, reported", f"{title}, measured"] if told else [title]
     rows = []
     for index, first in enumerate(by_measure[SUCCESS]):
-        cells = [Cell(first.arm), Cell(SIDE_WORDS[first.side])]
+        cells = [Cell(first.arm), Cell(SIDE_WORDS[first.side], whole=True)]
         for measure in MEASURES:
             spread = by_measure[measure][index]
             cells += [reported_cell(spread, measure, arms[first.arm])] if told else []

@@ -143,7 +143,7 @@ def test_an_experiment_names_missing_unfinished_and_smaller_runs(folder):
     )
     assert "Of 3 claims: 3 without enough data to say." in page.text
     assert "The baseline loses at least 15 points of success on the mirrored side" in page.text
-    assert "Return of an episode, iterations 0 to 300" in page.text
+    assert "Return of an episode, iterations 0 to 2" in page.text
 
 
 def test_measured_results_of_the_repository_meet_their_claims(tmp_path):
