@@ -126,10 +126,10 @@ VALUE, METRIC = "value: {arm: baseline}", "metric: success_rate"
          "the task mini_general has no mirrored evaluation"),
         (VALUE, "value: {arm: baseline, task: mini_home_field}", "x.yaml:8:82: claims.c.value.task: "
          "the arm baseline is not evaluated on 'mini_home_field'; on: mini_general"),
-        (METRIC, "metric: termination_share, terminations: [time_ot]", "x.yaml:8:77: claims.c.terminations.0: "
+        (METRIC, "metric: termination_share, terminations: [time_ot]", "x.yaml:8:79: claims.c.terminations.0: "
          "the task mini_general has no termination 'time_ot'; it has: time_out, target_hit, target_missed, "
          "double_touch (did you mean 'time_out'?)"),
-        (METRIC, "metric: raw_reward, reward: upright", "x.yaml:8:56: claims.c.reward: the task mini_general has no "
+        (METRIC, "metric: raw_reward, reward: upright", "x.yaml:8:57: claims.c.reward: the task mini_general has no "
          "reward 'upright'; it has: target_distance, ball_approach_target, agent_approach_ball, ball_not_moving, "
          "action_rate"),
         ("kind: at_least", "kind: near_reported", "x.yaml:8:64: claims.c.value: no success_rate of in_distribution was "

@@ -173,6 +173,9 @@ def estimate(arms: Mapping[str, Sequence[RunTerms]]) -> Estimated:
     value = sum(float(np.mean(sample)) for sample in samples)
     if seeds == 1:
         return Estimated(value, over_episodes(list(arms.values())), "episodes of one seed")
+    if all(max(sample) == min(sample) for sample in samples):
+        # Seeds that all give the same, such as no fall at all, do not show how seeds vary: their episodes must do.
+        return Estimated(value, over_episodes(list(arms.values())), f"episodes of {seeds} seeds")
     basis = f"{seeds} seeds"
     if len(samples) == 1:
         return Estimated(value, over_seeds(samples[0]), basis)

@@ -79,3 +79,12 @@ def test_an_arm_of_one_seed_makes_it_a_matter_of_episodes():
     found = estimate({"a": many, "b": [terms((-1.0, 0.3, Interval(0.2, 0.4)))]})
     assert found.value == pytest.approx(0.3)
     assert found.basis == "episodes of one seed"
+
+
+def test_seeds_that_are_all_alike_have_the_interval_of_their_episodes():
+    """No fall in three times 100 episodes is no proof that there is none."""
+    alike = [terms((1.0, 0.0, wilson(0, 100)))] * 3
+    found = estimate({"a": alike})
+    assert found.basis == "episodes of 3 seeds"
+    assert found.interval is not None
+    assert found.interval.high == pytest.approx(wilson(0, 100).high / 3**0.5)

@@ -8,6 +8,7 @@ import pytest
 
 from kickbench.reported import load_reported
 from kickbench.results.measured import read_measured
+from kickbench.results.metrics import write_metrics
 from kickbench.results.verdicts import is_met_as_reported, judge, verdict_lines
 
 ROOT = Path(__file__).parents[2]
@@ -81,7 +82,7 @@ def test_a_claim_is_met_on_one_side_of_its_bound_and_not_on_the_other(
     """The mirrored side succeeds in half of the episodes, seeds differ by a point or less."""
     spread = (-0.005, 0.0, 0.005)[:count]
     for rate, outcome in ((met, "met"), (not_met, "not met")):
-        found = verdict(claim, {"baseline": seeds([rate + d for d in spread], [0.5 + d for d in spread])})
+        found = verdict(claim, {"baseline": seeds([rate + d for d in spread], [0.5 - d / 2 for d in spread])})
         assert found.outcome == outcome
         assert found.reason is None
         assert found.basis == ("3 seeds" if count == 3 else "episodes of one seed")
@@ -118,9 +119,9 @@ def test_two_arms_over_seeds_have_welchs_interval(verdict, seeds):
 
 def test_a_missing_seed_is_not_enough_data_but_what_is_there_is_shown(verdict, seeds):
     claim = f"kind: difference_at_least, metric: success_rate, {HOME_AND_AWAY}, bound: 0.15"
-    found = verdict(claim, {"baseline": [*seeds([0.8, 0.81], [0.1, 0.11]), None]})
+    found = verdict(claim, {"baseline": [*seeds([0.80, 0.82], [0.10, 0.11]), None]})
     assert (found.outcome, found.reason) == ("not enough data", "baseline seed 2: missing")
-    assert found.figure == pytest.approx(0.7)
+    assert found.figure == pytest.approx(0.705)
     assert found.basis == "2 seeds"
 
 
@@ -216,22 +217,22 @@ def test_the_shown_ratio_and_its_interval_judge_as_the_verdict_does(verdict, see
     assert found.outcome == "met"
 
 
-def curves(path: Path, rows: list[tuple[float | str, float | str]]) -> None:
-    lines = ["mean_return,mean_episode_steps,reward_raw/action_rate", *(f"{r},{n},{n}" for r, n in rows)]
-    path.mkdir(parents=True, exist_ok=True)
-    (path / "progress.csv").write_text("\n".join(lines) + "\n")
+def curves(path: Path, rows: list[tuple[float | str, float | str]], reward_per_step: float) -> None:
+    """A progress table; a number that is missing is an empty cell."""
+    header = "mean_return,mean_episode_steps,reward_raw/action_rate"
+    cells = [f"{r},{n},{n if n == '' else reward_per_step * float(n)}" for r, n in rows]
+    (path / "progress.csv").write_text("\n".join([header, *cells]) + "\n")
 
 
-def measured_on_disk(experiment, make, tmp_path, rows):
-    from kickbench.results.metrics import write_metrics
-
-    path = tmp_path / "baseline/seed0"
-    curves(path, rows)
+def measured_on_disk(experiment, make, folder, rows):
+    """Three seeds of the baseline with one table, but for 1 % more and less reward and a longer last episode."""
     for seed in range(3):
+        path = folder / f"baseline/seed{seed}"
         run = make.metrics(make.side(0.5), make.side(0.5), seed=seed)
-        write_metrics(tmp_path / f"baseline/seed{seed}/metrics.json", run)
-        curves(tmp_path / f"baseline/seed{seed}", rows)
-    return read_measured(tmp_path, experiment)
+        write_metrics(path / "metrics.json", run)
+        (*first, (r, n)) = rows
+        curves(path, [*first, (r, n + seed / 10)], 1 + (seed - 1) / 100)
+    return read_measured(folder, experiment)
 
 
 @pytest.mark.parametrize(
@@ -249,12 +250,12 @@ def test_the_return_that_follows_the_length_is_read_off_the_curves(experiment, m
 
 
 def test_a_raw_reward_is_a_mean_per_step_at_the_end_of_training(experiment, make, tmp_path):
-    claim = "kind: at_most, metric: raw_reward, reward: action_rate, value: {arm: baseline}, bound: 1.0"
+    claim = "kind: at_most, metric: raw_reward, reward: action_rate, value: {arm: baseline}, bound: 1.1"
     spec = experiment(claim)
-    rows = [(0, 5)] * 18 + [(0, 7), (0, 9)]
+    rows = [("", "")] + [(0, 5)] * 17 + [(0, 7), (0, 9)]
     (found,) = judge(spec, measured_on_disk(spec, make, tmp_path, rows))
-    # The made-up column is the number of steps itself: one a step.
     assert (found.figure, found.outcome) == (pytest.approx(1.0), "met")
+    assert found.interval == pytest.approx((1 - 0.0248, 1 + 0.0248), abs=1e-4)
 
 
 def test_a_claim_without_curves_says_so(verdict, seeds):
@@ -268,9 +269,9 @@ def test_the_lines_hold_every_claim_with_its_words(experiment, make, seeds):
     spec = experiment(
         "section: 4.3.2, kind: at_least, metric: success_rate, value: {arm: baseline}, bound: 0.5"
     )
-    lines = verdict_lines(spec, judge(spec, make.measured({"baseline": seeds([0.8, 0.8, 0.8])})))
+    lines = verdict_lines(spec, judge(spec, make.measured({"baseline": seeds([0.79, 0.80, 0.81])})))
     assert lines[0] == "claims: made_up"
-    assert "80.0 [80.0, 80.0] %" in lines[4]
+    assert "80.0 [77.5, 82.5] %" in lines[4]
     assert lines[-1] == "c0: S (thesis 4.3.2)"
 
 
