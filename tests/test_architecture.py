@@ -33,6 +33,7 @@ ROOMS = (
     ("runner",),
     ("audit",),
     ("view",),
+    ("report",),
     ("reproduce",),
     ("cli",),
     ("__main__",),

@@ -53,6 +53,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_symmetry(verbs)
     _add_audit(verbs)
     _add_verb(verbs, "doctor", "kickbench.cli.doctor:doctor", "say what can run here, and why not the rest")
+    _add_report(verbs)
     return parser
 
 
@@ -275,6 +276,29 @@ def _add_audit(verbs: argparse._SubParsersAction) -> None:
     verb.add_argument("--json", action="store_true", help="print the report as JSON")
     _add_set(verb)
     _add_threads(verb)
+
+
+def _add_report(verbs: argparse._SubParsersAction) -> None:
+    text = "write one self-contained page about a folder of runs, or the README's results"
+    verb = _add_verb(verbs, "report", "kickbench.cli.report:report", text)
+    verb.add_argument(
+        "folder", type=Path, nargs="?", metavar="DIR", help="a run directory, or a folder of them"
+    )
+    verb.add_argument(
+        "-o", "--out", type=Path, metavar="FILE", help="page to write (default: DIR/report.html)"
+    )
+    verb.add_argument(
+        "--experiment",
+        type=Path,
+        metavar="REPORTED",
+        help="YAML of the experiment that DIR holds: puts what was reported beside it, and gives verdicts",
+    )
+    verb.add_argument(
+        "--readme",
+        action="store_true",
+        help="write the results of README.md and results/pictures from results/measured instead",
+    )
+    verb.add_argument("--root", type=Path, default=Path(), help=argparse.SUPPRESS)
 
 
 class _Plot(argparse.Action):

@@ -1,4 +1,4 @@
-"""Libraries that only pictures need."""
+"""Libraries that only pictures and reports need."""
 
 from __future__ import annotations
 
@@ -8,12 +8,13 @@ from typing import Any
 from kickbench.errors import KickbenchError
 
 
-def require(module: str, purpose: str) -> Any:
-    """Imports a library of the extra `view`.
+def require(module: str, purpose: str, extra: str = "view") -> Any:
+    """Imports a library of an extra.
 
     Args:
         module: Full name of the module.
         purpose: What it is needed for, as the start of the message: `a .mp4`.
+        extra: The extra that installs it.
 
     Raises:
         KickbenchError: The library is not installed.
@@ -23,5 +24,5 @@ def require(module: str, purpose: str) -> Any:
     except ModuleNotFoundError:
         library = module.partition(".")[0]
         raise KickbenchError(
-            f"{purpose} needs {library}, which is not installed: pip install 'kickbench[view]'"
+            f"{purpose} needs {library}, which is not installed: pip install 'kickbench[{extra}]'"
         ) from None

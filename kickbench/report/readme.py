@@ -1,0 +1,186 @@
+"""`kickbench report --readme`: the README's results, from `results/measured`, between two marks.
+
+Everything is a function of the files in `results/`: the same files give the same text.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from kickbench.errors import KickbenchError
+from kickbench.report.collect import collect
+from kickbench.report.data import ArmData, Study
+from kickbench.report.figures.canvas import Picture
+from kickbench.report.figures.dots import draw_dots
+from kickbench.report.figures.legs import draw_legs, legs_of
+from kickbench.report.headline import Claimed, warnings
+from kickbench.report.palette import looks_of
+from kickbench.report.spread import SUCCESS, Spread, spreads
+from kickbench.report.tables import commit_text, comparison_table, hardware, hours, reported_of
+from kickbench.report.write import judged
+from kickbench.reported import load_reported
+from kickbench.results.atomic import atomic_write_text
+
+BEGIN = "<!-- results: written by `kickbench report --readme` from results/measured; do not edit by hand -->"
+END = "<!-- results: end -->"
+PICTURES = "results/pictures"
+_WIDTH = 640
+
+Result = tuple[Study, tuple[Claimed, ...]]
+
+
+def write_readme(root: Path) -> tuple[Path, ...]:
+    """Writes the results of the README and their pictures.
+
+    Args:
+        root: The checkout, with `README.md`, `results/reported` and `results/measured`.
+
+    Returns:
+        The files written.
+
+    Raises:
+        KickbenchError: The README has no marks, or there are no results.
+    """
+    readme = root / "README.md"
+    results = measured_results(root)
+    text = replaced(_read(readme), section(results), str(readme))
+    files = []
+    for picture in pictures(results):
+        files.append(root / PICTURES / f"{picture.name}.svg")
+        atomic_write_text(files[-1], picture.svg + "\n")
+    atomic_write_text(readme, text)
+    return (*files, readme)
+
+
+def measured_results(root: Path) -> tuple[Result, ...]:
+    """Every folder of `results/measured`: as its experiment plans it, if `results/reported` has one of its name."""
+    folders = sorted(path for path in (root / "results/measured").glob("*") if path.is_dir())
+    if not folders:
+        raise KickbenchError(f"{root / 'results/measured'}: no results")
+    results: list[Result] = []
+    for folder in folders:
+        spec = root / "results/reported" / f"{folder.name}.yaml"
+        if spec.is_file():
+            experiment = load_reported(spec)
+            claims, problems = judged(folder, experiment)
+            if problems:
+                raise KickbenchError(problems[0])
+            results += [(study, claims) for study in collect(folder, experiment)]
+        else:
+            results += [(study, ()) for study in collect(folder)]
+    return tuple(results)
+
+
+def replaced(readme: str, body: str, name: str) -> str:
+    """The README with another text between the marks.
+
+    Raises:
+        KickbenchError: The marks are not there, each once and in order.
+    """
+    if readme.count(BEGIN) != 1 or readme.count(END) != 1 or readme.index(BEGIN) > readme.index(END):
+        raise KickbenchError(f"{name}: expected, each once and in this order, the lines\n{BEGIN}\n{END}")
+    before, _, rest = readme.partition(BEGIN)
+    _, _, after = rest.partition(END)
+    return f"{before}{BEGIN}\n\n{body}\n\n{END}{after}"
+
+
+def section(results: tuple[Result, ...]) -> str:
+    """The text between the marks: tables, verdicts, what to know before believing them, pictures."""
+    parts = [_study_text(study, claims) for study, claims in results]
+    return "\n\n".join([*parts, *(f"![{of.title}]({PICTURES}/{of.name}.svg)" for of in pictures(results))])
+
+
+def pictures(results: tuple[Result, ...]) -> tuple[Picture, Picture]:
+    """Success of every method on either side, and which foot kicked."""
+    rows: list[tuple[Spread, str]] = []
+    for study, _ in results:
+        for spread in spreads(study.arms, SUCCESS, reported_of(study)):
+            if spread.seeds:
+                side = "" if spread.side == "in_distribution" else ", mirrored"
+                rows.append((spread, f"{study.name}: {spread.arm}{side}"))
+    arms = {arm.name: arm.method for study, _ in results for arm in study.arms}
+    success = draw_dots(
+        [spread for spread, _ in rows], SUCCESS, looks_of(arms.items()), "success",
+        names=[name for _, name in rows], width=_WIDTH, themed=False,
+    )  # fmt: skip
+    runs = ((run, study.name) for study, _ in results for run in study.runs)
+    legs = (legs_of(run, f"{name}: {run.arm}, seed {run.seed}") for run, name in runs)
+    return success, draw_legs([of for of in legs if of is not None], "feet", width=_WIDTH)
+
+
+def _study_text(study: Study, claims: tuple[Claimed, ...]) -> str:
+    lines = [f"**`{_plain(study.name)}`**{f': {_plain(study.question)}' if study.question else ''}", ""]
+    table = comparison_table(study)
+    rows = [
+        [f"{cell.text} ({cell.note})" if cell.note else cell.text for cell in row[:-1]] for row in table.rows
+    ]
+    arms = {arm.name: arm for arm in study.arms}
+    columns = [*table.columns[:-1], "Iterations", "Steps a run", "Training a run", "Hardware", "Commit"]
+    lines += [_row(columns), _row(["---"] * len(columns))]
+    # Methods that have not been run are named below the table.
+    lines += [_row([*row, *_effort(arms[row[0]])]) for row in rows if arms[row[0]].finished]
+    if claims:
+        lines += ["", *_claim_lines(claims)]
+    notes = [
+        *warnings(study),
+        *(f"results/measured/{study.name}/{note.place} says more of these runs." for note in study.notes),
+    ]
+    if notes:
+        lines += ["", *(f"- Note: {_plain(note)}" for note in notes)]
+    return "\n".join(lines)
+
+
+def _claim_lines(claims: tuple[Claimed, ...]) -> list[str]:
+    """The claims that something was measured for, and how many others there are."""
+    told = [of for of in claims if of.measured]
+    lines = [f"- {_plain(of.statement)}: **{of.verdict}**, {_plain(_evidence(of))}" for of in told]
+    rest = len(claims) - len(told)
+    if rest:
+        lines.append(
+            f"- {rest} more {'claim is' if rest == 1 else 'claims are'} about runs that are missing."
+        )
+    return lines
+
+
+def _evidence(claim: Claimed) -> str:
+    return "; ".join(filter(None, (claim.figure, claim.reported)))
+
+
+def _effort(arm: ArmData) -> list[str]:
+    """Iterations, steps, hours, hardware and commit of an arm's finished runs, each value once."""
+    found = [run.metrics for run in arm.finished if run.metrics is not None]
+    columns = (
+        [_iterations(arm, of.iterations) for of in found],
+        [f"{of.env_steps:,}" for of in found],
+        _range([of.training_seconds for of in found]),
+        [hardware(of.provenance) for of in found],
+        [commit_text(of.provenance) for of in found],
+    )
+    return [", ".join(dict.fromkeys(values)) or "none" for values in columns]
+
+
+def _iterations(arm: ArmData, done: int) -> str:
+    planned = arm.plan.iterations if arm.plan else done
+    return f"{done:,}" if done == planned else f"{done:,} of {planned:,}"
+
+
+def _range(seconds: list[float]) -> list[str]:
+    """Shortest and longest time."""
+    ends = dict.fromkeys(map(hours, (min(seconds), max(seconds)))) if seconds else {}
+    return [" to ".join(ends)] if ends else []
+
+
+def _row(cells: list[str]) -> str:
+    return f"| {' | '.join(_plain(cell) for cell in cells)} |"
+
+
+def _plain(text: str) -> str:
+    """A text that Markdown shows as it is, in one line."""
+    return " ".join(text.split()).replace("|", "\\|").replace("<", "&lt;").replace("*", "\\*")
+
+
+def _read(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise KickbenchError(f"{path}: cannot read it: {error.strerror}") from None

@@ -1,0 +1,56 @@
+"""`kickbench report DIR`: from a folder of runs to the file of a page."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from kickbench import __version__
+from kickbench.errors import KickbenchError
+from kickbench.report.collect import collect
+from kickbench.report.headline import Claimed, claimed
+from kickbench.report.page import anchors, part_of, render
+from kickbench.reported import LoadedReported
+from kickbench.results.atomic import atomic_write_text
+from kickbench.results.measured import read_measured
+from kickbench.results.provenance import code_state
+from kickbench.results.verdicts import judge
+
+
+def write_report(root: Path, out: Path, experiment: LoadedReported | None = None) -> None:
+    """Writes the page of a folder of runs.
+
+    Args:
+        root: The folder.
+        out: File to write.
+        experiment: What should be there; default: whatever is there.
+
+    Raises:
+        KickbenchError: There is no run, or a library is missing.
+    """
+    studies = collect(root, experiment)
+    claims: tuple[Claimed, ...] = ()
+    if experiment is not None:
+        claims, problems = judged(root, experiment)
+        studies = tuple(replace(study, problems=(*study.problems, *problems)) for study in studies)
+    parts = [
+        part_of(study, claims, anchor, code_state()[0])
+        for study, anchor in zip(studies, anchors(studies), strict=True)
+    ]
+    title = f"kickbench: {studies[0].name if len(studies) == 1 else root.resolve().name}"
+    atomic_write_text(out, render(title, parts, _made_by()))
+
+
+def judged(root: Path, experiment: LoadedReported) -> tuple[tuple[Claimed, ...], tuple[str, ...]]:
+    """The claims of an experiment with their verdicts; and, where they cannot be judged, why not."""
+    try:
+        verdicts = judge(experiment, read_measured(root, experiment))
+    except KickbenchError as error:
+        return (), (f"The claims cannot be judged: {error}".replace(f"{root}/", ""),)
+    return tuple(map(claimed, verdicts)), ()
+
+
+def _made_by() -> str:
+    commit, dirty = code_state()
+    at = f" at commit {commit[:10]}{' with uncommitted changes' if dirty else ''}" if commit else ""
+    return f"Page made by kickbench {__version__}{at}."

@@ -1,0 +1,241 @@
+"""The page: whole, self-contained, honest about what is not there, safe with any name."""
+
+from __future__ import annotations
+
+import json
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+
+from kickbench.cli import main
+
+ROOT = Path(__file__).parents[2]
+REPORTED = ROOT / "results/reported/mini_home_field.yaml"
+VOID = {"meta", "link", "br", "img", "hr", "input"}
+
+
+class Page(HTMLParser):
+    """Tags, attributes and words of a page; elements must be closed in order."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.words: list[str] = []
+        self.feed(text)
+        self.close()
+        assert not self.open, f"not closed: {self.open}"
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag):
+        assert self.open
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.words.append(data)
+
+    @property
+    def text(self) -> str:
+        return " ".join(" ".join(self.words).split())
+
+    def attributes(self, name: str) -> list[str]:
+        return [attributes[name] or "" for _, attributes in self.tags if name in attributes]
+
+
+def page_of(folder: Path, *options: str) -> tuple[Page, str]:
+    out = folder.parent / "page.html"
+    assert main(["report", str(folder), "-o", str(out), *options]) == 0
+    text = out.read_text()
+    return Page(text), text
+
+
+@pytest.fixture(scope="module")
+def whole(make_folder) -> tuple[Page, str]:
+    """The page of three methods, one of them with two seeds."""
+    folder = make_folder()
+    for method, seed in (("baseline", 0), ("baseline", 1), ("augmentation", 0), ("equivariant", 0)):
+        folder.add(method, seed)
+    return page_of(folder.path)
+
+
+def test_a_page_is_well_formed_and_needs_nothing_else(whole):
+    page, text = whole
+    tags = {tag for tag, _ in page.tags}
+    assert not tags & {"script", "link", "iframe", "img", "object", "embed"}
+    references = [*page.attributes("href"), *page.attributes("xlink:href"), *page.attributes("src")]
+    assert all(reference.startswith(("#", "data:image/png;base64,")) for reference in references)
+    assert not re.search(r"@import|url\((?!#)", text)
+    assert not [name for _, attributes in page.tags for name in attributes if name.startswith("on")]
+    assert len(text) < 3_000_000
+
+
+def test_names_in_a_page_are_unique_and_links_lead_somewhere(whole):
+    page, _ = whole
+    names = page.attributes("id")
+    assert len(names) == len(set(names))
+    used = {name for value in page.attributes("aria-labelledby") for name in value.split()}
+    used |= {value[1:] for value in page.attributes("href") if value.startswith("#")}
+    assert used <= set(names)
+
+
+def test_every_picture_has_a_name_and_every_table_headings(whole):
+    page, text = whole
+    pictures = [attributes for tag, attributes in page.tags if tag == "svg"]
+    assert len(pictures) == text.count("<title id=") == text.count("<desc id=")
+    assert all(attributes["role"] == "img" and attributes["aria-labelledby"] for attributes in pictures)
+    assert [attributes["scope"] for tag, attributes in page.tags if tag == "th"]
+
+
+def test_every_figure_is_there(whole):
+    page, _ = whole
+    for title in (
+        "Success and distance", "Learning curves", "Where the balls stopped", "Success by target",
+        "Which foot kicks", "Left and right in figures", "Provenance",
+        "Hit, iterations 0 to 300", "Hit, iterations 300 to 450", "baseline, mirrored", "baseline, seed 1",
+    ):  # fmt: skip
+        assert title in page.text
+    assert "Fall down: this task has no such ending." in page.text
+    assert "Equivariance error: Not measured" in page.text
+
+
+def test_figures_stand_beside_what_they_rest_on(whole):
+    page, _ = whole
+    assert "equivariant: success 66.7 % in distribution, 66.7 % mirrored (1 seed)." in page.text
+    assert "A Processor, 2 threads" in page.text
+    assert "2,764,800" in page.text
+    assert "run by other code than this page's, commit 0123456789".lower() in page.text.lower()
+
+
+def test_results_alone_make_a_page_that_says_what_is_missing(folder):
+    folder.add("baseline", curves=None, table=False)
+    page, _ = page_of(folder.path)
+    assert "Learning curves: Not measured, no training curve (progress.csv): baseline seed 0." in page.text
+    assert (
+        "Where the balls stopped: Not measured, no table of episodes (episodes.csv): baseline seed 0."
+        in page.text
+    )
+    assert "66.7" in page.text
+
+
+def test_an_experiment_names_missing_unfinished_and_smaller_runs(folder):
+    folder.add("baseline", 0, curves=None, table=False)
+    folder.add("equivariant", 0, curves=None, table=False, iterations=45, scale=0.1)
+    unfinished = folder.path / "augmentation" / "seed2"
+    unfinished.mkdir(parents=True)
+    (unfinished / "progress.csv").write_text("iteration,mean_return\n0,1\n1,2\n")
+    page, _ = page_of(folder.path, "--experiment", str(REPORTED))
+    assert "2 of 9 runs are finished." in page.text
+    assert "Unfinished: 2 of 450 iterations, not evaluated: augmentation seed 2." in page.text
+    assert "Scaled down to 0.1 of its size: equivariant seed 0." in page.text
+    assert "45 of 450 iterations: equivariant seed 0." in page.text
+    assert "60 of 2,000 episodes a side: baseline seed 0, equivariant seed 0." in page.text
+    assert (
+        "Not run: baseline seeds 1 and 2, augmentation seeds 0 and 1, equivariant seeds 1 and 2." in page.text
+    )
+    assert "Of 3 claims: 3 without enough data to say." in page.text
+    assert "The baseline loses at least 15 points of success on the mirrored side" in page.text
+    assert "Return of an episode, iterations 0 to 2" in page.text
+
+
+def test_measured_results_of_the_repository_meet_their_claims(tmp_path):
+    measured = ROOT / "results/measured/mini_home_field"
+    out = tmp_path / "page.html"
+    assert main(["report", str(measured), "--experiment", str(REPORTED), "-o", str(out)]) == 0
+    text = Page(out.read_text()).text
+    assert "Of 3 claims: 3 met." in text
+
+
+def test_reported_figures_stand_beside_measured_ones(tmp_path):
+    reported = ROOT / "results/reported/home_field.yaml"
+    empty = tmp_path / "home_field"
+    empty.mkdir()
+    page, _ = page_of(empty, "--experiment", str(reported))
+    assert "Reported and measured" in page.text
+    assert "55.58" not in page.text  # one decimal, as everywhere
+    for figure in ("55.6", "15.3", "3.416", "not measured", "0 of 3 runs are finished."):
+        assert figure in page.text
+
+
+def test_a_damaged_result_is_told_and_not_shown(folder):
+    run = folder.add("baseline", curves=None)
+    (run / "metrics.json").write_text('{"schema_version": 1}')
+    (run / "episodes.csv").write_text("nonsense\n")
+    page, _ = page_of(folder.path, "--experiment", str(REPORTED))
+    assert "no valid metrics" in page.text
+    assert "episodes.csv:1: expected the columns" in page.text
+    assert "The claims cannot be judged" in page.text
+    assert str(folder.path) not in page.text
+
+
+def test_a_run_that_the_experiment_does_not_plan_is_named(folder):
+    folder.add("baseline", 0, curves=None, table=False)
+    folder.add("baseline", 7, curves=None, table=False)
+    page, _ = page_of(folder.path, "--experiment", str(REPORTED))
+    assert "baseline/seed7: no run of this experiment, and not shown." in page.text
+
+
+def test_names_cannot_break_out_of_the_page(folder):
+    run = folder.add("baseline")
+    metrics = json.loads((run / "metrics.json").read_text())
+    metrics["method"], metrics["task"] = "<script>alert(1)</script>", "a & b <i>"
+    (run / "metrics.json").write_text(json.dumps(metrics))
+    (run / "README.md").write_text("<img src=x onerror=alert(1)>")
+    page, _ = page_of(folder.path)
+    assert not {tag for tag, _ in page.tags} & {"script", "img", "i"}
+    assert "<script>alert(1)</script>" in page.text
+    assert "<img src=x onerror=alert(1)>" in page.text
+
+
+def test_the_same_runs_make_the_same_page(folder):
+    folder.add("baseline", curves=None)
+    assert page_of(folder.path)[1] == page_of(folder.path)[1]
+
+
+def test_a_single_run_has_a_page(folder):
+    run = folder.add("baseline", curves=None, table=False)
+    assert main(["report", str(run)]) == 0
+    assert "baseline: success 66.7 %" in Page((run / "report.html").read_text()).text
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["report", "nowhere"], "nowhere: no such folder"),
+        (["report", "."], "no run in it, finished or not"),
+        (["report"], "expected a folder of runs"),
+        (["report", ".", "--experiment", "nothing.yaml"], "nothing.yaml"),
+        (["report", ".", "--readme"], "--readme takes"),
+    ],
+)
+def test_wrong_use_is_an_error_and_writes_nothing(tmp_path, monkeypatch, capsys, arguments, message):
+    monkeypatch.chdir(tmp_path)
+    assert main(arguments) == 2
+    assert message in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("module", ["jinja2", "matplotlib.figure"])
+def test_a_missing_library_is_named_with_what_installs_it(folder, monkeypatch, capsys, module):
+    import kickbench.view.extra as extra
+
+    real = extra.import_module
+
+    def import_module(name):
+        if name == module:
+            raise ModuleNotFoundError(name)
+        return real(name)
+
+    monkeypatch.setattr(extra, "import_module", import_module)
+    folder.add("baseline", curves=None, table=False)
+    assert main(["report", str(folder.path)]) == 2
+    assert "kickbench[report]" in capsys.readouterr().err
+    assert not (folder.path / "report.html").exists()

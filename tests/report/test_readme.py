@@ -1,0 +1,93 @@
+"""The README's results are those of results/measured, to the letter."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+from kickbench.errors import KickbenchError
+from kickbench.report.readme import (
+    BEGIN,
+    END,
+    PICTURES,
+    measured_results,
+    pictures,
+    replaced,
+    section,
+    write_readme,
+)
+
+ROOT = Path(__file__).parents[2]
+HINT = "results/measured and the README differ: run `kickbench report --readme`"
+
+
+@pytest.fixture(scope="module")
+def results():
+    return measured_results(ROOT)
+
+
+def described(svg: str) -> tuple[str | None, str | None]:
+    root = ElementTree.fromstring(svg)
+    find = {tag: root.find(f"{{http://www.w3.org/2000/svg}}{tag}") for tag in ("title", "desc")}
+    return tuple(element.text if element is not None else None for element in find.values())  # type: ignore[return-value]
+
+
+def test_the_readme_is_up_to_date(results):
+    readme = (ROOT / "README.md").read_text()
+    assert readme == replaced(readme, section(results), "README.md"), HINT
+
+
+def test_its_pictures_show_what_was_measured(results):
+    """Compared by the figures that they tell, since their strokes depend on matplotlib's version."""
+    for picture in pictures(results):
+        stored = (ROOT / PICTURES / f"{picture.name}.svg").read_text()
+        assert described(stored) == (picture.title, picture.text), HINT
+        assert f"]({PICTURES}/{picture.name}.svg)" in section(results)
+
+
+def test_every_measured_run_is_in_a_picture(results):
+    text = pictures(results)[1].text
+    for file in (ROOT / "results/measured").rglob("metrics.json"):
+        experiment, arm, seed = file.parent.relative_to(ROOT / "results/measured").parts
+        assert f"{experiment}: {arm}, seed {seed.removeprefix('seed')}:" in text
+
+
+def test_iterations_and_hardware_stand_beside_every_figure(results):
+    for line in section(results).splitlines():
+        cells = [cell.strip() for cell in line.strip("|").split("|")]
+        if line.startswith("|") and cells[0] not in ("Method", "---"):
+            iterations, hardware = cells[-5], cells[-2]
+            assert iterations[0].isdigit()
+            assert "thread" in hardware
+
+
+def test_writing_twice_changes_nothing(tmp_path):
+    for name in ("results/reported", "results/measured/mini_home_field", "tasks", "methods", "assets"):
+        shutil.copytree(ROOT / name, tmp_path / name)
+    readme = tmp_path / "README.md"
+    readme.write_text(f"before\n\n{BEGIN}\n\nold\n\n{END}\n\nafter\n")
+    files = write_readme(tmp_path)
+    first = [file.read_bytes() for file in files]
+    assert write_readme(tmp_path) == files
+    assert [file.read_bytes() for file in files] == first
+    text = readme.read_text()
+    assert text.startswith("before\n")
+    assert text.endswith("after\n")
+    assert "old" not in text
+    assert "| baseline | mirrored | 13.2 ± 6.3" in text
+
+
+@pytest.mark.parametrize("readme", ["", BEGIN, END, f"{END}\n{BEGIN}", f"{BEGIN}\n{END}\n{BEGIN}\n{END}"])
+def test_a_readme_without_the_marks_is_an_error(readme):
+    with pytest.raises(KickbenchError, match=r"README.md: expected, each once"):
+        replaced(readme, "body", "README.md")
+
+
+def test_without_results_nothing_is_written(tmp_path):
+    (tmp_path / "README.md").write_text(f"{BEGIN}\n{END}\n")
+    with pytest.raises(KickbenchError, match="no results"):
+        write_readme(tmp_path)
+    assert [file.name for file in tmp_path.iterdir()] == ["README.md"]
