@@ -13,7 +13,7 @@ from kickbench.report.data import ArmData, Note, Plan, RunData, Study
 from kickbench.report.progress import read_progress
 from kickbench.reported import Arm, LoadedReported
 from kickbench.results.episodes import read_episodes
-from kickbench.results.measured import also_path, run_path
+from kickbench.results.measured import run_path
 from kickbench.results.metrics import load_metrics
 from kickbench.results.specs import stored_method
 from kickbench.results.store import RunDirectory
@@ -120,7 +120,7 @@ def _planned_run(root: Path, arm: Arm, seed: int) -> RunData:
     if run.metrics is None:
         return run
     metrics, notes = run.metrics, list(run.notes)
-    also = {task: _try(load_metrics, also_path(root / place, task), notes) for task in arm.also}
+    also = {task: _try(load_metrics, RunDirectory(root / place).also(task), notes) for task in arm.also}
     also = {task: result for task, result in also.items() if result is not None}
     for what, found, wanted in (
         ("task", metrics.task, arm.task.name),
