@@ -77,9 +77,7 @@ def _add_run(verbs: argparse._SubParsersAction) -> None:
         "--out", type=Path, metavar="DIR", help="run directory (default: runs/<task>/<method>/seed<k>)"
     )
     _add_set(verb)
-    verb.add_argument(
-        "--device", choices=("cpu", "cuda"), default="cpu", help="where to train (default: cpu)"
-    )
+    _add_device(verb, "train")
     verb.add_argument(
         "--no-graph",
         action="store_false",
@@ -107,6 +105,7 @@ def _add_reproduce(verbs: argparse._SubParsersAction) -> None:
     _add_scale(verb)
     _add_set(verb)
     verb.add_argument("--jobs", type=_positive, default=1, help="runs at a time (default: 1)")
+    _add_device(verb, "train")
     _add_threads(verb)
     verb.add_argument(
         "--out",
@@ -219,9 +218,7 @@ def _add_bench(verbs: argparse._SubParsersAction) -> None:
         "--profile", action="store_true", help="tell where the time goes, for the first number of worlds"
     )
     _add_set(verb)
-    verb.add_argument(
-        "--device", choices=("cpu", "cuda"), default="cpu", help="where to measure (default: cpu)"
-    )
+    _add_device(verb, "measure")
     _add_threads(verb)
 
 
@@ -333,6 +330,12 @@ def _add_scale(verb: argparse.ArgumentParser) -> None:
         metavar="S",
         help="shrink iterations and evaluation episodes (100 a side at least) by this factor, below 1; "
         "the result is marked",
+    )
+
+
+def _add_device(verb: argparse.ArgumentParser, what: str) -> None:
+    verb.add_argument(
+        "--device", choices=("cpu", "cuda"), default="cpu", help=f"where to {what} (default: cpu)"
     )
 
 

@@ -7,6 +7,7 @@ import sys
 
 from kickbench.errors import KickbenchError, shown
 from kickbench.physics.cpu import usable_cores
+from kickbench.physics.devices import check_device
 from kickbench.reported import load_reported
 from kickbench.reproduce.display import standard_display
 from kickbench.reproduce.estimate import Remaining, estimate
@@ -22,6 +23,7 @@ from kickbench.results.verdicts import judge, verdict_lines
 
 def reproduce(arguments: argparse.Namespace) -> int:
     """`kickbench reproduce REPORTED`."""
+    check_device(arguments.device)
     seeds = tuple(arguments.seeds or ())
     if len(set(seeds)) < len(seeds):
         raise KickbenchError("--seeds: a seed is there twice")
@@ -39,7 +41,7 @@ def reproduce(arguments: argparse.Namespace) -> int:
         return 0
     with RunDirectory(plan.folder).occupied():
         write_record(plan.folder, plan.record)
-        jobs = Jobs(plan.runs, arguments.jobs, threads)
+        jobs = Jobs(plan.runs, arguments.jobs, threads, arguments.device)
         if not all(job.has_ended for job in jobs.jobs):
             jobs.carry_out(standard_display(arguments.jobs))
     return _conclude(plan, jobs)

@@ -71,10 +71,10 @@ class Display(Protocol):
         ...
 
 
-def next_command(run: PlannedRun, threads: int) -> tuple[str, ...] | None:
+def next_command(run: PlannedRun, threads: int, device: str = "cpu") -> tuple[str, ...] | None:
     """The `kickbench` command that a run needs next; None: it is finished and evaluated on every task."""
     if run.read_state().state is not State.FINISHED:
-        return ("run", *run.arguments, "--threads", str(threads), "--resume")
+        return ("run", *run.arguments, "--device", device, "--threads", str(threads), "--resume")
     for name in run.missing_evaluations:
         which = ("eval", str(run.directory.path), "--task", str(run.also[name]), "--save")
         return (*which, "--episodes", str(run.record.episodes), "--threads", str(threads))
@@ -88,19 +88,20 @@ class Jobs:
     after a SIGKILL of this process, what is left can be gone on with.
     """
 
-    def __init__(self, runs: Sequence[PlannedRun], at_a_time: int, threads: int) -> None:
+    def __init__(self, runs: Sequence[PlannedRun], at_a_time: int, threads: int, device: str = "cpu") -> None:
         """Looks at the runs; nothing is started.
 
         Args:
             runs: The runs, in the order in which they begin.
             at_a_time: Runs at a time.
             threads: Threads of each.
+            device: Where they train.
         """
         self.jobs = [Job(run, run.read_state()) for run in runs]
         for job in self.jobs:
-            if next_command(job.run, threads) is None:
+            if next_command(job.run, threads, device) is None:
                 job.outcome = Outcome.DONE
-        self._at_a_time, self._threads = at_a_time, threads
+        self._at_a_time, self._threads, self._device = at_a_time, threads, device
         self._requests = self._heeded = 0
 
     @property
@@ -154,7 +155,7 @@ class Jobs:
             return
         job.seconds += time.monotonic() - job.started
         job.state = job.run.read_state()
-        following = next_command(job.run, self._threads)
+        following = next_command(job.run, self._threads, self._device)
         if following is None:
             job.outcome = Outcome.DONE
         elif self.interrupted:
@@ -176,7 +177,7 @@ class Jobs:
             if job.run.directory.is_occupied:
                 job.reason = "another process runs in it"
                 continue
-            command = next_command(job.run, self._threads)
+            command = next_command(job.run, self._threads, self._device)
             if command is None:  # the other process has finished it
                 job.outcome, job.state = Outcome.DONE, job.run.read_state()
             else:

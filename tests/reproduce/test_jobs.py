@@ -127,7 +127,7 @@ def test_a_run_that_fails_does_not_stop_the_others(runs, played):
 
 
 def test_a_command_that_leaves_nothing_has_failed_and_is_not_repeated_for_ever(runs, played, monkeypatch):
-    monkeypatch.setattr(module, "next_command", lambda run, threads: ("run", "x"))
+    monkeypatch.setattr(module, "next_command", lambda run, *how: ("run", "x"))
     jobs = Jobs(runs[:1], 1, 1)
     jobs.carry_out(PlainDisplay(io.StringIO()), no_sleep)
     assert outcomes(jobs) == [Outcome.FAILED]
@@ -146,6 +146,13 @@ def test_a_finished_run_is_evaluated_on_the_further_tasks(runs, played):
         ("eval", where, "--task", "far.yaml", *rest),
     ]
     assert next_command(run, 3) is None
+
+
+def test_runs_train_on_the_device_that_is_asked_for(runs, played):
+    jobs = Jobs(runs[:1], 1, 1, "cuda")
+    jobs.carry_out(PlainDisplay(io.StringIO()), no_sleep)
+    command = played.started[0]
+    assert command[command.index("--device") + 1] == "cuda"
 
 
 def test_a_run_that_another_process_is_at_is_waited_for(runs, played):
