@@ -185,7 +185,7 @@ class WarpEngine:
         """See `Engine.set_model`.
 
         Raises:
-            NotImplementedError: mujoco_warp shares a field among all worlds.
+            KickbenchError: mujoco_warp shares a field among all worlds.
         """
         with self._on_stream():
             self._model.set(mask, fields, self._data)

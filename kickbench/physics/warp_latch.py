@@ -16,6 +16,8 @@ import numpy as np
 import warp as wp
 from mujoco_warp import Data
 
+from kickbench.errors import KickbenchError
+
 _Obj = mujoco.mjtObj
 _FOUND = 1 << int(mujoco.mjtConDataField.mjCONDATA_FOUND)
 _FORCE = 1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE)
@@ -109,7 +111,7 @@ class ContactLatch:
             contact_forces: Places in sensordata that are averaged over the substeps.
 
         Raises:
-            NotImplementedError: A contact sensor is of a kind that no scene of kickbench has.
+            KickbenchError: A contact sensor is of a kind that no scene of kickbench has.
         """
         sensors = np.flatnonzero(model.sensor_type == mujoco.mjtSensor.mjSENS_CONTACT)
         self._first = int(model.sensor_adr[sensors[0]]) if len(sensors) else model.nsensordata
@@ -169,7 +171,7 @@ def _reports_force(model: mujoco.MjModel, sensor: int) -> bool:
     force = data == _FOUND | _FORCE and reduce == _NETFORCE and model.sensor_dim[sensor] == 4
     if not force and (data != _FOUND or model.sensor_dim[sensor] != 1):
         name = model.sensor(int(sensor)).name
-        raise NotImplementedError(
+        raise KickbenchError(
             f"contact sensor '{name}': only `found`, and `found` with the net `force`, are latched"
         )
     return force
@@ -197,4 +199,4 @@ def _geoms(model: mujoco.MjModel, kind: int, thing: int) -> np.ndarray:
         for body in range(thing + 1, model.nbody):
             inside[body] = inside[model.body_parentid[body]]
         return inside[model.geom_bodyid]
-    raise NotImplementedError(f"contact sensors of {_Obj(kind).name} are not latched")
+    raise KickbenchError(f"contact sensors of {_Obj(kind).name} are not latched")

@@ -14,6 +14,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
+from kickbench.errors import KickbenchError
 from kickbench.physics.engine import INERTIAL_FIELDS, ModelField
 
 _DERIVED = ("body_subtreemass", "body_invweight0", "dof_invweight0", "actuator_acc0")
@@ -31,13 +32,18 @@ class DeviceModel:
         """Copies the model to warp's present device.
 
         Raises:
-            NotImplementedError: mujoco_warp lacks a feature of the model.
+            KickbenchError: mujoco_warp lacks a feature of the model.
         """
         self._worlds = num_worlds
         # mujoco_warp never resets a world by itself, and refuses the flag that asks for just that.
         plain = copy.copy(model)
         plain.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
-        self.substep = mjw.put_model(plain)
+        try:
+            self.substep = mjw.put_model(plain)
+        except NotImplementedError as error:
+            raise KickbenchError(
+                f"mujoco_warp cannot simulate this scene: {error}; use --device cpu"
+            ) from error
         self.substep.opt.warn_overflow = 0  # counted, not printed by every thread
         self.frames = copy.copy(self.substep)
         nothing = wp.zeros(0, dtype=wp.int32)
@@ -60,7 +66,7 @@ class DeviceModel:
             scratch: Data of these worlds; everything in it but the state may be overwritten.
 
         Raises:
-            NotImplementedError: mujoco_warp shares a field among all worlds.
+            KickbenchError: mujoco_warp shares a field among all worlds.
         """
         for field in fields:
             target = self._vary(field.name)
@@ -80,7 +86,7 @@ class DeviceModel:
         if name not in self._varied:
             shape = getattr(_SPECS.get(name), "shape", ())
             if not shape or shape[0] != "*":
-                raise NotImplementedError(f"mujoco_warp has one {name} for all worlds")
+                raise KickbenchError(f"mujoco_warp has one {name} for all worlds; use --device cpu")
             shared = getattr(self.substep, name)
             every = np.repeat(shared.numpy()[:1], self._worlds, axis=0)
             array = wp.array(every, dtype=shared.dtype)

@@ -24,6 +24,7 @@ from kickbench.mdp.state import EpisodeState, State, StateIndex
 from kickbench.physics.cpu import CpuEngine
 from kickbench.physics.engine import ModelField
 from kickbench.physics.warp import WarpEngine
+from kickbench.physics.warp_model import DeviceModel
 from kickbench.symmetry.torch_ops import Mirror
 
 pytestmark = pytest.mark.slow  # kernels are compiled the first time
@@ -355,8 +356,18 @@ def test_a_field_is_set_in_the_masked_worlds_and_given_rows_only():
     expected = np.stack([compiled.geom_friction] * WORLDS)
     expected[:3, ids.numpy(), 0] = friction[:3]
     np.testing.assert_allclose(engine.model_field("geom_friction"), expected, rtol=1e-6)
-    with pytest.raises(NotImplementedError, match="one geom_condim for all worlds"):
+    with pytest.raises(KickbenchError, match="one geom_condim for all worlds"):
         engine.set_model(mask, [ModelField("geom_condim", ids, friction)])
+
+
+def test_a_scene_that_mujoco_warp_cannot_simulate_is_refused_in_plain_words():
+    import mujoco
+
+    model = mujoco.MjModel.from_xml_string("""<mujoco><worldbody><body><freejoint/>
+        <geom size="0.1"/></body></worldbody></mujoco>""")
+    model.opt.solver = mujoco.mjtSolver.mjSOL_PGS
+    with pytest.raises(KickbenchError, match=r"cannot simulate this scene: .*; use --device cpu"):
+        DeviceModel(model, 1)
 
 
 def test_the_environment_mirrors(name):
