@@ -10,11 +10,11 @@ from typing import TypeVar
 
 from kickbench.errors import KickbenchError
 from kickbench.report.data import ArmData, Note, Plan, RunData, Study
-from kickbench.report.progress import read_progress
 from kickbench.reported import Arm, LoadedReported
 from kickbench.results.episodes import read_episodes
 from kickbench.results.measured import run_path
 from kickbench.results.metrics import load_metrics
+from kickbench.results.progress import read_progress
 from kickbench.results.specs import stored_method
 from kickbench.results.store import RunDirectory
 

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from kickbench.report.data import ArmData, Progress
+from kickbench.report.data import ArmData
+from kickbench.results.progress import Progress
 
 SPLIT = 300
 """Iteration at which the thesis splits its curves in two panels (4.3.1)."""

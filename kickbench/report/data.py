@@ -6,11 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
 from kickbench.results.episodes import EpisodeSides
 from kickbench.results.metrics import EvaluationMetrics, Metrics
+from kickbench.results.progress import Progress
 from kickbench.spec.reported import ReportedFiguresSpec
 
 Side = Literal["in_distribution", "mirrored"]
@@ -18,24 +16,6 @@ SIDES: tuple[Side, ...] = ("in_distribution", "mirrored")
 SIDE_WORDS: dict[Side, str] = {"in_distribution": "in distribution", "mirrored": "mirrored"}
 
 RunState = Literal["finished", "unfinished", "missing"]
-
-
-@dataclass(frozen=True, eq=False)
-class Progress:
-    """A run's `progress.csv`: one row a training iteration.
-
-    Attributes:
-        iteration: Index of each iteration [n], ascending.
-        columns: The other columns by name [n]; NaN where nothing is known yet.
-    """
-
-    iteration: NDArray[np.int64]
-    columns: dict[str, NDArray[np.float64]]
-
-    @property
-    def done(self) -> int:
-        """Iterations that the table tells of, from the first of the run."""
-        return int(self.iteration[-1]) + 1 if self.iteration.size else 0
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 from kickbench.errors import KickbenchError
 from kickbench.results.measured import MeasuredRun
 from kickbench.results.metrics import EvaluationMetrics, FootCounts, Metrics
+from kickbench.results.progress import read_progress
 from kickbench.results.statistics import Interval, wilson
 from kickbench.results.store import RunDirectory
 from kickbench.spec.claims import OF_A_RUN, AnyClaim, Metric, Operand
@@ -152,15 +152,11 @@ def _curves(run: Path, columns: Sequence[str]) -> NDArray[np.float64] | None:
     path = RunDirectory(run).progress
     if not path.exists():
         return None
-    with path.open(newline="", encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
-    missing = [column for column in columns if rows and column not in rows[0]]
+    progress = read_progress(path)
+    missing = [column for column in columns if column not in progress.columns]
     if missing:
         raise KickbenchError(f"{path}: no column {missing[0]}")
-    try:
-        return np.array([[float(row[column] or "nan") for row in rows] for column in columns])
-    except (TypeError, ValueError) as error:
-        raise KickbenchError(f"{path}: not a table of numbers: {error}") from None
+    return np.array([progress.columns[column] for column in columns])
 
 
 _OF_SIDES: Mapping[Metric, Callable[[EvaluationMetrics, Sequence[str]], Figure | None]] = {

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from kickbench.report.curves import QUANTITIES, curve_panels, has_quantity, smooth
-from kickbench.report.data import ArmData, Progress, RunData
+from kickbench.report.data import ArmData, RunData
 from kickbench.report.figures.learning import draw_curves
 from kickbench.report.palette import looks_of
+from kickbench.results.progress import Progress
 
 RETURN, HIT = QUANTITIES[0], QUANTITIES[1]
 

@@ -218,10 +218,11 @@ def test_the_shown_ratio_and_its_interval_judge_as_the_verdict_does(verdict, see
 
 
 def curves(path: Path, rows: list[tuple[float | str, float | str]], reward_per_step: float) -> None:
-    """A progress table; a number that is missing is an empty cell."""
-    header = "mean_return,mean_episode_steps,reward_raw/action_rate"
-    cells = [f"{r},{n},{n if n == '' else reward_per_step * float(n)}" for r, n in rows]
-    (path / "progress.csv").write_text("\n".join([header, *cells]) + "\n")
+    """A progress table, cut short in the middle of a row; a number that is missing is an empty cell."""
+    header = "iteration,mean_return,mean_episode_steps,reward_raw/action_rate"
+    rewards = [n if n == "" else reward_per_step * float(n) for _, n in rows]
+    cells = [f"{i},{r},{n},{reward}" for i, ((r, n), reward) in enumerate(zip(rows, rewards, strict=True))]
+    (path / "progress.csv").write_text("\n".join([header, *cells, "99,1"]))
 
 
 def measured_on_disk(experiment, make, folder, rows):

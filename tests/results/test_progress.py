@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from kickbench.errors import KickbenchError
-from kickbench.report.progress import read_progress
+from kickbench.results.progress import read_progress
 
 
 def read(tmp_path: Path, text: str):

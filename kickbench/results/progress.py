@@ -4,12 +4,31 @@ from __future__ import annotations
 
 import csv
 import io
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kickbench.errors import KickbenchError
-from kickbench.report.data import Progress
+
+
+@dataclass(frozen=True, eq=False)
+class Progress:
+    """A run's `progress.csv`: one row a training iteration.
+
+    Attributes:
+        iteration: Index of each iteration [n], ascending.
+        columns: The other columns by name [n]; NaN where nothing is known yet.
+    """
+
+    iteration: NDArray[np.int64]
+    columns: dict[str, NDArray[np.float64]]
+
+    @property
+    def done(self) -> int:
+        """Iterations that the table tells of, from the first of the run."""
+        return int(self.iteration[-1]) + 1 if self.iteration.size else 0
 
 
 def read_progress(path: Path) -> Progress:
