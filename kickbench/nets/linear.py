@@ -15,6 +15,7 @@ freedom in a sign output, is one shared value for a regular pair and b, -b for a
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import torch
@@ -22,7 +23,7 @@ from torch import nn
 
 from kickbench.nets.split import SplitLinear
 from kickbench.nets.split import expand as expand_split
-from kickbench.nets.tied import TiedLinear, Tying, blas_order
+from kickbench.nets.tied import Expand, Tying
 from kickbench.symmetry.representation import TRIVIAL, Representation, regular
 
 SPLIT_FROM = 128 * 128
@@ -31,6 +32,10 @@ SPLIT_FROM = 128 * 128
 Measured on two cores at batch 2,048: at 128 x 64 the split costs as much as it saves; at 512 x 256 and
 256 x 128 it takes a fifth off a whole network.
 """
+
+
+Dense = tuple[torch.Tensor, torch.Tensor | None]
+"""Transposed dense weight ``[n, m]``, and bias ``[m]`` or None."""
 
 
 class EquivariantLinear(nn.Module):
@@ -75,9 +80,9 @@ class EquivariantLinear(nn.Module):
             raise ValueError(f"cannot split {in_representation} -> {out_representation}: not [left | right]")
         if split is None:
             split = hidden and in_representation.dim * out_representation.dim >= SPLIT_FROM
-        self.tying = None if split else Tying(extended, out_representation)
+        self.tying = None if split else Tying([(in_representation, out_representation)], bias)
         self.free = nn.Parameter(torch.empty(math.prod(self._even_shape) + math.prod(self._odd_shape)))
-        self._expanded: tuple[tuple, tuple[torch.Tensor, torch.Tensor | None]] | None = None
+        self._expanded: tuple[tuple, Dense] | None = None
         self.reset_parameters()
 
     @torch.no_grad()
@@ -109,40 +114,42 @@ class EquivariantLinear(nn.Module):
 
     def dense_weight(self) -> torch.Tensor:
         """W ``[m, n]``, differentiable with respect to the parameters."""
-        return (self._expand()[:-1] if self.has_bias else self._expand()).T
+        return self.dense()[0].T
 
     def dense_bias(self) -> torch.Tensor | None:
         """Bias ``[m]``, differentiable with respect to the parameters; None without a bias."""
-        return self._expand()[-1] if self.has_bias else None
+        return self.dense()[1]
 
-    def forward(self, x: torch.Tensor) -> torch.Tensor:
-        """``[..., n] -> [..., m]``."""
+    def dense(self) -> Dense:
+        """Transposed weight ``[n, m]`` and bias ``[m]`` or None, differentiable with respect to the parameters."""
+        if self.tying is not None:
+            return as_dense(Expand.apply(self.tying, self.free), self.has_bias)[0]
+        rows = expand_split(self.free, self.in_representation.dim // 2, self.has_bias)
+        return (rows[:-1], rows[-1]) if self.has_bias else (rows, None)
+
+    def forward(self, x: torch.Tensor, dense: Dense | None = None) -> torch.Tensor:
+        """``[..., n] -> [..., m]``.
+
+        Args:
+            x: Input.
+            dense: For training, what `dense` returns, where it is at hand: a network expands all its layers at once.
+        """
         rows = x if x.dim() == 2 else x.reshape(-1, x.shape[-1])
-        y = self._train(rows) if torch.is_grad_enabled() else self._act(rows)
+        y = self._train(rows, dense) if torch.is_grad_enabled() else _affine(rows, *self._cached())
         return y if x.dim() == 2 else y.view(*x.shape[:-1], -1)
 
-    def _train(self, x: torch.Tensor) -> torch.Tensor:
+    def _train(self, x: torch.Tensor, dense: Dense | None) -> torch.Tensor:
         self._expanded = None
         if self.tying is None:
             return SplitLinear.apply(x, self.free, self.has_bias)  # pyright: ignore[reportReturnType]
-        return TiedLinear.apply(x, self.free, self.tying, self.has_bias)  # pyright: ignore[reportReturnType]
+        return _affine(x, *(dense or self.dense()))
 
-    def _act(self, x: torch.Tensor) -> torch.Tensor:
-        weight, bias = self._cached()
-        return x @ weight if bias is None else torch.addmm(bias, x, weight)
+    def _ready(self) -> Dense:
+        """As :meth:`dense`, in the memory order that multiplies fast (:class:`Tying`)."""
+        weight, bias = self.dense()
+        return (weight.T.contiguous().T if weight.shape[1] < weight.shape[0] else weight), bias
 
-    def _expand(self) -> torch.Tensor:
-        """Transposed dense weight ``[n, m]``, with the bias, if any, as a last row."""
-        if self.tying is None:
-            return expand_split(self.free, self.in_representation.dim // 2, self.has_bias)
-        return self.tying.expand(self.free)
-
-    def _ready(self) -> tuple[torch.Tensor, torch.Tensor | None]:
-        """Weight ``[n, m]`` in the order that multiplies fast, and bias ``[m]`` or None."""
-        dense = self._expand()
-        return (blas_order(dense[:-1]), dense[-1]) if self.has_bias else (blas_order(dense), None)
-
-    def _cached(self) -> tuple[torch.Tensor, torch.Tensor | None]:
+    def _cached(self) -> Dense:
         """As :meth:`_ready`, but computed anew only when the parameters have changed.
 
         A rollout acts dozens of times with the same weights. In-place writes to a parameter (optimiser step,
@@ -184,6 +191,18 @@ class EquivariantLinear(nn.Module):
     def extra_repr(self) -> str:
         """Representations, for ``print(model)``."""
         return f"{self.in_representation} -> {self.out_representation}, bias={self.has_bias}"
+
+
+def as_dense(unpacked: Sequence[torch.Tensor], bias: bool) -> list[Dense]:
+    """What :meth:`Tying.unpack` returns, layer by layer."""
+    if not bias:
+        return [(weight, None) for weight in unpacked]
+    return list(zip(unpacked[::2], unpacked[1::2], strict=True))
+
+
+def _affine(x: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor | None) -> torch.Tensor:
+    """``[B, n] -> [B, m]``."""
+    return x @ weight if bias is None else torch.addmm(bias, x, weight)
 
 
 def _is_halves(representation: Representation) -> bool:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 
+import torch
 from rsl_rl.utils import resolve_nn_activation
 from torch import nn
 
-from kickbench.nets.linear import EquivariantLinear
+from kickbench.nets.linear import EquivariantLinear, as_dense
 from kickbench.nets.relaxed import RelaxedLinear
+from kickbench.nets.tied import Expand, Tying
 from kickbench.symmetry.representation import Representation, regular
 
 
@@ -60,8 +62,28 @@ class EquivariantMLP(nn.Sequential):
             )
             layers += [linear, resolve_nn_activation(activation)]
         super().__init__(*layers[:-1])
+        self._tied = [layer for layer in self if type(layer) is EquivariantLinear and layer.tying is not None]
+        pairs = [(layer.in_representation, layer.out_representation) for layer in self._tied]
+        # In a tuple, which hides it from torch: a submodule would become a link of the chain.
+        self._tying = (Tying(pairs, bias=True),) if pairs else ()
         self.in_representation = in_representation
         self.out_representation = out_representation
+
+    def forward(self, input: torch.Tensor) -> torch.Tensor:
+        """``[..., n] -> [..., m]``. In training the tied layers are expanded together, by a single autograd node."""
+        if not self._tying or not torch.is_grad_enabled():
+            return super().forward(input)
+        unpacked = Expand.apply(*self._tying, *(layer.free for layer in self._tied))
+        dense = dict(zip(self._tied, as_dense(unpacked, bias=True), strict=True))
+        for layer in self:
+            input = layer(input, dense[layer]) if layer in dense else layer(input)
+        return input
+
+    def _apply(self, fn: Callable[[torch.Tensor], torch.Tensor], recurse: bool = True) -> EquivariantMLP:
+        """Take the hidden tables along to another device or dtype."""
+        for tying in self._tying:
+            tying._apply(fn, recurse)
+        return super()._apply(fn, recurse)
 
     def to_dense(self) -> nn.Sequential:
         """The same function made of plain ``nn.Linear`` layers, for export and deployment."""

@@ -14,14 +14,14 @@ class SymmetricNormalization(EmpiricalNormalization):
 
     The statistics are those of x and :math:`\rho(s)x` together, :math:`\bar\mu = (\mu + \rho\mu)/2`, so that
     normalising and mirroring commute: a sign coordinate has mean 0, a regular pair shares mean and variance,
-    a regular_sign pair shares the variance and has opposite means. ``count`` counts both of them.
+    a regular_sign pair shares the variance and has opposite means. ``count`` counts samples, not mirror images.
 
     The state has the keys and shapes of the stock normaliser.
 
     Args:
         representation: Representation of the observation.
         eps: Added to the standard deviation.
-        until: Number of samples, mirror images included, after which the statistics stay as they are.
+        until: Number of samples after which the statistics stay as they are.
     """
 
     _mean: torch.Tensor
@@ -34,15 +34,21 @@ class SymmetricNormalization(EmpiricalNormalization):
     @torch.jit.unused
     def update(self, x: torch.Tensor) -> None:
         """Learn from the batch ``x [n, dim]`` and its mirror image."""
-        # Through the parent, so that averaging over processes stays rsl_rl's own.
-        super().update(torch.cat((x, self.mirror(x))))
+        # Through the parent, so that averaging over processes stays rsl_rl's own. Mirror images need no pass of their
+        # own: what they do to mean and variance follows from those of the samples.
+        super().update(x)
         self._tie()
 
     def _tie(self) -> None:
-        """Make the statistics equivariant to the last bit, which sums over a batch leave them only nearly."""
+        """Average the statistics over the group, equivariant to the last bit.
+
+        Samples lie off the common mean by half the distance between their own mean and that of the images.
+        """
+        mirrored_mean = self.mirror(self._mean)
         mirrored_variance = self._var.index_select(-1, self.mirror.permutation)  # signs do not change it
-        self._mean = 0.5 * (self._mean + self.mirror(self._mean))
-        self._var = 0.5 * (self._var + mirrored_variance)
+        offset = 0.5 * (self._mean - mirrored_mean)
+        self._mean = 0.5 * (self._mean + mirrored_mean)
+        self._var = 0.5 * (self._var + mirrored_variance) + offset.square()
         self._std = torch.sqrt(self._var)
 
     def to_plain(self) -> EmpiricalNormalization:

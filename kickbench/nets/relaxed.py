@@ -15,16 +15,12 @@ serve both. The thesis proposes such asymmetric corrections for robots whose har
 
 from __future__ import annotations
 
-import math
-from typing import Any
-
 import torch
 from torch import nn
-from torch.autograd.function import once_differentiable
 
-from kickbench.nets.linear import EquivariantLinear
-from kickbench.nets.tied import Tying, blas_order
-from kickbench.symmetry.representation import SIGN, TRIVIAL, Representation, tensor
+from kickbench.nets.linear import Dense, EquivariantLinear, as_dense
+from kickbench.nets.tied import Expand, Tying
+from kickbench.symmetry.representation import SIGN, Representation, tensor
 
 
 class RelaxedLinear(EquivariantLinear):
@@ -52,10 +48,9 @@ class RelaxedLinear(EquivariantLinear):
         bias: bool = True,
     ) -> None:
         super().__init__(in_representation, out_representation, bias, split=False)
-        extended = in_representation + TRIVIAL if bias else in_representation
         self.residual_scale = residual_scale
-        self.complement = Tying(extended, tensor(out_representation, SIGN))
-        self.residual = nn.Parameter(torch.zeros(math.prod(self.complement.shape) - self.free.numel()))
+        self.complement = Tying([(in_representation, tensor(out_representation, SIGN))], bias)
+        self.residual = nn.Parameter(torch.zeros(self.complement.sizes))
 
     def reset_parameters(self) -> None:
         """Draw the base as `EquivariantLinear` does, and set the residual to zero."""
@@ -70,17 +65,13 @@ class RelaxedLinear(EquivariantLinear):
         """
         return self.free.square().sum(), (self.residual_scale * self.residual).square().sum()
 
-    def _train(self, x: torch.Tensor) -> torch.Tensor:
-        self._expanded = None
-        dense = self._expand()
-        weight = blas_order(dense[:-1] if self.has_bias else dense)
-        return torch.addmm(dense[-1], x, weight) if self.has_bias else x @ weight
-
-    def _expand(self) -> torch.Tensor:
-        assert self.tying is not None
-        base: torch.Tensor = _Expand.apply(self.free, self.tying)  # pyright: ignore[reportAssignmentType]
-        rest: torch.Tensor = _Expand.apply(self.residual, self.complement)  # pyright: ignore[reportAssignmentType]
-        return base + self.residual_scale * rest
+    def dense(self) -> Dense:
+        """Transposed weight ``[n, m]`` and bias ``[m]`` or None, differentiable with respect to the parameters."""
+        weight, bias = super().dense()
+        ((rest, rest_of_bias),) = as_dense(Expand.apply(self.complement, self.residual), self.has_bias)
+        if bias is not None and rest_of_bias is not None:
+            bias = bias + self.residual_scale * rest_of_bias
+        return weight + self.residual_scale * rest, bias
 
     def extra_repr(self) -> str:
         """Representations and scale, for ``print(model)``."""
@@ -98,17 +89,3 @@ def residual_share(module: nn.Module) -> torch.Tensor | None:
         return None
     base, rest = (torch.stack(squares).sum() for squares in zip(*norms, strict=True))
     return (rest / (base + rest).clamp(min=torch.finfo(base.dtype).tiny)).sqrt()  # 0 if all weights are
-
-
-class _Expand(torch.autograd.Function):
-    """``Tying.expand`` whose gradient is gathered, not scattered."""
-
-    @staticmethod
-    def forward(ctx: Any, free: torch.Tensor, tying: Tying) -> torch.Tensor:
-        ctx.tying = tying
-        return tying.expand(free)
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, grad: torch.Tensor) -> tuple:  # pyright: ignore
-        return ctx.tying.adjoint(grad.contiguous()), None

@@ -6,12 +6,15 @@ equivariant matrix is a fixed combination of at most two free parameters,
 .. math:: W_{ij} = \alpha_i \alpha'_j\, E_{a(i)\,a'(j)} + \beta_i \beta'_j\, O_{b(i)\,b'(j)},
 
 and, read the other way, every free parameter occurs in at most four entries. One gather forward and one
-backward serve all sixteen blocks between the four representations; on small networks the handful of matrix
-products that they replace would cost more than the layer itself.
+backward serve all sixteen blocks between the four representations, and all layers of a network; on small networks
+the handful of matrix products that they replace would cost more than the layer itself.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import accumulate
 from typing import Any
 
 import numpy as np
@@ -19,18 +22,20 @@ import torch
 from torch import nn
 from torch.autograd.function import once_differentiable
 
-from kickbench.symmetry.representation import Representation
+from kickbench.symmetry.representation import TRIVIAL, Representation
 
 
 class Tying(nn.Module):
-    r"""The linear map from free parameters to a transposed dense matrix, and its adjoint.
+    r"""The linear map from the free parameters of some layers to their dense matrices, and its adjoint.
 
-    Both sides are flat vectors. Free: :math:`E^T` ``[n_even, m_even]``, then :math:`O^T` ``[n_odd, m_odd]``,
-    row by row. Dense: :math:`W^T` ``[n, m]`` row by row.
+    Both sides are flat vectors, layer after layer. Free: :math:`(E \mid b)^T` ``[n_even (+ 1), m_even]``, then
+    :math:`O^T` ``[n_odd, m_odd]``, row by row. Dense: the weight in the memory order that multiplies fast, which is
+    :math:`W^T` ``[n, m]`` row by row, or for a layer of fewer outputs than inputs that of a plain layer, W ``[m, n]``;
+    then the bias ``[m]``.
 
     Args:
-        in_representation: Representation of the input, dimension n.
-        out_representation: Representation of the output, dimension m.
+        layers: Representations of each layer's input (dimension n) and output (dimension m).
+        bias: Whether the layers have a bias.
     """
 
     index: torch.Tensor
@@ -42,33 +47,114 @@ class Tying(nn.Module):
     adjoint_coefficient: torch.Tensor
     """Their coefficients, ``[4, n_free]``."""
 
-    def __init__(self, in_representation: Representation, out_representation: Representation) -> None:
+    def __init__(self, layers: Sequence[tuple[Representation, Representation]], bias: bool) -> None:
         super().__init__()
-        self.shape = (in_representation.dim, out_representation.dim)
-        spaces = list(zip(in_representation.isotypic(), out_representation.isotypic(), strict=True))
-        offsets = (0, spaces[0][0].shape[1] * spaces[0][1].shape[1])
-        forward = [
-            _entries(rows, columns, offset) for (rows, columns), offset in zip(spaces, offsets, strict=True)
+        self.shapes = [(before.dim, after.dim) for before, after in layers]
+        self.bias = bias
+        tables = [_tables(before, after, bias) for before, after in layers]
+        self.sizes = [table.adjoint_index.shape[1] for table in tables]
+        """Free parameters of each layer."""
+        dense_sizes = [table.index.shape[1] for table in tables]
+        # An entry without freedom points anywhere, so at what is surely there.
+        index = [
+            np.where(table.coefficient == 0, 0, table.index + offset)
+            for table, offset in zip(tables, _offsets(self.sizes), strict=True)
         ]
-        index, coefficient = (np.stack(parts) for parts in zip(*forward, strict=True))
-        adjoint = [_occurrences(rows, columns) for rows, columns in spaces]
-        adjoint_index, adjoint_coefficient = (np.concatenate(p, axis=1) for p in zip(*adjoint, strict=True))
-        for name, table in (("index", index), ("adjoint_index", adjoint_index)):
-            self.register_buffer(name, torch.tensor(table.ravel(), dtype=torch.int32), persistent=False)
-        for name, table in (("coefficient", coefficient), ("adjoint_coefficient", adjoint_coefficient)):
-            self.register_buffer(name, torch.tensor(table, dtype=torch.float32), persistent=False)
+        adjoint_index = [
+            table.adjoint_index + offset for table, offset in zip(tables, _offsets(dense_sizes), strict=True)
+        ]
+        for name, parts in (("index", index), ("adjoint_index", adjoint_index)):
+            flat = np.concatenate(parts, axis=1).ravel()
+            self.register_buffer(name, torch.tensor(flat, dtype=torch.int32), persistent=False)
+        for name in ("coefficient", "adjoint_coefficient"):
+            rows = np.concatenate([getattr(table, name) for table in tables], axis=1)
+            self.register_buffer(name, torch.tensor(rows, dtype=torch.float32), persistent=False)
 
     def expand(self, free: torch.Tensor) -> torch.Tensor:
-        r"""Dense :math:`W^T` ``[n, m]`` of ``free [n_free]``."""
+        """Dense entries ``[n_dense]`` of the free parameters ``[n_free]``."""
         if free.numel() == 0:  # nothing to gather from: no intertwiner but zero
-            return free.new_zeros(self.shape)
+            return free.new_zeros(self.coefficient.shape[1])
         terms = free.index_select(0, self.index).view_as(self.coefficient) * self.coefficient
-        return (terms[0] + terms[1]).view(self.shape)
+        return terms[0] + terms[1]
 
     def adjoint(self, dense: torch.Tensor) -> torch.Tensor:
-        """Gradient ``[n_free]`` with respect to the free parameters, given that of the dense ``[n, m]``."""
-        terms = dense.view(-1).index_select(0, self.adjoint_index).view_as(self.adjoint_coefficient)
+        """Gradient ``[n_free]`` with respect to the free parameters, given that of the dense entries ``[n_dense]``."""
+        terms = dense.index_select(0, self.adjoint_index).view_as(self.adjoint_coefficient)
         return (terms * self.adjoint_coefficient).sum(0)
+
+    def unpack(self, dense: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        """Views of dense entries: transposed weight ``[n, m]`` and, if there is one, bias ``[m]`` of every layer."""
+        views: list[torch.Tensor] = []
+        start = 0
+        for n, m in self.shapes:
+            weight = dense.narrow(0, start, n * m)
+            views.append(weight.view(m, n).T if m < n else weight.view(n, m))
+            start += n * m
+            if self.bias:
+                views.append(dense.narrow(0, start, m))
+                start += m
+        return tuple(views)
+
+    def pack(self, views: Sequence[torch.Tensor]) -> torch.Tensor:
+        """Dense entries ``[n_dense]`` of what `unpack` gives views of."""
+        plain = (view.T if view.dim() == 2 and view.shape[1] < view.shape[0] else view for view in views)
+        return torch.cat([view.reshape(-1) for view in plain])
+
+
+class Expand(torch.autograd.Function):
+    """``(tying, free parameters of each layer) -> weights and biases`` as `Tying.unpack` orders them.
+
+    A single autograd node for all layers of a network: entering and leaving one takes as long as multiplying a small
+    layer. Its gradient is gathered; torch's own, for `index_select`, would be scattered.
+    """
+
+    @staticmethod
+    def forward(ctx: Any, tying: Tying, *free: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        """Expand all layers at once."""
+        ctx.tying = tying
+        return tying.unpack(tying.expand(free[0] if len(free) == 1 else torch.cat(free)))
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *grads: torch.Tensor) -> tuple:  # pyright: ignore
+        """Gather the gradients onto the free parameters."""
+        tying: Tying = ctx.tying
+        return None, *tying.adjoint(tying.pack(grads)).split(tying.sizes)
+
+
+@dataclass(frozen=True)
+class _Tables:
+    """Tables of one layer, as `Tying` has them for all."""
+
+    index: np.ndarray
+    coefficient: np.ndarray
+    adjoint_index: np.ndarray
+    adjoint_coefficient: np.ndarray
+
+
+def _tables(before: Representation, after: Representation, bias: bool) -> _Tables:
+    extended = before + TRIVIAL if bias else before
+    spaces = list(zip(extended.isotypic(), after.isotypic(), strict=True))
+    offsets = (0, spaces[0][0].shape[1] * spaces[0][1].shape[1])
+    forward = [
+        _entries(rows, columns, offset) for (rows, columns), offset in zip(spaces, offsets, strict=True)
+    ]
+    index, coefficient = (np.stack(parts) for parts in zip(*forward, strict=True))
+    adjoint = [_occurrences(rows, columns) for rows, columns in spaces]
+    adjoint_index, adjoint_coefficient = (np.concatenate(p, axis=1) for p in zip(*adjoint, strict=True))
+    # So far the dense entries are those of W^T, the bias its last row, row by row.
+    order = np.arange(extended.dim * after.dim)
+    if after.dim < before.dim:
+        weight = order[: before.dim * after.dim].reshape(before.dim, after.dim)
+        order = np.concatenate([weight.T.ravel(), order[weight.size :]])
+    return _Tables(
+        index[:, order], coefficient[:, order], np.argsort(order)[adjoint_index], adjoint_coefficient
+    )
+
+
+def _offsets(sizes: Sequence[int]) -> list[int]:
+    """Where each of some consecutive parts begins."""
+    return [0, *accumulate(sizes[:-1])]
 
 
 def _entries(rows: np.ndarray, columns: np.ndarray, offset: int) -> tuple[np.ndarray, np.ndarray]:
@@ -95,38 +181,3 @@ def _support(basis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     where = np.argsort(-np.abs(padded), axis=0, kind="stable")[:2]
     values = np.take_along_axis(padded, where, axis=0)
     return np.where(values == 0, 0, where), values
-
-
-def blas_order(weight: torch.Tensor) -> torch.Tensor:
-    """The same ``[n, m]`` in the memory order that multiplies fast: for few outputs, a plain layer's."""
-    return weight if weight.shape[1] >= weight.shape[0] else weight.T.contiguous().T
-
-
-class TiedLinear(torch.autograd.Function):
-    """``(x [B, n], free) -> x W^T + b [B, m]`` as a single autograd node."""
-
-    @staticmethod
-    def forward(ctx: Any, x: torch.Tensor, free: torch.Tensor, tying: Tying, bias: bool) -> torch.Tensor:
-        """Expand and multiply."""
-        dense = tying.expand(free)
-        weight = blas_order(dense[:-1] if bias else dense)
-        ctx.save_for_backward(x, weight)
-        ctx.tying, ctx.bias = tying, bias
-        return torch.addmm(dense[-1], x, weight) if bias else x @ weight
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, grad: torch.Tensor) -> tuple:  # pyright: ignore
-        """The gradient of a plain layer, gathered onto the free parameters."""
-        x, weight = ctx.saved_tensors
-        grad, x = grad.to(weight.dtype), x.to(weight.dtype)  # they differ under autocast
-        grad_dense = weight.new_empty(ctx.tying.shape)
-        grad_weight = grad_dense[:-1] if ctx.bias else grad_dense
-        if weight.is_contiguous():
-            torch.mm(x.T, grad, out=grad_weight)
-        else:
-            grad_weight.copy_((grad.T @ x).T)
-        if ctx.bias:
-            torch.sum(grad, 0, out=grad_dense[-1])
-        grad_x = grad @ weight.T if ctx.needs_input_grad[0] else None
-        return grad_x, ctx.tying.adjoint(grad_dense), None, None
