@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -57,10 +58,10 @@ class StateIndex:
 
     def __init__(self, layout: SceneLayout, device: torch.device) -> None:
         """Copies the maps once."""
-        self.joint_qpos = torch.as_tensor(layout.joint_qpos, device=device)
-        self.joint_qvel = torch.as_tensor(layout.joint_qvel, device=device)
-        default = torch.as_tensor(layout.default_qpos, dtype=torch.float32, device=device)
-        self.default_joint_pos = default[self.joint_qpos]
+        self.joint_qpos = Columns(layout.joint_qpos, device)
+        self.joint_qvel = Columns(layout.joint_qvel, device)
+        default = layout.default_qpos[layout.joint_qpos]
+        self.default_joint_pos = torch.as_tensor(default, dtype=torch.float32, device=device)
         self.ball_qpos, self.ball_qvel = layout.ball_qpos, layout.ball_qvel
         self.frames = {name: slice(int(c[0]), int(c[-1]) + 1) for name, c in layout.frames.items()}
         # Most channels have one sensor; a plain column costs no gather.
@@ -68,20 +69,36 @@ class StateIndex:
             name: int(c[0]) if len(c) == 1 else torch.as_tensor(c, device=device)
             for name, c in layout.contacts.items()
         }
-        self.forces = {name: torch.as_tensor(c, device=device) for name, c in layout.forces.items()}
+        self.forces = {
+            name: [Columns(part, device) for part in parts] for name, parts in layout.forces.items()
+        }
         low, high = torch.as_tensor(layout.joint_range, dtype=torch.float32, device=device).unbind(dim=1)
         self.joint_range_middle = torch.where(low.isfinite(), (low + high) / 2, 0.0)
         self.joint_range_half = (high - low) / 2
         self._joints = {name: column for column, name in enumerate(layout.joint_names)}
-        self._columns: dict[tuple[str, ...], Tensor] = {}
+        self._columns: dict[tuple[str, ...], Columns] = {}
         self._device = device
 
-    def columns_of(self, names: tuple[str, ...]) -> Tensor:
+    def columns_of(self, names: tuple[str, ...]) -> Columns:
         """Columns of observed joints in a joint vector; made once a list of names."""
         if names not in self._columns:
-            columns = [self._joints[name] for name in names]
-            self._columns[names] = torch.tensor(columns, device=self._device)
+            columns = np.array([self._joints[name] for name in names])
+            self._columns[names] = Columns(columns, self._device)
         return self._columns[names]
+
+
+class Columns:
+    """Some columns of a table: a view where they are consecutive, which costs no gather."""
+
+    def __init__(self, places: np.ndarray, device: torch.device) -> None:
+        """Looks at the columns' numbers [n] once."""
+        consecutive = len(places) > 0 and np.array_equal(places, np.arange(len(places)) + places[0])
+        self._slice = slice(int(places[0]), int(places[-1]) + 1) if consecutive else None
+        self._places = torch.as_tensor(places, device=device)
+
+    def of(self, table: Tensor) -> Tensor:
+        """Columns [B, n] of a table [B, ...]; not to be written to."""
+        return table.index_select(1, self._places) if self._slice is None else table[:, self._slice]
 
 
 class State:
@@ -112,7 +129,8 @@ class State:
 
     def _force(self, channel: str) -> Tensor:
         # MuJoCo reports the force of the foot on the other body.
-        return -self._sensors[:, self._index.forces[channel]].sum(dim=1)
+        parts = [part.of(self._sensors) for part in self._index.forces[channel]]
+        return -(parts[0] if len(parts) == 1 else torch.stack(parts).sum(dim=0))
 
     @cached_property
     def base_pos(self) -> Tensor:
@@ -180,12 +198,12 @@ class State:
     @cached_property
     def joint_pos(self) -> Tensor:
         """Observed joints, offsets from the default pose [B, joints], rad."""
-        return self._qpos[:, self._index.joint_qpos] - self._index.default_joint_pos
+        return self.joint_angles - self._index.default_joint_pos
 
     @cached_property
     def joint_angles(self) -> Tensor:
         """Observed joints, absolute [B, joints], rad."""
-        return self._qpos[:, self._index.joint_qpos]
+        return self._index.joint_qpos.of(self._qpos)
 
     @property
     def joint_range_middle(self) -> Tensor:
@@ -199,16 +217,16 @@ class State:
 
     def angles_of(self, names: tuple[str, ...]) -> Tensor:
         """Absolute positions of the named observed joints [B, len(names)], rad."""
-        return self.joint_angles[:, self._index.columns_of(names)]
+        return self._index.columns_of(names).of(self.joint_angles)
 
     def offsets_of(self, names: tuple[str, ...]) -> Tensor:
         """Offsets of the named observed joints from the default pose [B, len(names)], rad."""
-        return self.joint_pos[:, self._index.columns_of(names)]
+        return self._index.columns_of(names).of(self.joint_pos)
 
     @cached_property
     def joint_vel(self) -> Tensor:
         """Observed joints' velocities [B, joints], rad/s."""
-        return self._qvel[:, self._index.joint_qvel]
+        return self._index.joint_qvel.of(self._qvel)
 
     @cached_property
     def ball_pos(self) -> Tensor:

@@ -69,7 +69,7 @@ class CpuEngine:
         self.num_worlds, self.decimation = num_worlds, decimation
         self.num_threads = num_threads or usable_cores()
         self.device = torch.device("cpu")
-        self._forces = torch.tensor(contact_forces, dtype=torch.int64)
+        self._forces = _runs(sorted(contact_forces))
         self._models = [self._stepped] * num_worlds
         self._shared = True
         # External forces travel with the controls; a task without pushes does not pay for them.
@@ -129,16 +129,19 @@ class CpuEngine:
         # Substep by substep: a reduction along the middle of an array is slower.
         for substep in range(1, self.decimation):
             np.maximum(latched, self._sensed[:, substep, self._contacts], out=latched)
-        if len(self._forces):
-            forces = torch.from_numpy(self._sensed)[:, :, self._forces]
-            self.sensors[:, self._forces] = forces.mean(dim=1)
+        for forces in self._forces:
+            mean = self._sensors[:, forces]
+            mean[:] = self._sensed[:, 0, forces]
+            for substep in range(1, self.decimation):
+                mean += self._sensed[:, substep, forces]
+            mean /= self.decimation
 
     def _find_failures(self) -> None:
         """Finds rollouts that MuJoCo cut short with a warning (their clock is late) or that are not finite."""
         due = (self.decimation - 0.5) * self.model.opt.timestep
-        clock, numbers = self._state[:, 0], self._state.ravel()
+        clock = self._state[:, 0]
         # One look at all worlds together tells that none has failed, as is nearly always so. NaN compares false.
-        if clock.min() > due and np.einsum("i,i->", numbers, numbers) < HUGE**2:
+        if clock.min() > due and torch.linalg.vector_norm(torch.from_numpy(self._state)) < HUGE:
             self.failed.zero_()
             return
         # A warning in the last substep comes too late to cut the rollout short. The largest number is found by the
@@ -240,6 +243,13 @@ def _as_slice(places: np.ndarray) -> slice | np.ndarray:
     """The same places as a slice, where they are consecutive."""
     consecutive = len(places) and places[-1] - places[0] + 1 == len(places)
     return slice(int(places[0]), int(places[-1]) + 1) if consecutive else places
+
+
+def _runs(places: Sequence[int]) -> list[slice]:
+    """Ascending places as slices of consecutive ones."""
+    starts = [place for place in places if place - 1 not in places]
+    ends = [place + 1 for place in places if place + 1 not in places]
+    return [slice(*run) for run in zip(starts, ends, strict=True)]
 
 
 def _without_frame_sensors(model: mujoco.MjModel) -> mujoco.MjModel:
