@@ -108,10 +108,12 @@ class State:
     """
 
     def __init__(self, engine: Engine, index: StateIndex, episode: EpisodeState, limits: EpisodeSpec) -> None:
-        """Takes a view; make a new one whenever the engine or the episode state has changed."""
+        """Copies what the engine holds now; make a new one whenever the engine or the episode state has changed."""
         self._index = index
-        self._qpos, self._qvel = engine.qpos.float(), engine.qvel.float()
-        self._sensors = engine.sensors.float()
+        # An engine that computes in float32 would hand out its own memory, which a reset writes to within the step.
+        self._qpos, self._qvel, self._sensors = (
+            table.to(torch.float32, copy=True) for table in (engine.qpos, engine.qvel, engine.sensors)
+        )
         self.episode = episode
         self.limits = limits
 

@@ -404,6 +404,23 @@ def test_the_environment_mirrors(name):
     assert kicks > 3
 
 
+def test_an_outcome_tells_where_the_ball_was_before_the_reset(monkeypatch):
+    task = task_of("mini_general", "episode.max_steps=1")
+    env = KickEnv(task, make_warp_engine(task, WORLDS, "cpu"), 0)
+    reset, ball, ended = env.engine.reset, task.scene.layout.ball_qpos, []
+
+    def note_and_reset(mask: Tensor, qpos: Tensor, qvel: Tensor) -> None:
+        ended.append(env.engine.qpos[:, ball : ball + 2].clone())
+        reset(mask, qpos, qvel)
+
+    monkeypatch.setattr(env.engine, "reset", note_and_reset)
+    env.step(torch.zeros(WORLDS, env.num_actions))
+    assert env.outcome is not None
+    assert env.outcome.done.all()
+    assert torch.equal(env.outcome.ball, ended[0])
+    assert not torch.equal(env.engine.qpos[:, ball : ball + 2], ended[0]), "the reset has moved it"
+
+
 def test_contacts_that_do_not_fit_are_counted_and_end_the_run():
     """The ball on the floor alone takes six rows."""
     task = task_of("mini_general", "simulation.max_constraints=4", "simulation.max_contacts=8")
