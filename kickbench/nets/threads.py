@@ -12,9 +12,9 @@ from kickbench.spec.method import MethodSpec
 _WIDE = 256
 """Hidden width from which on an update gains from more than one thread; narrower layers only wait for each other.
 
-Measured on two cores, 128-64, 6,144 samples, medians of 10 updates in each of four processes: at rest, updates took 0.77
-to 0.89 times as long with two threads as with one, with augmentation 0.74 to 0.96 times. Beside two other processes they
-took 3.9 and 4.1 times as long: a thread that has lost its core keeps the others waiting at every layer.
+Measured on two cores, 128-64, 6,144 samples, medians of 10 updates in each of four processes: at rest, updates took
+0.77 to 0.89 times as long with two threads as with one, with augmentation 0.74 to 0.96 times. Beside two other
+processes they took 3.9 and 4.1 times as long: a thread that has lost its core keeps the others waiting at every layer.
 """
 
 

@@ -15,7 +15,7 @@ from rsl_rl.models import MLPModel
 from kickbench.errors import KickbenchError, shown
 from kickbench.results.atomic import atomic_write_bytes
 
-FORMAT = 2
+FORMAT = 3
 """Version of a checkpoint's layout."""
 _POLICY_FORMAT = 1
 

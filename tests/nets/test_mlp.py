@@ -1,3 +1,5 @@
+import copy
+
 import pytest
 import torch
 
@@ -36,6 +38,36 @@ def test_acting_and_training_give_the_same_values():
     with torch.inference_mode():
         acted = mlp(x)
     torch.testing.assert_close(acted, mlp(x), atol=1e-6, rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    "hidden", [(64, 32), (16,), (256, 128, 8)], ids=str
+)  # the last one has a split layer
+def test_expanding_all_layers_at_once_gives_the_gradients_of_plain_layers(hidden):
+    mlp = EquivariantMLP(OBSERVATION, hidden, ACTION)
+    x, out = torch.randn(64, OBSERVATION.dim, requires_grad=True), torch.randn(64, ACTION.dim)
+    alone = x
+    for layer in mlp:
+        alone = layer(alone)
+    inputs = (x, *mlp.parameters())
+    gradients = [torch.autograd.grad(y, inputs, out) for y in (mlp(x), alone)]
+    torch.testing.assert_close(*gradients)
+
+
+def test_it_trains_in_another_precision_and_as_a_copy():
+    mlp = EquivariantMLP(OBSERVATION, (64, 32), ACTION)
+    x = torch.randn(8, OBSERVATION.dim)
+    double = copy.deepcopy(mlp).double()
+    torch.testing.assert_close(double(x.double()).float(), mlp(x), atol=1e-6, rtol=1e-5)
+    double(x.double()).sum().backward()
+    assert all(parameter.grad.dtype == torch.float64 for parameter in double.parameters())
+    assert all(parameter.grad is None for parameter in mlp.parameters())
+
+
+def test_its_parameters_are_those_of_its_layers():
+    mlp = EquivariantMLP(OBSERVATION, (64, 32), ACTION)
+    assert list(mlp.state_dict()) == ["0.free", "2.free", "4.free"]
+    assert len(mlp) == 5
 
 
 def test_dense_copy_is_the_same_function_of_plain_layers():

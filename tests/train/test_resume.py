@@ -24,7 +24,7 @@ from kickbench.experiment import load_experiment
 from kickbench.mdp.engines import make_engine
 from kickbench.results.history import RunHistory
 from kickbench.results.metrics import load_metrics
-from kickbench.train.checkpoint import Checkpoints
+from kickbench.train.checkpoint import FORMAT, Checkpoints
 from kickbench.train.progress_files import CsvProgress
 from kickbench.train.trainer import Trainer
 
@@ -197,7 +197,7 @@ class Trap:
 
 
 def hide_code(file: Path) -> None:
-    torch.save({"format": 2, "iteration": 100, "trap": Trap()}, file)
+    torch.save({"format": FORMAT, "iteration": 100, "trap": Trap()}, file)
 
 
 @pytest.mark.parametrize("damage", [truncate, empty, flip_a_bit, hide_code])
