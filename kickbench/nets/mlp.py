@@ -9,7 +9,7 @@ import torch
 from rsl_rl.utils import resolve_nn_activation
 from torch import nn
 
-from kickbench.nets.linear import EquivariantLinear, as_dense
+from kickbench.nets.linear import Dense, EquivariantLinear, as_dense
 from kickbench.nets.relaxed import RelaxedLinear
 from kickbench.nets.tied import Expand, Tying
 from kickbench.symmetry.representation import Representation, regular
@@ -74,7 +74,7 @@ class EquivariantMLP(nn.Sequential):
         if not self._tying or not torch.is_grad_enabled():
             return super().forward(input)
         unpacked = Expand.apply(*self._tying, *(layer.free for layer in self._tied))
-        dense = dict(zip(self._tied, as_dense(unpacked, bias=True), strict=True))
+        dense: dict[nn.Module, Dense] = dict(zip(self._tied, as_dense(unpacked, bias=True), strict=True))
         for layer in self:
             input = layer(input, dense[layer]) if layer in dense else layer(input)
         return input
