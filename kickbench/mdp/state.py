@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -82,19 +82,20 @@ class StateIndex:
     def columns_of(self, names: tuple[str, ...]) -> Columns:
         """Columns of observed joints in a joint vector; made once a list of names."""
         if names not in self._columns:
-            columns = np.array([self._joints[name] for name in names])
-            self._columns[names] = Columns(columns, self._device)
+            self._columns[names] = Columns([self._joints[name] for name in names], self._device)
         return self._columns[names]
 
 
 class Columns:
     """Some columns of a table: a view where they are consecutive, which costs no gather."""
 
-    def __init__(self, places: np.ndarray, device: torch.device) -> None:
-        """Looks at the columns' numbers [n] once."""
-        consecutive = len(places) > 0 and np.array_equal(places, np.arange(len(places)) + places[0])
-        self._slice = slice(int(places[0]), int(places[-1]) + 1) if consecutive else None
-        self._places = torch.as_tensor(places, device=device)
+    def __init__(self, places: Iterable[int], device: torch.device) -> None:
+        """Looks at the columns' numbers once."""
+        numbers = [int(place) for place in places]
+        first = numbers[0] if numbers else 0
+        run = slice(first, first + len(numbers))
+        self._slice = run if numbers == list(range(run.start, run.stop)) else None
+        self._places = torch.tensor(numbers, dtype=torch.int64, device=device)
 
     def of(self, table: Tensor) -> Tensor:
         """Columns [B, n] of a table [B, ...]; not to be written to."""
