@@ -17,8 +17,8 @@ ROOT = Path(__file__).parents[1]
 SHIPPED = sorted((ROOT / "results/reported").glob("*.yaml"))
 EXPECTED = {
     "general", "home_field", "long_run", "leg_preference", "reward_misalignment", "mini_home_field", "mini_general",
-    "k1_lite", "k1_lite_home_field", "no_ball_not_moving", "approach_after_touch", "no_fall_penalties",
-    "no_arm_penalties", "no_double_touch",
+    "k1_lite", "k1_lite_long", "k1_lite_home_field", "no_ball_not_moving", "approach_after_touch",
+    "no_fall_penalties", "no_arm_penalties", "no_double_touch",
 }  # fmt: skip
 
 
