@@ -19,7 +19,7 @@ import numpy as np
 
 from kickbench.results.comparison import welch
 from kickbench.results.measured import MeasuredRun
-from kickbench.results.run_figures import Figure, figure_of, pair_correlation
+from kickbench.results.run_figures import Figure, figure_of, metrics_of, pair_correlation
 from kickbench.results.statistics import Interval
 from kickbench.results.student import two_sided_quantile
 from kickbench.spec.claims import (
@@ -141,10 +141,16 @@ def run_terms(run: MeasuredRun, claim: AnyClaim, contrast: Contrast) -> RunTerms
             if figure is None:
                 return None
             terms.append(Term(weight, operand, figure))
+    return RunTerms(tuple(terms), _correlation(run, claim, terms))
+
+
+def _correlation(run: MeasuredRun, claim: AnyClaim, terms: Sequence[Term]) -> float:
+    """Correlation of the figures of the two sides of one evaluation; 0 for any other figures, or where unknown."""
     both_sides = {term.operand.side for term in terms} == {"in_distribution", "mirrored"}
-    on_own = all(term.operand.task is None for term in terms)
-    known = claim.metric == "success_rate" and both_sides and on_own and run.metrics is not None
-    return RunTerms(tuple(terms), pair_correlation(run.metrics) if known and run.metrics else 0.0)
+    if claim.metric != "success_rate" or not both_sides:
+        return 0.0
+    first, *others = (metrics_of(run, term.operand) for term in terms)
+    return pair_correlation(first) if first and all(other is first for other in others) else 0.0
 
 
 @dataclass(frozen=True)

@@ -49,10 +49,16 @@ def figure_of(run: MeasuredRun, claim: AnyClaim, operand: Operand) -> Figure | N
         return None
     if claim.metric in OF_A_RUN:
         return _OF_RUNS[claim.metric](run, claim)
-    own = operand.task in (None, run.metrics.task)
-    metrics = run.metrics if own else run.also.get(str(operand.task))
+    metrics = metrics_of(run, operand)
     side = metrics and getattr(metrics.evaluation, operand.side)
     return _OF_SIDES[claim.metric](side, claim.terminations) if side else None
+
+
+def metrics_of(run: MeasuredRun, operand: Operand) -> Metrics | None:
+    """The run's result on the operand's task; None if it has none."""
+    if run.metrics is None or operand.task in (None, run.metrics.task):
+        return run.metrics
+    return run.also.get(str(operand.task))
 
 
 def pair_correlation(metrics: Metrics) -> float:

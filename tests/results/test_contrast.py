@@ -3,15 +3,26 @@
 from __future__ import annotations
 
 from math import inf
+from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kickbench.results.contrast import Contrast, RunTerms, Term, estimate, over_episodes, over_seeds
+from kickbench.results.contrast import (
+    Contrast,
+    RunTerms,
+    Term,
+    contrast_of,
+    estimate,
+    over_episodes,
+    over_seeds,
+    run_terms,
+)
+from kickbench.results.measured import MeasuredRun
 from kickbench.results.run_figures import Figure
 from kickbench.results.statistics import Interval, two_proportions, wilson
-from kickbench.spec.claims import Operand
+from kickbench.spec.claims import DifferenceWithin, Operand
 
 ARM = Operand(arm="a")
 NUMBER = st.floats(-100, 100)
@@ -63,6 +74,34 @@ def test_two_sides_that_always_agree_leave_nothing_open():
     # The interval is not symmetric about the proportion, so its two halves do not cancel exactly.
     assert abs(low) < 0.02
     assert abs(high) < 0.02
+
+
+def gap(of: dict[str, str], minus: dict[str, str]) -> DifferenceWithin:
+    sides = {"value": {"arm": "a", **of}, "minus": {"arm": "a", "side": "mirrored", **minus}}
+    return DifferenceWithin.model_validate(
+        {"statement": "S", "kind": "difference_within", "metric": "success_rate", "bound": 0.01, **sides}
+    )
+
+
+@pytest.mark.parametrize(
+    ("of", "minus", "correlated"),
+    [
+        ({}, {}, False),
+        ({"task": "mini_home_field"}, {}, False),
+        ({"task": "mini_general"}, {"task": "mini_general"}, True),
+        ({}, {"task": "mini_general"}, False),
+    ],
+    ids=["own", "own by name", "further", "two tasks"],
+)
+def test_the_two_sides_of_one_evaluation_are_correlated_by_its_pairs(make, of, minus, correlated):
+    """The further task's evaluation knows its pairs, the run's own does not."""
+    sides = make.side(0.85), make.side(0.85)
+    pairs = make.metrics(*sides, asymmetry=make.asymmetry(only_original=0), task="mini_general")
+    run = MeasuredRun("a", 0, Path("x"), "finished", make.metrics(*sides), {"mini_general": pairs})
+    claim = gap(of, minus)
+    given = run_terms(run, claim, contrast_of(claim))
+    assert given is not None
+    assert given.correlation == pytest.approx(1.0 if correlated else 0.0)
 
 
 def test_a_figure_without_an_interval_has_no_interval_over_episodes():
