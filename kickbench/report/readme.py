@@ -5,6 +5,7 @@ Everything is a function of the files in `results/`: the same files give the sam
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from kickbench.errors import KickbenchError
@@ -16,7 +17,15 @@ from kickbench.report.figures.legs import draw_legs, legs_of
 from kickbench.report.headline import Claimed, warnings
 from kickbench.report.palette import looks_of
 from kickbench.report.spread import SUCCESS, Spread, spreads
-from kickbench.report.tables import commit_text, comparison_table, hardware, hours, reported_of
+from kickbench.report.tables import (
+    Cell,
+    commit_text,
+    comparison_table,
+    further_table,
+    hardware,
+    hours,
+    reported_of,
+)
 from kickbench.report.write import judged
 from kickbench.reported import load_reported
 from kickbench.results.atomic import atomic_write_text
@@ -110,15 +119,15 @@ def pictures(results: tuple[Result, ...]) -> tuple[Picture, Picture]:
 
 def _study_text(study: Study, claims: tuple[Claimed, ...]) -> str:
     lines = [f"**`{_plain(study.name)}`**{f': {_plain(study.question)}' if study.question else ''}", ""]
-    table = comparison_table(study)
-    rows = [
-        [f"{cell.text} ({cell.note})" if cell.note else cell.text for cell in row[:-1]] for row in table.rows
-    ]
     arms = {arm.name: arm for arm in study.arms}
-    columns = [*table.columns[:-1], "Iterations", "Steps a run", "Training a run", "Hardware", "Commit"]
-    lines += [_row(columns), _row(["---"] * len(columns))]
+    table = comparison_table(study)
     # Methods that have not been run are named below the table.
-    lines += [_row([*row, *_effort(arms[row[0]])]) for row in rows if arms[row[0]].finished]
+    rows = [(_texts(row[:-1]), arms[row[0].text]) for row in table.rows if arms[row[0].text].finished]
+    lines += _table(table.columns[:-1], rows)
+    if further := further_table(study):
+        ran = [arm for arm in study.arms for run in arm.runs for _ in run.also]
+        lines += ["", f"{further.caption}:", ""]
+        lines += _table(further.columns, list(zip(map(_texts, further.rows), ran, strict=True)))
     if claims:
         lines += ["", *_claim_lines(claims)]
     notes = [
@@ -170,7 +179,17 @@ def _range(seconds: list[float]) -> list[str]:
     return [" to ".join(ends)] if ends else []
 
 
-def _row(cells: list[str]) -> str:
+def _table(columns: Sequence[str], rows: Sequence[tuple[list[str], ArmData]]) -> list[str]:
+    """A table with what the runs of each row's arm took in its last columns."""
+    head = [*columns, "Iterations", "Steps a run", "Training a run", "Hardware", "Commit"]
+    return [_row(head), _row(["---"] * len(head)), *(_row([*cells, *_effort(arm)]) for cells, arm in rows)]
+
+
+def _texts(row: Sequence[Cell]) -> list[str]:
+    return [f"{cell.text} ({cell.note})" if cell.note else cell.text for cell in row]
+
+
+def _row(cells: Sequence[str]) -> str:
     return f"| {' | '.join(_plain(cell) for cell in cells)} |"
 
 

@@ -55,10 +55,17 @@ def test_every_measured_run_is_in_a_picture(results):
         assert f"{experiment}: {arm}, seed {seed.removeprefix('seed')}:" in text
 
 
+def test_results_on_further_tasks_are_told(results):
+    rows = [line for line in section(results).splitlines() if "| k1_lite_home_field |" in line]
+    assert [row.split(" |")[0] for row in rows] == [
+        f"| {arm} (seed 0)" for arm in ("baseline", "augmentation", "equivariant")
+    ]
+
+
 def test_iterations_and_hardware_stand_beside_every_figure(results):
     for line in section(results).splitlines():
         cells = [cell.strip() for cell in line.strip("|").split("|")]
-        if line.startswith("|") and cells[0] not in ("Method", "---"):
+        if line.startswith("|") and cells[0] not in ("Method", "Run", "---"):
             iterations, hardware = cells[-5], cells[-2]
             assert iterations[0].isdigit()
             assert "thread" in hardware
