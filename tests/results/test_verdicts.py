@@ -285,7 +285,12 @@ def test_the_thesis_own_figures_meet_its_claims(name):
     assert not [name for name, value in met.items() if value is False]
 
 
-def test_the_measured_home_field_of_the_mini_kicker_meets_its_claims():
+def test_three_measured_seeds_of_the_mini_kicker_leave_the_baselines_mean_loss_open():
+    """Each seed loses more than the 15 points claimed, but they differ by more than three of them can average out."""
     experiment = load_reported(ROOT / "results/reported/mini_home_field.yaml")
     measured = read_measured(ROOT / "results/measured/mini_home_field", experiment)
-    assert {v.name: v.outcome for v in judge(experiment, measured)} == dict.fromkeys(experiment.claims, "met")
+    assert {v.name: v.outcome for v in judge(experiment, measured)} == {
+        "baseline_loses": "not enough data",
+        "equivariant_keeps": "met",
+        "augmentation_keeps": "met",
+    }
