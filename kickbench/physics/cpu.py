@@ -15,13 +15,11 @@ import torch
 from torch import Tensor
 
 from kickbench.physics.engine import HUGE, INERTIAL_FIELDS, ModelField
-from kickbench.physics.skeleton import Skeleton
+from kickbench.physics.frames import FrameSensing
 
 _FULL = mujoco.mjtState.mjSTATE_FULLPHYSICS
 _CTRL = mujoco.mjtState.mjSTATE_CTRL
 _WRENCH = mujoco.mjtState.mjSTATE_XFRC_APPLIED
-_PACKED = 8
-"""Worlds in one skeleton: `rollout` takes some 2 us to look at a model, more than a skeleton's step."""
 
 
 def usable_cores() -> int:
@@ -39,9 +37,8 @@ class CpuEngine:
     mirroring rely on.
 
     MuJoCo evaluates sensors before it integrates, so the sensors of the last substep are one substep old.
-    Instead of a full final forward pass, a skeleton of the model takes one step from the final state, which
-    evaluates the frame sensors there at a fraction of the cost. Contacts are latched over the substeps and need
-    no such pass.
+    Instead of a full final forward pass, a skeleton of the model evaluates the frame sensors in the final state, at
+    a fraction of the cost. Contacts are latched over the substeps and need no such pass.
     """
 
     def __init__(
@@ -76,15 +73,11 @@ class CpuEngine:
         self._spec = int(_CTRL if pushed_body is None else _CTRL | _WRENCH)
         first = model.nu + 6 * (pushed_body or 0)
         self._push = None if pushed_body is None else slice(first, first + 3)
-        self._skeleton = bones = Skeleton(model, _PACKED)
-        if not np.array_equal(bones.places, np.arange(len(bones.places))):
-            raise ValueError("the model's frame sensors must come before its contact sensors")
+        self._sense_frames = FrameSensing(model, self.num_threads)
         # Slices are read and written much faster than lists of places.
-        self._frames = slice(0, len(bones.places))
-        self._contacts = slice(len(bones.places), model.nsensordata)
-        self._bone_qpos, self._bone_qvel = _as_slice(1 + bones.qpos), _as_slice(1 + model.nq + bones.qvel)
+        self._frames = slice(0, self._sense_frames.size)
+        self._contacts = slice(self._sense_frames.size, model.nsensordata)
         self._data = [mujoco.MjData(model) for _ in range(self.num_threads)]
-        self._data_of_bones = [mujoco.MjData(self._skeleton.model) for _ in range(self.num_threads)]
         self._pool = mujoco.rollout.Rollout(nthread=self.num_threads if self.num_threads > 1 else 0)
         self._allocate(mujoco.mj_stateSize(model, _FULL))
         self._set_all(model.qpos0)
@@ -120,7 +113,7 @@ class CpuEngine:
         self._state[:] = self._trajectory[:, -1]
         self._find_failures()
         self._latch_contacts()
-        self._sense_frames(slice(None))
+        self._sensors[:, self._frames] = self._sense_frames(self._state)
 
     def _latch_contacts(self) -> None:
         """Counts keep their maximum over the substeps, forces their mean."""
@@ -149,22 +142,6 @@ class CpuEngine:
         squares = np.einsum("ij,ij->i", self._state, self._state)
         self.failed = torch.from_numpy(~(clock > due) | ~(squares < HUGE**2))
 
-    def _sense_frames(self, rows: slice | np.ndarray) -> None:
-        """Evaluates the frame sensors in the current states of some worlds; `rows` are their indices."""
-        state, bones = self._state[rows], self._skeleton
-        packs, left = -(-len(state) // bones.copies), -len(state) % bones.copies
-        # The last pack is filled up with worlds that are evaluated twice.
-        full = np.concatenate([state, np.resize(state, (left, state.shape[1]))]) if left else state
-        start = np.zeros((packs, 1 + bones.model.nq + bones.model.nv))
-        start[:, 1 : 1 + bones.model.nq] = full[:, self._bone_qpos].reshape(packs, -1)
-        start[:, 1 + bones.model.nq :] = full[:, self._bone_qvel].reshape(packs, -1)
-        sensed = np.empty((packs, 1, bones.model.nsensordata))
-        self._pool.rollout(
-            [bones.model] * packs, self._data_of_bones, start, np.zeros((packs, 1, 0)), skip_checks=True,
-            nstep=1, state=np.empty((packs, 1, start.shape[1])), sensordata=sensed,
-        )  # fmt: skip
-        self._sensors[rows, self._frames] = sensed.reshape(packs * bones.copies, -1)[: len(state)]
-
     def reset(self, mask: Tensor, qpos: Tensor, qvel: Tensor) -> None:
         """See `Engine.reset`."""
         rows = np.flatnonzero(mask.numpy())
@@ -175,7 +152,7 @@ class CpuEngine:
         self._state[rows, 1 : 1 + model.nq] = qpos.numpy()[rows]
         self._state[rows, 1 + model.nq : 1 + model.nq + model.nv] = qvel.numpy()[rows]
         self._sensors[rows] = 0.0
-        self._sense_frames(rows)
+        self._sensors[rows, self._frames] = self._sense_frames(self._state[rows])
         self.failed[rows] = False
 
     def push(self, force: Tensor) -> None:
@@ -235,14 +212,9 @@ class CpuEngine:
         """See `Engine.take_load`: MuJoCo makes room as it needs it."""
 
     def close(self) -> None:
-        """See `Engine.close`: ends the thread pool."""
+        """See `Engine.close`: ends the threads."""
         self._pool.close()
-
-
-def _as_slice(places: np.ndarray) -> slice | np.ndarray:
-    """The same places as a slice, where they are consecutive."""
-    consecutive = len(places) and places[-1] - places[0] + 1 == len(places)
-    return slice(int(places[0]), int(places[-1]) + 1) if consecutive else places
+        self._sense_frames.close()
 
 
 def _runs(places: Sequence[int]) -> list[slice]:

@@ -6,19 +6,12 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-_Bit = mujoco.mjtDisableBit
-_KINEMATICS_ONLY = (
-    _Bit.mjDSBL_CONSTRAINT | _Bit.mjDSBL_CONTACT | _Bit.mjDSBL_ACTUATION | _Bit.mjDSBL_GRAVITY
-    | _Bit.mjDSBL_SPRING | _Bit.mjDSBL_DAMPER | _Bit.mjDSBL_EULERDAMP | _Bit.mjDSBL_AUTORESET
-)  # fmt: skip
-
 
 class Skeleton:
     """A model of the bodies and joints that a model's frame sensors hang on, several copies side by side.
 
-    It is put together from the compiled model, so that nothing of the file it came from matters. One step of it
-    evaluates the frame sensors of `copies` worlds; geoms, contacts and forces are not there, and masses are of no
-    account.
+    It is put together from the compiled model, so that nothing of the file it came from matters. Its kinematics are
+    those of `copies` worlds; geoms, contacts and forces are not there, and masses are of no account.
     """
 
     def __init__(self, model: mujoco.MjModel, copies: int) -> None:
@@ -46,9 +39,7 @@ class Skeleton:
 
     def _compile(self, model: mujoco.MjModel) -> mujoco.MjModel:
         spec = mujoco.MjSpec()
-        spec.option.timestep = model.opt.timestep
         spec.compiler.degree = False
-        spec.option.disableflags = int(_KINEMATICS_ONLY)
         for copy in range(self.copies):
             self._add_copy(spec, model, str(copy))
         return spec.compile()

@@ -70,16 +70,6 @@ def test_contacts_and_branches_that_nobody_senses_are_left_out(model):
     assert bones.model.nbody - 1 == len({"base", "arm", "thigh", "shank"})
 
 
-def test_a_world_of_bad_numbers_does_not_disturb_its_neighbours(model):
-    bones = Skeleton(model, 2)
-    good, found = random_state(model, 0), mujoco.MjData(bones.model)
-    found.qpos[:] = np.concatenate([np.full(len(bones.qpos), np.nan), good.qpos[bones.qpos]])
-    found.qvel[:] = np.concatenate([np.full(len(bones.qvel), np.nan), good.qvel[bones.qvel]])
-    mujoco.mj_step(bones.model, found)
-    half = len(bones.places)
-    np.testing.assert_allclose(found.sensordata[half:], good.sensordata[bones.places], atol=1e-12)
-
-
 def test_a_model_without_sensors_has_an_empty_skeleton():
     bones = Skeleton(mujoco.MjModel.from_xml_string("<mujoco/>"), 4)
     assert bones.model.nq == 0
