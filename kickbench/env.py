@@ -14,14 +14,15 @@ from torch import Tensor
 
 from kickbench.mdp.compile import Bound, CompiledTask
 from kickbench.mdp.delay import ActionDelay
-from kickbench.mdp.disturbance import Disturbance
 from kickbench.mdp.engines import make_engine as make_engine
 from kickbench.mdp.episode import EpisodeRecord, Outcome, Totals
+from kickbench.mdp.observing import Observer
 from kickbench.mdp.pushes import Pushes
 from kickbench.mdp.randomizations import Setting
 from kickbench.mdp.snapshot import Snapshot
 from kickbench.mdp.starts import FreshStarts, StartPool, Starts, StartSampler
-from kickbench.mdp.state import EpisodeState, State, StateIndex
+from kickbench.mdp.state import EpisodeState, State
+from kickbench.mdp.state_index import StateIndex
 from kickbench.mdp.stateful import Stateful, check_tensors
 from kickbench.mdp.variation import ModelVariation
 from kickbench.physics.engine import Engine
@@ -100,12 +101,7 @@ class KickEnv(VecEnv):
         self._weights = torch.tensor(weights, device=self.device)
         concludes = [not bound.term.truncates for bound in task.terminations]
         self._concludes = torch.tensor(concludes, device=self.device)
-        # Groups share most of their fields, which are evaluated once; only noise and clipping are a group's own.
-        every = [field for fields in task.groups.values() for field in fields]
-        self._observed = {field.key: field.bound for field in every}
-        self._disturbances = {
-            name: Disturbance(fields, self.device, noise=self._noise) for name, fields in task.groups.items()
-        }
+        self._observer = Observer(task.groups, self.device, noise=self._noise)
         self._senses_floor = "left_foot_floor" in layout.contacts
         self._has_feet = bool(layout.foot_geoms)
         self._variation = ModelVariation(task.scene, self.device)
@@ -267,13 +263,7 @@ class KickEnv(VecEnv):
             self._by_side[name] = torch.where(mask.unsqueeze(1), values, self._by_side.get(name, values))
 
     def _observe(self) -> TensorDict:
-        state = self.state()
-        exact = {key: bound(state) for key, bound in self._observed.items()}
-        groups = {}
-        for name, fields in self.task.groups.items():
-            value = torch.cat([exact[field.key] for field in fields], dim=1)
-            groups[name] = self._disturbances[name](value, self.generator)
-        return self._group(groups)
+        return self._group(self._observer(self.state(), self.generator))
 
     def state_dict(self) -> dict[str, Any]:
         """Everything that later steps depend on, as tensors and plain numbers, in dicts by part.

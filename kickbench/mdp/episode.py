@@ -65,8 +65,7 @@ class EpisodeRecord(Stateful):
         else:
             self.kick_foot = torch.where(first, OTHER, self.kick_foot)
         self.kick_step = torch.where(first, state.episode.step, self.kick_step)
-        horizontal = state.ball_lin_vel[:, :2].norm(dim=1)
-        self.peak_ball_speed = torch.maximum(self.peak_ball_speed, horizontal.nan_to_num())
+        self.peak_ball_speed = torch.maximum(self.peak_ball_speed, state.ball_ground_speed.nan_to_num())
 
 
 @dataclass

@@ -9,7 +9,7 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from kickbench.mdp.state import State
+from kickbench.mdp.state import State, length
 from kickbench.mdp.term import reward
 from kickbench.spec.base import Fraction, NonNegativeFloat, PositiveFloat
 from kickbench.spec.terms import JointName, JointNames, RewardParams
@@ -18,9 +18,9 @@ _TINY = 1e-6
 """Keeps directions of vanishing vectors finite."""
 
 
-def _cosine(a: Tensor, b: Tensor) -> Tensor:
-    """max(0, cos of the angle between a and b) [B]."""
-    return ((a * b).sum(dim=1) / (a.norm(dim=1) * b.norm(dim=1) + _TINY)).clamp(min=0.0)
+def _cosine(a: Tensor, b: Tensor, lengths: Tensor) -> Tensor:
+    """max(0, cos of the angle between a and b) [B], given the product of their lengths [B]."""
+    return ((a * b).sum(dim=1) / (lengths + _TINY)).clamp(min=0.0)
 
 
 class TargetDistance(RewardParams):
@@ -43,7 +43,8 @@ def target_distance(state: State, params: TargetDistance) -> Tensor:
 @reward("3.2.3 Ball Approach Target")
 def ball_approach_target(state: State, params: RewardParams) -> Tensor:
     """max(0, cos) of the angle between ball velocity and ball-to-target, while the ball moves; else 0."""
-    return _cosine(state.ball_lin_vel[:, :2], state.ball_to_target) * ~state.ball_stopped
+    lengths = state.ball_ground_speed * state.target_distance
+    return _cosine(state.ball_lin_vel[:, :2], state.ball_to_target, lengths) * ~state.ball_stopped
 
 
 class AgentApproachBall(RewardParams):
@@ -62,10 +63,11 @@ def agent_approach_ball(state: State, params: AgentApproachBall) -> Tensor:
     Horizontal vectors; d leads from the ball to the target. Zero while the base is slower than
     `speed_threshold`, and after the first touch.
     """
-    velocity = state.base_lin_vel_world[:, :2]
-    cosine = _cosine(velocity, state.ball_pos[:, :2] - state.base_pos[:, :2])
+    velocity, offset = state.base_lin_vel_world[:, :2], state.ball_pos[:, :2] - state.base_pos[:, :2]
+    speed = length(velocity)
+    cosine = _cosine(velocity, offset, speed * length(offset))
     progress = (state.ball_lin_vel[:, :2] * state.ball_to_target).sum(dim=1).clamp(min=0.0)
-    active = velocity.norm(dim=1) > params.speed_threshold
+    active = speed > params.speed_threshold
     if params.until_touch:
         active = active & ~state.ball_touched
     return cosine / (1.0 + progress) * active

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 
 import torch
 from torch import Tensor
 
+from kickbench.mdp.state_index import StateIndex
 from kickbench.mdp.stateful import Stateful
 from kickbench.physics.engine import Engine
-from kickbench.scene.layout import SceneLayout
 from kickbench.scene.sensors import SIDES
 from kickbench.spec.task import EpisodeSpec
 from kickbench.symmetry.torch_ops import Mirror
@@ -53,53 +52,9 @@ class EpisodeState(Stateful):
         return EpisodeState(self.step, self.contact_count, target, action, previous, self.air_time.flip(1))
 
 
-class StateIndex:
-    """The scene's index maps as tensors on the engine's device."""
-
-    def __init__(self, layout: SceneLayout, device: torch.device) -> None:
-        """Copies the maps once."""
-        self.joint_qpos = Columns(layout.joint_qpos, device)
-        self.joint_qvel = Columns(layout.joint_qvel, device)
-        default = layout.default_qpos[layout.joint_qpos]
-        self.default_joint_pos = torch.as_tensor(default, dtype=torch.float32, device=device)
-        self.ball_qpos, self.ball_qvel = layout.ball_qpos, layout.ball_qvel
-        self.frames = {name: slice(int(c[0]), int(c[-1]) + 1) for name, c in layout.frames.items()}
-        # Most channels have one sensor; a plain column costs no gather.
-        self.contacts = {
-            name: int(c[0]) if len(c) == 1 else torch.as_tensor(c, device=device)
-            for name, c in layout.contacts.items()
-        }
-        self.forces = {
-            name: [Columns(part, device) for part in parts] for name, parts in layout.forces.items()
-        }
-        low, high = torch.as_tensor(layout.joint_range, dtype=torch.float32, device=device).unbind(dim=1)
-        self.joint_range_middle = torch.where(low.isfinite(), (low + high) / 2, 0.0)
-        self.joint_range_half = (high - low) / 2
-        self._joints = {name: column for column, name in enumerate(layout.joint_names)}
-        self._columns: dict[tuple[str, ...], Columns] = {}
-        self._device = device
-
-    def columns_of(self, names: tuple[str, ...]) -> Columns:
-        """Columns of observed joints in a joint vector; made once a list of names."""
-        if names not in self._columns:
-            self._columns[names] = Columns([self._joints[name] for name in names], self._device)
-        return self._columns[names]
-
-
-class Columns:
-    """Some columns of a table: a view where they are consecutive, which costs no gather."""
-
-    def __init__(self, places: Iterable[int], device: torch.device) -> None:
-        """Looks at the columns' numbers once."""
-        numbers = [int(place) for place in places]
-        first = numbers[0] if numbers else 0
-        run = slice(first, first + len(numbers))
-        self._slice = run if numbers == list(range(run.start, run.stop)) else None
-        self._places = torch.tensor(numbers, dtype=torch.int64, device=device)
-
-    def of(self, table: Tensor) -> Tensor:
-        """Columns [B, n] of a table [B, ...]; not to be written to."""
-        return table.index_select(1, self._places) if self._slice is None else table[:, self._slice]
+def length(vectors: Tensor) -> Tensor:
+    """Lengths of vectors [B, k]: [B]."""
+    return torch.linalg.vector_norm(vectors, dim=1)
 
 
 class State:
@@ -122,13 +77,12 @@ class State:
         return self._sensors[:, self._index.frames[channel]]
 
     def _touches(self, channel: str) -> Tensor:
-        places = self._index.contacts[channel]
-        found = self._positive[:, places]
-        return found if isinstance(places, int) else found.any(dim=1)
+        found = self._index.contacts[channel].of(self._touching)
+        return found[:, 0] if found.shape[1] == 1 else found.any(dim=1)
 
     @cached_property
-    def _positive(self) -> Tensor:
-        return self._sensors > 0.0
+    def _touching(self) -> Tensor:
+        return self._sensors[:, self._index.counts] > 0.0
 
     def _force(self, channel: str) -> Tensor:
         # MuJoCo reports the force of the foot on the other body.
@@ -244,7 +198,12 @@ class State:
     @cached_property
     def ball_speed(self) -> Tensor:
         """Norm of the ball's velocity [B], m/s."""
-        return self.ball_lin_vel.norm(dim=1)
+        return length(self.ball_lin_vel)
+
+    @cached_property
+    def ball_ground_speed(self) -> Tensor:
+        """Norm of the ball's horizontal velocity [B], m/s."""
+        return length(self.ball_lin_vel[:, :2])
 
     @cached_property
     def ball_stopped(self) -> Tensor:
@@ -264,22 +223,22 @@ class State:
     @cached_property
     def target_distance(self) -> Tensor:
         """Horizontal distance of ball and target [B], m."""
-        return self.ball_to_target.norm(dim=1)
+        return length(self.ball_to_target)
 
     @cached_property
     def foot_pos(self) -> Tensor:
         """Centres of the left and the right sole [B, 2, 3], m."""
-        return torch.stack([self._frame(f"{side}_foot_pos") for side in SIDES], dim=1)
+        return self._index.foot_frames["foot_pos"].of(self._sensors).view(-1, 2, 3)
 
     @cached_property
     def foot_vel(self) -> Tensor:
         """Velocities of the left and the right sole [B, 2, 3], m/s."""
-        return torch.stack([self._frame(f"{side}_foot_vel") for side in SIDES], dim=1)
+        return self._index.foot_frames["foot_vel"].of(self._sensors).view(-1, 2, 3)
 
     @cached_property
     def foot_floor_contact(self) -> Tensor:
         """Left, right foot touched the floor during the control step [B, 2] bool."""
-        return torch.stack([self._touches(f"{side}_foot_floor") for side in SIDES], dim=1)
+        return self._index.foot_contacts["foot_floor"].of(self._touching)
 
     @cached_property
     def body_floor_contact(self) -> Tensor:
@@ -294,7 +253,7 @@ class State:
     @cached_property
     def foot_ball_contact(self) -> Tensor:
         """Left, right foot touched the ball during the control step [B, 2] bool."""
-        return torch.stack([self._touches(f"{side}_foot_ball") for side in SIDES], dim=1)
+        return self._index.foot_contacts["foot_ball"].of(self._touching)
 
     @cached_property
     def ball_contact(self) -> Tensor:

@@ -6,7 +6,7 @@ step: a kick lasts 4-10 ms, so the last substep alone would miss a third of all 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -89,8 +89,7 @@ def plan_sensors(
         geom = mujoco.mjtObj.mjOBJ_GEOM
         plans += [_touch("body_floor", i, geom, ROBOT + name, "floor") for i, name in enumerate(body_geoms)]
     if robot.feet:
-        for side in SIDES:
-            plans += _foot(side, getattr(robot.feet, side), groups)
+        plans += _feet({side: getattr(robot.feet, side) for side in SIDES}, groups)
     # Frames first, contacts after them: each kind is one slice of sensordata.
     return sorted(plans, key=lambda plan: plan.is_contact)
 
@@ -109,19 +108,22 @@ def _base(body: str) -> list[SensorPlan]:
     return [SensorPlan(name, part, kind, frame, ROBOT + body) for name, part, kind in kinds]
 
 
-def _foot(side: str, foot: FootSpec, groups: frozenset[SensorGroup]) -> Iterator[SensorPlan]:
+def _feet(feet: Mapping[str, FootSpec], groups: frozenset[SensorGroup]) -> Iterator[SensorPlan]:
+    """Left and right side by side: what is read of both feet is then one slice of sensordata."""
     if "foot_frame" in groups:
-        for channel, kind in (
-            (f"{side}_foot_pos", mujoco.mjtSensor.mjSENS_FRAMEPOS),
-            (f"{side}_foot_vel", mujoco.mjtSensor.mjSENS_FRAMELINVEL),
+        for what, kind in (
+            ("pos", mujoco.mjtSensor.mjSENS_FRAMEPOS),
+            ("vel", mujoco.mjtSensor.mjSENS_FRAMELINVEL),
         ):
-            yield SensorPlan(channel, 0, kind, mujoco.mjtObj.mjOBJ_SITE, ROBOT + sole_site(side))
+            for side in feet:
+                site = ROBOT + sole_site(side)
+                yield SensorPlan(f"{side}_foot_{what}", 0, kind, mujoco.mjtObj.mjOBJ_SITE, site)
     for other in ("ball", "floor"):
         if f"foot_{other}" not in groups:
             continue
-        channel = f"{side}_foot_{other}"
-        for part, (objtype, name) in enumerate(_foot_objects(foot)):
-            yield _touch(channel, part, objtype, name, other, force=other == "floor")
+        for side, foot in feet.items():
+            for part, (objtype, name) in enumerate(_foot_objects(foot)):
+                yield _touch(f"{side}_foot_{other}", part, objtype, name, other, force=other == "floor")
 
 
 def _foot_objects(foot: FootSpec) -> list[tuple[mujoco.mjtObj, str]]:

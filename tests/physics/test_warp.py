@@ -20,7 +20,8 @@ pytest.importorskip("mujoco_warp", reason="the gpu extra is not installed")
 from kickbench.env import KickEnv
 from kickbench.errors import KickbenchError
 from kickbench.mdp.engines import make_engine, make_warp_engine
-from kickbench.mdp.state import EpisodeState, State, StateIndex
+from kickbench.mdp.state import EpisodeState, State
+from kickbench.mdp.state_index import StateIndex
 from kickbench.physics.cpu import CpuEngine
 from kickbench.physics.engine import ModelField
 from kickbench.physics.warp import WarpEngine

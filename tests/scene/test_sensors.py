@@ -66,8 +66,8 @@ def test_only_wanted_sensors_are_there(channels):
     assert channels(ROBOT + FEET, "foot_frame") == [
         *ALWAYS_THERE[:-1],
         "left_foot_pos.0",
-        "left_foot_vel.0",
         "right_foot_pos.0",
+        "left_foot_vel.0",
         "right_foot_vel.0",
         "robot_ball.0",
     ]
