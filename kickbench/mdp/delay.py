@@ -80,6 +80,8 @@ class ActionDelay(Stateful):
         # Age, in control steps, of the newest command that has taken effect.
         self._newest = torch.zeros(num_worlds, dtype=torch.int64, device=device)
         self._substep = torch.arange(decimation, device=device)
+        # Place of every world's newest command in the flattened history.
+        self._first = depth * torch.arange(num_worlds, device=device).unsqueeze(1)
 
     @property
     def memory(self) -> DelayMemory:
@@ -92,8 +94,10 @@ class ActionDelay(Stateful):
 
     def reset(self, mask: Tensor) -> None:
         """Forgets the commands of the worlds in `mask` [B]: their servos hold the default target."""
-        self._history = torch.where(mask[:, None, None], self._default, self._history)
-        self._newest = torch.where(mask, self._history.shape[1] - 1, self._newest)
+        history, depth = self._history.flatten(1), self._history.shape[1]
+        cleared = torch.where(mask.unsqueeze(1), self._default.repeat(depth), history)
+        self._history = cleared.view(self._history.shape)
+        self._newest = torch.where(mask, depth - 1, self._newest)
 
     def __call__(self, targets: Tensor) -> Tensor:
         """Takes the new targets [B, nu] and returns what the servos see in every substep [B, decimation, nu]."""
@@ -104,8 +108,9 @@ class ActionDelay(Stateful):
         age = torch.div(wait.clamp(min=0) + self._decimation - 1, self._decimation, rounding_mode="floor")
         age = torch.minimum(age, older).cummin(dim=1).values
         self._newest = age[:, -1]
-        rows = age.unsqueeze(2).expand(-1, -1, targets.shape[1])
-        return self._history.gather(1, rows)
+        # Whole commands by their place in the flattened history: much cheaper than gathering their elements.
+        rows = (self._first + age).flatten()
+        return self._history.flatten(0, 1).index_select(0, rows).view(*age.shape, -1)
 
     def _draw_lags(self) -> Tensor:
         worlds, device = len(self._newest), self._newest.device

@@ -33,6 +33,7 @@ class Disturbance:
     def __call__(self, value: Tensor, generator: torch.Generator) -> Tensor:
         """The observation as the network gets it [B, width]."""
         if self._noisy:
-            unit = torch.rand(value.shape, generator=generator, device=value.device)
-            value = value + self._half_width * (2.0 * unit - 1.0)
+            # In place: the tensors are large enough for their memory to cost more than the sums.
+            noise = torch.rand(value.shape, generator=generator, device=value.device)
+            value = noise.mul_(2.0).sub_(1.0).mul_(self._half_width).add_(value)
         return value.clamp(self._low, self._high) if self._clips else value

@@ -47,6 +47,15 @@ class Starts:
         qpos, qvel, target = (table.index_select(0, rows) for table in (self.qpos, self.qvel, self.target))
         return Starts(qpos, qvel, target, self.joints, by_side)
 
+    def put(self, rows: Tensor, others: Starts, first: int) -> None:
+        """Overwrites the given rows with as many of other starts, from their row `first` on."""
+        fresh = slice(first, first + len(rows))
+        for name, values in self.by_side.items():
+            values.index_copy_(0, rows, others.by_side[name][fresh])
+        self.qpos.index_copy_(0, rows, others.qpos[fresh])
+        self.qvel.index_copy_(0, rows, others.qvel[fresh])
+        self.target.index_copy_(0, rows, others.target[fresh])
+
     def mirrored(self, qpos: Mirror, qvel: Mirror) -> Starts:
         """Reflects every start in the xz plane; `qpos` and `qvel` are the model's mirror maps."""
         target = self.target * self.target.new_tensor([1.0, -1.0])
@@ -210,16 +219,22 @@ class StartPool:
             size: Starts drawn at a time; at least the number of worlds.
         """
         self._sampler, self._size = sampler, size
+        self._handed: Starts | None = None
         self._draw()
 
     def __call__(self, mask: Tensor) -> Starts:
-        """The next starts for the worlds in `mask` [B]; rows of other worlds hold one that means nothing."""
-        needed = int(mask.sum())
-        if self._used + needed > self._size:
+        """The next starts for the worlds in `mask` [B]; rows of other worlds hold one that means nothing.
+
+        What it returns is written to in the next call.
+        """
+        worlds = mask.nonzero().squeeze(1)
+        if self._used + len(worlds) > self._size:
             self._draw()
-        rows = (self._used + mask.cumsum(dim=0) - 1).clamp(min=0)
-        self._used += needed
-        return self._starts.take(rows)
+        if self._handed is None:
+            self._handed = self._starts.take(torch.arange(len(mask)))
+        self._handed.put(worlds, self._starts, self._used)
+        self._used += len(worlds)
+        return self._handed
 
     def _draw(self) -> None:
         self._drawn_from = self._sampler.generator.get_state()

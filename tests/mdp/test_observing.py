@@ -22,7 +22,7 @@ class FakeField:
     key: str
     size: int
     bound: Callable[[Any], Tensor]
-    params: ObservationParams = ObservationParams()
+    params: ObservationParams
 
 
 @pytest.fixture

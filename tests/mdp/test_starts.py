@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from kickbench.mdp.catalog import catalog
-from kickbench.mdp.starts import Starts, StartSampler, free_share, overlaps
+from kickbench.mdp.starts import StartPool, Starts, StartSampler, free_share, overlaps
 from kickbench.spec.task import BallSampling, BallSpec, SamplingSpec, TargetSampling
 from kickbench.symmetry.torch_ops import Mirror
 
@@ -194,3 +194,28 @@ def test_the_free_share_is_that_of_random_places(sample, mini):
         x, y = (low + (high - low) * u for (low, high), u in zip(bounds, unit, strict=True))
         free = 1.0 - float(overlaps(x, y, obstacles, 0.08).double().mean())
         assert free_share(ball, obstacles, 0.08) == pytest.approx(free, abs=0.02)
+
+
+class Counter:
+    """A sampler whose starts are numbered."""
+
+    def __init__(self) -> None:
+        self.generator, self._made = torch.Generator(), 0
+
+    def sample(self, count: int) -> Starts:
+        numbers = (self._made + torch.arange(count, dtype=torch.float64)).unsqueeze(1)
+        self._made += count
+        tables = (numbers.clone(), numbers.clone(), numbers.clone())
+        return Starts(*tables, torch.zeros(0, dtype=torch.int64), {"foot_friction": numbers.clone()})
+
+
+def test_a_pool_hands_out_its_starts_in_order_and_each_once():
+    pool, handed = StartPool(Counter(), size=10), []  # type: ignore[arg-type]
+    for mask in ([0, 1, 1, 0], [0, 0, 0, 0], [1, 1, 1, 1], [0, 0, 0, 1], [1, 1, 0, 1], [1, 0, 1, 0]):
+        chosen = torch.tensor(mask, dtype=torch.bool)
+        starts = pool(chosen)
+        tables = (starts.qpos, starts.qvel, starts.target, starts.by_side["foot_friction"])
+        rows = {tuple(table[chosen, 0].tolist()) for table in tables}
+        assert len(rows) == 1, "all that belongs to a start comes with it"
+        handed += rows.pop()
+    assert handed == [*range(10), 10.0, 11.0]
