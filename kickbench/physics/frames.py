@@ -13,8 +13,8 @@ from kickbench.physics.skeleton import Skeleton
 
 _COPIES = 32
 """Worlds in one skeleton: a call from Python takes longer than the kinematics of one world."""
-_LEAST_PACKS = 4
-"""Packs of that size a thread, fewer are not worth waking it."""
+_LEAST_PACKS = 16
+"""Packs a thread: to wake one for fewer takes longer than it saves."""
 
 
 class FrameSensing:

@@ -53,7 +53,7 @@ def worlds(model):
     """Full physics states, and the frame sensors that MuJoCo finds in them."""
     rng, data = np.random.default_rng(0), mujoco.MjData(model)
     states, sensed = [], []
-    for _ in range(300):
+    for _ in range(1100):
         mujoco.mj_resetData(model, data)
         mujoco.mj_integratePos(model, data.qpos, rng.normal(size=model.nv), 1.0)
         data.qvel[:] = rng.normal(size=model.nv)
@@ -66,7 +66,7 @@ def worlds(model):
 
 
 @pytest.mark.parametrize("threads", [1, 3])
-@pytest.mark.parametrize("count", [0, 1, 31, 32, 70, 300])
+@pytest.mark.parametrize("count", [0, 1, 31, 32, 70, 1100])
 def test_every_world_is_sensed_as_mujoco_senses_it(sensing, worlds, count, threads):
     states, expected = worlds
     found = sensing(threads)(states[:count])
