@@ -91,9 +91,7 @@ def test_a_measured_policy_still_does_what_was_recorded(run):
     recorded = load_metrics(run / "metrics.json").evaluation
     experiment, policy = load_run(run)
     many_joints = experiment.task.scene.model.nu > 12
-    sides, _ = evaluate(
-        experiment, policy, episodes=EPISODES_OF_MANY_JOINTS if many_joints else EPISODES, threads=1
-    )
+    sides, _ = evaluate(experiment, policy, episodes=EPISODES_OF_MANY_JOINTS if many_joints else EPISODES)
     level = FALSE_ALARM / number_of_comparisons()
     for side, table in zip(SIDES, sides, strict=True):
         old = getattr(recorded, side)
@@ -109,7 +107,7 @@ def test_the_comparison_would_notice_another_policy():
     run = MEASURED / "mini_home_field/baseline/seed0"
     recorded = load_metrics(run / "metrics.json").evaluation
     experiment, policy = load_run(run)
-    sides, _ = evaluate(experiment, policy, episodes=128, threads=1)
+    sides, _ = evaluate(experiment, policy, episodes=128)
     assert recorded.mirrored is not None
     p = p_values(sides.in_distribution, recorded.mirrored)
     level = FALSE_ALARM / number_of_comparisons()
