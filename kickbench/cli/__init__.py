@@ -206,7 +206,6 @@ def _add_bench(verbs: argparse._SubParsersAction) -> None:
         "--methods",
         type=Path,
         metavar="DIR",
-        default=Path("methods/mini"),
         help="folder of the three methods compared (default: methods/mini; methods for the K1)",
     )
     verb.add_argument(

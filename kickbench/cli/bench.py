@@ -16,6 +16,7 @@ from kickbench.bench.profile import profile_iteration
 from kickbench.bench.record import BenchReport, Profile, SizeFigures, write_report
 from kickbench.bench.text import print_report
 from kickbench.bench.training import Iterations
+from kickbench.errors import SpecError
 from kickbench.experiment import Experiment, load_experiment
 from kickbench.nets.threads import torch_threads
 from kickbench.physics.cpu import usable_cores
@@ -23,6 +24,7 @@ from kickbench.physics.devices import check_device
 from kickbench.results.provenance import collect_provenance
 
 _METHODS = ("baseline", "augmentation", "equivariant")
+_DEFAULT_METHODS = Path("methods/mini")
 _PROFILED_ITERATIONS = 3
 
 
@@ -58,8 +60,15 @@ def bench(arguments: argparse.Namespace) -> int:
 
 def _experiments(arguments: argparse.Namespace, num_envs: int) -> dict[str, Experiment]:
     overrides = [*arguments.overrides, f"algorithm.num_envs={num_envs}"]
-    paths = {name: Path(arguments.methods, f"{name}.yaml") for name in _METHODS}
-    return {name: load_experiment(arguments.task, path, overrides) for name, path in paths.items()}
+    folder = arguments.methods or _DEFAULT_METHODS
+    paths = {name: Path(folder, f"{name}.yaml") for name in _METHODS}
+    try:
+        return {name: load_experiment(arguments.task, path, overrides) for name, path in paths.items()}
+    except SpecError:
+        if arguments.methods is None:
+            hint = f"--methods is not given, so those of {folder} are taken: they are for the mini kicker"
+            print(f"kickbench bench: {hint}", file=sys.stderr)
+        raise
 
 
 def _measured(experiments: dict[str, Experiment], setting: Setting) -> SizeFigures:

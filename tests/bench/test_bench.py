@@ -174,3 +174,12 @@ def test_the_room_of_a_gpu_engine_is_read_and_its_steps_repeat_the_controls(expe
     assert 0 < room.contacts <= room.contact_room
     assert 0 < room.constraints <= room.constraint_room
     assert count_contacts(env) is None
+
+
+def test_another_robots_task_without_its_methods_is_told_whose_methods_were_taken(monkeypatch, capsys):
+    monkeypatch.chdir(ROOT)
+    assert main(["bench", "--task", "tasks/k1_lite.yaml"]) == 2
+    told = capsys.readouterr()
+    assert "--methods is not given" in told.err
+    assert "no representation" in told.err
+    assert not told.out
