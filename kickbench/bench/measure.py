@@ -93,7 +93,9 @@ class _Stage:
         self._generator = torch.Generator(self.env.device).manual_seed(0)
         self._physics = physics_alone(self.env, setting.threads)
         self._steps = fastest_steps(self.env)
-        for action in self._actions(_WARM_STEPS):
+        actions = self._actions(_WARM_STEPS)
+        self._physics(actions)
+        for action in actions:
             self._steps.step(action)
 
     def round(self) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 # pyright: reportAttributeAccessIssue=false
 import mujoco
@@ -26,24 +27,28 @@ _SAMPLED_WORLDS = 512
 def physics_alone(env: KickEnv, threads: int) -> Callable[[list[Tensor]], Callable[[], None]]:
     """The reference of the environment's step.
 
-    On the CPU that is `mujoco.rollout` as it is, without the engine's sensing and latching; on a GPU it is the
-    engine, whose step is one graph.
+    On the CPU that is `mujoco.rollout` as it is, without the engine's sensing and latching, from the states in which
+    the environment's control steps begin and with the controls, delays and pushes that they apply; all worlds have
+    the compiled model, whatever the environment varies. On a GPU it is the engine, whose step is one graph, with the
+    actions' own targets.
 
     Args:
-        env: The environment.
+        env: The environment, as it was made: no step taken yet.
         threads: Its physics threads.
 
     Returns:
-        Given the actions of the next control steps, makes the call that repeats their physics alone. The call starts
-        from the environment's present state.
+        Given the actions of the next control steps, makes the call that repeats their physics alone, before the
+        environment takes them. It has to be told of all its actions.
     """
-    shadow = make_engine(env.task, env.num_envs, str(env.device), num_threads=threads)
-    if not isinstance(shadow, CpuEngine):
-        return EnginePhysics(env, shadow).prepare
+    engine = make_engine(env.task, env.num_envs, str(env.device), num_threads=threads)
+    if not isinstance(engine, CpuEngine):
+        return EnginePhysics(env, engine).prepare
+    # It does what the environment will do, as they share the seed.
+    twin = KickEnv(env.task, engine, seed=env.generator.initial_seed())
     raw = _RawPhysics(env.task.scene.model, env.task.spec.simulation.decimation, threads)
 
     def prepare(actions: list[Tensor]) -> Callable[[], None]:
-        raw.prepare(_rehearse(env, shadow, actions))
+        raw.prepare(_rehearse(twin, engine, actions))
         return raw
 
     return prepare
@@ -68,11 +73,6 @@ def _count(values: np.ndarray) -> Count:
     return Count(mean=values.mean(), p95=np.percentile(values, 95), most=int(values.max()))
 
 
-def _start(env: KickEnv, engine: Engine) -> None:
-    everywhere = torch.ones(env.num_envs, dtype=torch.bool, device=env.device)
-    engine.reset(everywhere, env.engine.qpos, env.engine.qvel)
-
-
 class EnginePhysics:
     """Control steps by an engine alone, each a graph where there are graphs."""
 
@@ -84,8 +84,10 @@ class EnginePhysics:
 
     def prepare(self, actions: list[Tensor]) -> Callable[[], None]:
         """The call that makes the control steps of actions, from the environment's present state."""
-        _start(self._env, self._engine)
-        targets = [self._env.targets(action) for action in actions]
+        env = self._env
+        everywhere = torch.ones(env.num_envs, dtype=torch.bool, device=env.device)
+        self._engine.reset(everywhere, env.engine.qpos, env.engine.qvel)
+        targets = [env.targets(action) for action in actions]
 
         def step() -> None:
             for target in targets:
@@ -95,15 +97,22 @@ class EnginePhysics:
         return step
 
 
-def _rehearse(env: KickEnv, shadow: CpuEngine, actions: list[Tensor]) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Plays the actions on a second engine and keeps where every control step starts, and its controls."""
-    _start(env, shadow)
+@dataclass(frozen=True)
+class _ControlStep:
+    """Where a control step begins, and what it applies: control [B, decimation, n] of the kind `spec`."""
+
+    state: np.ndarray
+    control: np.ndarray
+    spec: int
+
+
+def _rehearse(twin: KickEnv, engine: CpuEngine, actions: list[Tensor]) -> list[_ControlStep]:
+    """Plays the actions in another environment and keeps the control steps of its engine."""
     steps = []
     for action in actions:
-        targets = env.targets(action)
-        control = np.repeat(targets.numpy().astype(np.float64)[:, None], shadow.decimation, axis=1)
-        steps.append((shadow.full_state(), control))
-        shadow.step(targets)
+        state = engine.full_state()
+        twin.step(action)
+        steps.append(_ControlStep(state, *engine.full_control()))
     return steps
 
 
@@ -115,16 +124,16 @@ class _RawPhysics:
         self._data = [mujoco.MjData(model) for _ in range(threads)]
         self._pool = mujoco.rollout.Rollout(nthread=threads if threads > 1 else 0)
 
-    def prepare(self, steps: list[tuple[np.ndarray, np.ndarray]]) -> None:
+    def prepare(self, steps: list[_ControlStep]) -> None:
         self._steps = steps
-        worlds, nstate = steps[0][0].shape
+        worlds, nstate = steps[0].state.shape
         self._models = [self._model] * worlds
         self._state = np.zeros((worlds, self._decimation, nstate))
         self._sensed = np.zeros((worlds, self._decimation, self._model.nsensordata))
 
     def __call__(self) -> None:
-        for state, control in self._steps:
+        for step in self._steps:
             self._pool.rollout(
-                self._models, self._data, state, control, skip_checks=True, nstep=self._decimation,
-                state=self._state, sensordata=self._sensed,
+                self._models, self._data, step.state, step.control, control_spec=step.spec, skip_checks=True,
+                nstep=self._decimation, state=self._state, sensordata=self._sensed,
             )  # fmt: skip

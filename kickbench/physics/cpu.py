@@ -204,6 +204,10 @@ class CpuEngine:
         """A copy of the full physics state [B, nstate]."""
         return self._state.copy()
 
+    def full_control(self) -> tuple[np.ndarray, int]:
+        """A copy of what the last control step applied [B, decimation, n], and `mujoco.rollout`'s name for it."""
+        return self._control.copy(), self._spec
+
     def model_field(self, name: str) -> np.ndarray:
         """See `Engine.model_field`."""
         return np.stack([getattr(model, name) for model in self._models])

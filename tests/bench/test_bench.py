@@ -18,6 +18,7 @@ from kickbench.bench.training import Iterations
 from kickbench.cli import main
 from kickbench.env import KickEnv
 from kickbench.errors import KickbenchError
+from kickbench.experiment import load_experiment
 from kickbench.mdp.engines import make_engine, make_warp_engine
 
 ROOT = Path(__file__).parent.parent.parent
@@ -111,17 +112,31 @@ def test_a_wrong_method_is_told_before_anything_is_measured(monkeypatch, capsys,
     assert not (tmp_path / "report.json").exists()
 
 
-def test_physics_alone_repeats_the_control_steps_of_the_environment(experiment):
-    task = experiment("mini_general").task
-    env = KickEnv(task, make_engine(task, 4, num_threads=1), seed=0)
-    prepare = physics_alone(env, threads=1)
-    actions = [0.3 * torch.randn(4, env.num_actions) for _ in range(3)]
-    raw = prepare(actions)
-    raw()
-    for action in actions:
-        env.step(action)
-    assert not env.episode.step.eq(0).any(), "no world was reset"
-    np.testing.assert_allclose(raw._state[:, -1, 1:], env.engine.full_state()[:, 1:], atol=1e-12)  # pyright: ignore
+@pytest.mark.parametrize("name", ["mini_general", "k1_general_fast"])
+def test_physics_alone_repeats_the_control_steps_of_the_environment(name):
+    """States and controls are the environment's own, over resets, with delays and pushes."""
+    short, method = ["episode.max_steps=4"], "mini"
+    if name.startswith("k1"):
+        short, method = [*short, "randomization.pushes.interval=[0.0, 0.04]"], "lite"
+    paths = ROOT / f"tasks/{name}.yaml", ROOT / f"methods/{method}/baseline.yaml"
+    task = load_experiment(*paths, short).task
+    env = KickEnv(task, make_engine(task, 4, num_threads=1), seed=3)
+    prepare, engine, done = physics_alone(env, threads=1), env.engine, []
+    generator = torch.Generator().manual_seed(0)
+    for _ in range(2):
+        actions = [0.3 * torch.randn(4, env.num_actions, generator=generator) for _ in range(3)]
+        raw = prepare(actions)
+        for action, step in zip(actions, raw._steps, strict=True):  # pyright: ignore[reportFunctionMemberAccess]
+            np.testing.assert_array_equal(step.state, engine.full_state())
+            done.append(env.step(action)[2].any())
+            control, spec = engine.full_control()
+            assert step.spec == spec
+            np.testing.assert_array_equal(step.control, control)
+        raw()
+    assert any(done), "worlds were reset on the way"
+    if name == "mini_general":  # nothing there varies the model
+        left = ~env.episode.step.eq(0).numpy()
+        np.testing.assert_allclose(raw._state[left, -1, 1:], engine.full_state()[left, 1:], atol=1e-12)  # pyright: ignore
 
 
 def test_contacts_are_those_of_the_present_states(experiment):

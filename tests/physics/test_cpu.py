@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import copy
-
 import mujoco
 import numpy as np
 import pytest
@@ -240,10 +238,16 @@ def test_usable_cores_follow_the_affinity(monkeypatch):
     assert usable_cores() == 3
 
 
-def test_the_shared_model_is_not_changed_by_the_kinematic_twin(task):
-    before = copy.copy(task.scene.model).opt.disableflags
-    make_engine(task, 2)
-    assert task.scene.model.opt.disableflags == before
+def test_the_shared_model_is_not_changed_by_the_quiet_copy(task):
+    model = task.scene.model
+    before = model.sensor_needstage.copy()
+    engine = make_engine(task, 2)
+    engine.set_model(
+        torch.ones(2, dtype=torch.bool),
+        [ModelField("geom_friction", torch.tensor([1]), torch.full((2, 1), 0.123), column=0)],
+    )
+    np.testing.assert_array_equal(model.sensor_needstage, before)
+    assert model.geom_friction[1, 0] != 0.123
 
 
 def test_a_push_acts_on_its_body_in_its_world_until_changed():
