@@ -29,22 +29,23 @@ class DelayMemory:
         return DelayMemory(targets(self.history), self.newest)
 
 
-def whole_steps(delay: tuple[float, float], timestep: float) -> tuple[int, int]:
-    """Fewest and most physics steps whose time lies within a range of delays, s; reversed where there are none."""
+def whole_steps(times: tuple[float, float], timestep: float) -> tuple[int, int]:
+    """Fewest and most steps whose time lies within a range of times, s; reversed where there are none."""
     # A bound that is a multiple of the time step, but for rounding, counts.
-    return math.ceil(delay[0] / timestep - 1e-6), math.floor(delay[1] / timestep + 1e-6)
+    return math.ceil(times[0] / timestep - 1e-6), math.floor(times[1] / timestep + 1e-6)
 
 
 class ActionDelay(Stateful):
     """Per-world latency of control targets, in physics substeps.
 
     Every control step each world draws a lag L, uniform over the whole substeps in the range; with the hold
-    probability the previous command stays for one substep more. The command of control step t then takes effect
-    L substeps after it was issued. A newer command is never replaced by an older one: where the lag has grown,
-    the servos keep what they have.
+    probability it is one substep more. During that control step the servos see, in every substep, the newest
+    command that was issued at least L substeps earlier. The lag is that of the line, not of a command: one in flight
+    meets the lags of all control steps until it arrives, and a command is passed over where a newer one arrives with
+    it. A newer command is never replaced by an older one: where the lag has grown, the servos keep what they have.
 
-    With 4 substeps a control step and L = 6, the command issued at substep 0 takes effect at substep 6, so the
-    servos see (command of step t - 2, t - 2, t - 1, t - 1) during control step t.
+    With 4 substeps a control step and L = 6 in all of them, the command issued at substep 0 takes effect at
+    substep 6, so the servos see (command of step t - 2, t - 2, t - 1, t - 1) during control step t.
     """
 
     STATE = ("_history", "_newest")

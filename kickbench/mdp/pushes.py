@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from kickbench.mdp.delay import whole_steps
 from kickbench.mdp.stateful import Stateful
 
 
@@ -17,7 +18,8 @@ class PushMemory:
     """Where the schedule of every world stands.
 
     Attributes:
-        wait: Control steps until the next push; from -duration to 0 while one acts [B].
+        wait: Control steps until the next push [B]; negative in the steps of a push but its last, which draws the
+            next interval.
         force: Force of the last push, world frame [B, 2], N.
         side: 1, or -1 in worlds whose pushes are drawn as mirror images until their episode ends [B].
     """
@@ -53,18 +55,19 @@ class Pushes(Stateful):
         """Draws the first intervals.
 
         Args:
-            interval: Smallest and largest time between the end of a push and the next one, s.
+            interval: Smallest and largest time between the end of a push and the next one, s; whole control steps
+                are drawn from it (the next longer one, where none lies in it).
             duration: Length of a push, s; rounded to whole control steps, at least one.
             force: Smallest and largest force, N.
             control_interval: Control step, s.
             num_worlds: Number of worlds B.
             generator: Source of all draws.
         """
-        self._interval = (interval[0] / control_interval, interval[1] / control_interval)
+        low, high = whole_steps(interval, control_interval)
+        self._interval = (low, max(low, high))
         self._steps = max(1, round(duration / control_interval))
         self._range, self._generator = force, generator
         device = generator.device
-        # Control steps until the next push; from -duration to 0 while one acts.
         self._wait = torch.zeros(num_worlds, dtype=torch.int64, device=device)
         self._force = torch.zeros(num_worlds, 2, device=device)
         self._side = torch.ones(num_worlds, device=device)
@@ -72,7 +75,7 @@ class Pushes(Stateful):
 
     def reset(self, mask: Tensor) -> None:
         """Draws a new first interval in the worlds in `mask` [B]; a push that acts there ends."""
-        self._wait = torch.where(mask, _whole(next(self._draw(self._interval))), self._wait)
+        self._wait = torch.where(mask, self._whole(next(self._draw(_UNIT))), self._wait)
         self._side = torch.where(mask, 1.0, self._side)
 
     @property
@@ -86,13 +89,18 @@ class Pushes(Stateful):
 
     def __call__(self) -> Tensor:
         """Advances the schedule by one control step and returns the force of that step, world frame [B, 2], N."""
-        wait, magnitude, angle = self._draw(self._interval, self._range, _TURN)
+        wait, magnitude, angle = self._draw(_UNIT, self._range, _TURN)
         self._wait = self._wait - 1
         force = torch.stack([magnitude * angle.cos(), self._side * magnitude * angle.sin()], dim=1)
         self._force = torch.where((self._wait == -1).unsqueeze(1), force, self._force)
         acting = self._wait < 0
-        self._wait = torch.where(self._wait <= -self._steps, _whole(wait), self._wait)
+        self._wait = torch.where(self._wait <= -self._steps, self._whole(wait), self._wait)
         return self._force * acting.unsqueeze(1)
+
+    def _whole(self, unit: Tensor) -> Tensor:
+        """Intervals in control steps, each of the range as likely, from uniform numbers in [0, 1)."""
+        low, high = self._interval
+        return (low + (unit * (high - low + 1)).floor().long()).clamp(max=high)
 
     def _draw(self, *ranges: tuple[float, float]) -> Iterator[Tensor]:
         """Uniform numbers, one row of [B] a range."""
@@ -101,8 +109,4 @@ class Pushes(Stateful):
         return (low + (high - low) * row for (low, high), row in zip(ranges, unit.unbind(), strict=True))
 
 
-_TURN = (0.0, 2.0 * math.pi)
-
-
-def _whole(steps: Tensor) -> Tensor:
-    return steps.round().long().clamp(min=1)
+_UNIT, _TURN = (0.0, 1.0), (0.0, 2.0 * math.pi)

@@ -125,9 +125,9 @@ class ActionDelay(RandomizationParams):
     """Parameters of `action_delay`."""
 
     delay: NonNegativeRange
-    """Delay between a command and its effect, s; whole physics steps are drawn from it."""
+    """Age that a command must have to act, s; whole physics steps are drawn from it."""
     hold_probability: Fraction = 0.0
-    """Probability that the previous command is held for one physics step more."""
+    """Probability that the delay is one physics step longer."""
 
     def misfits(self, task: TaskSpec) -> Iterator[tuple[str, str]]:
         """A delay that outlasts the episode, or that no whole number of physics steps lies in."""
@@ -148,7 +148,7 @@ class ActionDelay(RandomizationParams):
 
 @randomization("3.1 Action Delay; in seconds: digest", units="s", stage="command", params=ActionDelay)
 def action_delay(params: ActionDelay, setting: Setting) -> DelayBuffer:
-    """Commands reach the servos late, by a delay drawn anew for every command and world."""
+    """The servos follow the newest command of at least a certain age, drawn anew for every control step and world."""
     return DelayBuffer(
         params.delay,
         params.hold_probability,

@@ -37,6 +37,23 @@ def test_the_documented_timeline_holds():
     assert seen[4].tolist() == [3, 3, 4, 4], "commands of steps t - 2, t - 2, t - 1, t - 1"
 
 
+def test_the_servos_see_the_newest_command_of_the_age_drawn_in_the_control_step(monkeypatch):
+    """The law of the docstring, command by command: one lag for all that are on their way."""
+    worlds, steps, substeps = 32, 30, 4
+    delay, lags = make_delay(0.010, 0.040, hold=0.3, worlds=worlds), []
+    draw = delay._draw_lags
+    monkeypatch.setattr(delay, "_draw_lags", lambda: lags.append(draw()) or lags[-1])
+    seen = commands(delay, steps, worlds)
+    for world in range(worlds):
+        acting, expected = 0, []
+        for now in range(steps * substeps):
+            lag = int(lags[now // substeps][world])
+            arrived = [c for c in range(1, now // substeps + 2) if now - (c - 1) * substeps >= lag]
+            acting = max([acting, *arrived])
+            expected.append(acting)
+        assert seen[world].tolist() == expected
+
+
 def test_a_newer_command_is_never_replaced_by_an_older_one():
     seen = commands(make_delay(0.010, 0.040, hold=0.3, worlds=500), 40, 500)
     assert (seen[:, 1:] >= seen[:, :-1]).all()

@@ -33,6 +33,20 @@ def test_a_push_lasts_its_duration_and_comes_after_an_interval_of_the_range():
     assert sum(pauses) / len(pauses) == pytest.approx(100, rel=0.05)
 
 
+def test_every_whole_number_of_steps_in_the_interval_is_as_likely():
+    acting = roll(600, 200, interval=(0.02, 0.1), duration=0.02).norm(dim=2) > 0
+    pauses = torch.tensor([n for world in range(200) for on, n in runs(acting[:, world]) if not on])
+    shares = torch.bincount(pauses, minlength=6).double() / len(pauses)
+    torch.testing.assert_close(shares, torch.tensor([0, *[0.2] * 5], dtype=torch.float64), rtol=0, atol=0.01)
+
+
+def test_without_an_interval_one_push_follows_the_other():
+    force = roll(40, 50, interval=(0.0, 0.0), duration=0.04, force=(1.0, 2.0))
+    assert (force.norm(dim=2) > 0).all()
+    assert torch.equal(force[0::2], force[1::2])
+    assert not torch.equal(force[2], force[0])
+
+
 def test_the_force_is_constant_during_a_push_and_uniform_in_magnitude_and_direction():
     force = roll(400, 4000, interval=(0.1, 0.2))
     magnitude, on = force.norm(dim=2), force.norm(dim=2) > 0
