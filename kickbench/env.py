@@ -152,8 +152,10 @@ class KickEnv(VecEnv):
     def restore(self, snapshot: Snapshot) -> TensorDict:
         """Puts every world into the state of a snapshot, and returns the observations of that state.
 
-        What follows is then what followed, or would have followed, the snapshot, random numbers included. Observation
-        noise, which is no part of the state, is drawn anew for the returned observations.
+        What follows is then what followed, or would have followed, the snapshot, random numbers included, until an
+        episode ends: the starts of later episodes come from a pool that does not go back, and filling it draws from
+        the same numbers. Observation noise, which is no part of the state, is drawn anew for the returned
+        observations.
         """
         engine, layout = self.engine, self.task.scene.layout
         everywhere = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
@@ -206,6 +208,8 @@ class KickEnv(VecEnv):
         if self._pushes is not None:
             self.engine.push(torch.nn.functional.pad(self._pushes(), (0, 1)))
         self.engine.step(targets if self._delay is None else self._delay(targets))
+        # A delay would hand numbers that are none to the physics later, and rewards would have read them before.
+        self.engine.failed |= (actions * 0.0).sum(dim=1).isnan()
 
     def targets(self, actions: Tensor) -> Tensor:
         """Control targets of actions: default + scale * action [B, nu]."""
@@ -218,7 +222,7 @@ class KickEnv(VecEnv):
         if self._senses_floor:
             dt = self.task.spec.simulation.control_interval
             episode.air_time = torch.where(state.foot_floor_contact, 0.0, episode.air_time + dt)
-        self.record.note_touch(state, self._has_feet)
+        self.record.note_touch(state, self.engine.failed, self._has_feet)
 
     def _reward(self, state: State) -> Tensor:
         raw = torch.stack([bound(state) for bound, _ in self.task.rewards], dim=1)

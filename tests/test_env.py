@@ -125,6 +125,33 @@ def test_a_world_with_bad_numbers_ends_without_reward_is_counted_and_starts_anew
     assert all(torch.isfinite(value).all() for value in vars(totals).values())
 
 
+@pytest.mark.parametrize("number", [float("nan"), float("inf")])
+def test_an_action_that_is_no_number_fails_its_world_at_once_though_a_delay_holds_it_back(experiment, number):
+    delayed = "randomization.action_delay={delay: 0.04}"
+    env = make_env(experiment("mini_general", "baseline", delayed).task)
+    actions = torch.zeros(env.num_envs, env.num_actions)
+    actions[2, 1] = number
+    observations, rewards, done, _ = env.step(actions)
+    assert done.tolist() == [world == 2 for world in range(env.num_envs)]
+    assert rewards[2] == 0
+    for _ in range(4):
+        assert torch.isfinite(observations["critic"]).all()
+        observations, rewards, done, _ = env.step(torch.zeros_like(actions))
+        assert torch.isfinite(rewards).all()
+        assert not done.any(), "the command was forgotten with its episode"
+    assert env.totals.take().failures == 1
+
+
+def test_an_exploded_world_has_no_peak_speed(experiment):
+    env = make_env(experiment().task)
+    layout = env.task.scene.layout
+    env.engine.qvel[4, layout.ball_qvel] = 1e9
+    env.step(torch.zeros(env.num_envs, env.num_actions))
+    assert env.outcome is not None
+    assert env.outcome.failed[4]
+    assert env.outcome.record.peak_ball_speed.max() < 1.0
+
+
 def test_totals_count_every_ended_episode_once(experiment):
     env = make_env(experiment().task, 64)
     episodes = 0

@@ -55,8 +55,14 @@ class EpisodeRecord(Stateful):
         swapped = torch.where(foot == LEFT, RIGHT, torch.where(foot == RIGHT, LEFT, foot))
         return replace(self, kick_foot=swapped)
 
-    def note_touch(self, state: State, has_feet: bool) -> None:
-        """Remembers step and foot of the first touch, and the ball's peak speed."""
+    def note_touch(self, state: State, failed: Tensor, has_feet: bool) -> None:
+        """Remembers step and foot of the first touch, and the ball's peak speed.
+
+        Args:
+            state: The state that the control step has led to.
+            failed: Worlds whose numbers mean nothing [B] bool; no speed is taken from them.
+            has_feet: Whether the scene tells which foot touches the ball.
+        """
         first = state.ball_contact & (self.kick_step < 0)
         if has_feet:
             left, right = state.foot_ball_contact.unbind(dim=1)
@@ -65,7 +71,8 @@ class EpisodeRecord(Stateful):
         else:
             self.kick_foot = torch.where(first, OTHER, self.kick_foot)
         self.kick_step = torch.where(first, state.episode.step, self.kick_step)
-        self.peak_ball_speed = torch.maximum(self.peak_ball_speed, state.ball_ground_speed.nan_to_num())
+        peak = torch.maximum(self.peak_ball_speed, state.ball_ground_speed)
+        self.peak_ball_speed = torch.where(failed, self.peak_ball_speed, peak)
 
 
 @dataclass
