@@ -10,9 +10,10 @@ from kickbench.scene.build import read_robot
 from kickbench.scene.sensors import SIDES
 from kickbench.scene.skeleton import read_skeleton
 from kickbench.spec.load import Loaded
-from kickbench.spec.robot import RobotSpec
+from kickbench.spec.robot import FootSpec, RobotSpec
 from kickbench.symmetry.block import kind_of_coordinate
 from kickbench.symmetry.derive import Derivation, derive
+from kickbench.symmetry.skeleton import Skeleton
 
 
 @dataclass(frozen=True)
@@ -78,6 +79,12 @@ def _places(robot: RobotSpec) -> Iterator[tuple[KeyPath, str]]:
             yield ("symmetry", *path, index), name
 
 
+def _geoms(foot: FootSpec, skeleton: Skeleton) -> set[str]:
+    """Names of a foot's geoms: those listed, or all of its body that can touch anything."""
+    whole = (s.name for s in skeleton.shapes if s.touches and skeleton.bodies[s.body].name == foot.body)
+    return set(foot.geoms) or set(whole)
+
+
 def _feet(robot: Loaded[RobotSpec], derivation: Derivation) -> Iterator[Problem]:
     feet = robot.spec.feet
     if feet is None:
@@ -88,11 +95,12 @@ def _feet(robot: Loaded[RobotSpec], derivation: Derivation) -> Iterator[Problem]
     if partner not in (None, feet.right.body):
         what = f"'{feet.right.body}' is declared the right foot, but the mirror image of the left one is '{partner}'"
         yield robot.document.problem(("feet", "right", "body"), what)
-    images = {shapes.get(geom) for geom in feet.left.geoms}
-    if None not in images and images != set(feet.right.geoms):
-        names = ", ".join(sorted(map(str, images)))
-        what = f"the right foot's geoms are {', '.join(feet.right.geoms)}; the mirror image of the left one's: {names}"
-        yield robot.document.problem(("feet", "right", "geoms"), what)
+    left, right = (_geoms(getattr(feet, side), derivation.skeleton) for side in SIDES)
+    images = {shapes.get(geom) for geom in left}
+    if None not in images and images != right:
+        found, wanted = (", ".join(sorted(map(str, names))) for names in (right, images))
+        what = f"the right foot's geoms are {found}; the mirror image of the left one's: {wanted}"
+        yield robot.document.problem(("feet", "right"), what)
     for side, sign in zip(SIDES, (1, -1), strict=True):
         name = getattr(feet, side).body
         body = next(body for body in derivation.skeleton.bodies if body.name == name)

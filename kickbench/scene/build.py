@@ -9,7 +9,7 @@ from pathlib import Path
 import mujoco
 
 from kickbench.errors import SpecError
-from kickbench.scene.check import check_robot
+from kickbench.scene.check import check_robot, check_start
 from kickbench.scene.layout import SceneLayout, read_layout
 from kickbench.scene.sensors import ALWAYS, ROBOT, SIDES, SensorGroup, plan_sensors, sole_site
 from kickbench.scene.servo import set_servo
@@ -106,7 +106,10 @@ def build_scene(task: TaskSpec, robot: Loaded[RobotSpec], needs: frozenset[Senso
         model = physics.compile()
     except ValueError as error:
         raise _model_error(robot, "compile the scene of this model", error) from None
-    return Scene(scene, model, read_layout(model, robot.spec, plans))
+    layout = read_layout(model, robot.spec, plans)
+    if problems := check_start(robot, model, layout.default_qpos, ROBOT + root):
+        raise SpecError(problems)
+    return Scene(scene, model, layout)
 
 
 def _strip(body: mujoco.MjSpec, robot: RobotSpec) -> None:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 
 # pyright: reportAttributeAccessIssue=false
 import mujoco
+import numpy as np
 
 from kickbench.errors import KeyPath, Problem, nearest
 from kickbench.spec.load import Loaded
@@ -29,14 +31,38 @@ def check_robot(robot: Loaded[RobotSpec], model: mujoco.MjSpec) -> list[Problem]
     return check.problems
 
 
+def check_start(
+    robot: Loaded[RobotSpec], model: mujoco.MjModel, qpos: np.ndarray, root: str
+) -> list[Problem]:
+    """The robot starts at the origin, facing +x: regions and the mirror plane are those of the world.
+
+    Args:
+        robot: The robot file.
+        model: The compiled scene.
+        qpos: The model's default pose [nq].
+        root: Name of the robot's first body in it.
+    """
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_kinematics(model, data)
+    body = data.body(root)
+    (x, y), left = body.xpos[:2], body.xmat.reshape(3, 3)[:2, 1]
+    turn = math.degrees(math.atan2(0.0 - left[0], left[1]))
+    if max(abs(x), abs(y)) < 1e-6 and abs(turn) < 1e-3:
+        return []
+    what = f"the robot starts at x = {x:.3g} m, y = {y:.3g} m, turned by {turn:.3g} degrees"
+    path = ("initial", "position") if robot.spec.initial.position and abs(turn) < 1e-3 else ("model",)
+    return [robot.document.problem(path, f"{what}; expected x = y = 0 and no turn, facing +x")]
+
+
 class _Checker:
     def __init__(self, robot: Loaded[RobotSpec], model: mujoco.MjSpec) -> None:
         self.spec, self.document = robot.spec, robot.document
         self.problems: list[Problem] = []
         free, ball = mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_BALL
         self.joint_names = [joint.name for joint in model.joints if joint.type != free]
+        self.free_names = [joint.name for joint in model.joints if joint.type == free]
         self.ball_joints = [joint.name for joint in model.joints if joint.type == ball]
-        self.has_free_base = any(joint.type == free for joint in model.joints)
         self.body_names = [body.name for body in model.bodies if body.name != "world"]
         self.geom_names = [geom.name for geom in model.geoms if geom.name]
 
@@ -74,11 +100,11 @@ class _Checker:
         for name, actuator in self.spec.actuators.items():
             if actuator.joint is not None:
                 self._known(("actuators", name, "joint"), "joint", actuator.joint, self.joint_names)
-        if self.spec.initial.position is not None and not self.has_free_base:
+        if self.spec.initial.position is not None and not self.free_names:
             self._report(
                 ("initial", "position"), "the robot's model has no free joint, so its base cannot be moved"
             )
-        if "ball" in self.joint_names:
+        if "ball" in (*self.joint_names, *self.free_names):
             self._report(
                 ("model",), "a joint of the robot is named 'ball', which is the name of the scene's ball"
             )

@@ -95,8 +95,8 @@ class EpisodeSpec(Spec):
 
     max_steps: PositiveInt
     """Maximum episode length T_max, control steps."""
-    contact_window: NonNegativeInt
-    """Contact window T_window, control steps after the first touch."""
+    contact_window: PositiveInt
+    """Contact window T_window, control steps from the first touch on, the step of the touch counted."""
     stop_speed: PositiveFloat
     """Speed epsilon below which the ball counts as stopped, m/s."""
 

@@ -88,6 +88,30 @@ def test_feet_that_are_not_each_other_s_image_are_contradictions(place, edit, ca
     )
 
 
+def test_a_foot_may_list_its_geoms_where_the_other_is_its_whole_body(place, edit, capsys):
+    lines = edit(K1, "geoms: [left_foot_collision],", "")
+    assert "geoms" not in next(line for line in lines if "body: left_foot_link" in line)
+    assert printed(capsys, "validate", K1).startswith(f"{K1}: fine")
+
+
+@pytest.mark.parametrize(
+    ("edited", "found", "wanted"),
+    [
+        ("left:  {body: left_leg,  geoms: [left_foot]", "right_foot", "right_foot, right_shank"),
+        ("right: {body: right_leg, geoms: [right_foot]", "right_foot, right_shank", "right_foot"),
+    ],
+)
+def test_feet_of_unlike_geoms_are_a_contradiction_however_they_are_told(
+    place, edit, capsys, edited, found, wanted
+):
+    edit(MINI, edited, edited.partition(" geoms")[0].rstrip(", "))
+    assert main(["validate", MINI]) == 2
+    assert (
+        f"feet.right: the right foot's geoms are {found}; the mirror image of the left one's: {wanted}"
+        in capsys.readouterr().err
+    )
+
+
 def test_feet_on_the_wrong_side_are_contradictions(place, edit, capsys):
     edit(MINI, "left:  {body: left_leg,  geoms: [left_foot]", "left:  {body: right_leg,  geoms: [right_foot]")
     edit(MINI, "right: {body: right_leg, geoms: [right_foot]", "right: {body: left_leg, geoms: [left_foot]")

@@ -143,6 +143,39 @@ def test_a_joint_cannot_take_the_name_of_the_ball(complaints):
     assert "a joint of the robot is named 'ball'" in str(complaints(*renamed))
 
 
+def test_a_free_joint_cannot_take_it_either(complaints):
+    mjcf = FREE.replace('<freejoint name="slide"/>', '<freejoint name="ball"/>')
+    robot = ROBOT.replace("trivial: [slide], ", "")
+    assert "a joint of the robot is named 'ball'" in str(complaints(mjcf, robot))
+
+
+@pytest.mark.parametrize(
+    ("placed", "found"),
+    [
+        ('pos="0.5 0.3 1"', "x = 0.5 m, y = 0.3 m, turned by 0 degrees"),
+        ('pos="0 0 1" euler="0 0 90"', "x = 0 m, y = 0 m, turned by 90 degrees"),
+        ('pos="0 0 1" euler="0 0 180"', "x = 0 m, y = 0 m, turned by 180 degrees"),
+    ],
+)
+def test_a_robot_starts_at_the_origin_facing_ahead(complaints, placed, found):
+    assert complaints(MJCF.replace('pos="0 0 1"', placed), ROBOT) == [
+        f"robot.yaml:1:1: model: the robot starts at {found}; expected x = y = 0 and no turn, facing +x"
+    ]
+
+
+def test_a_robot_may_lean_forward_at_the_start(build):
+    build(MJCF.replace('pos="0 0 1"', 'pos="0 0 1" euler="0 30 0"'), ROBOT)
+
+
+def test_a_start_beside_the_origin_is_told_where_it_is_declared(complaints):
+    robot = ROBOT.replace("initial: {", "initial: {position: [0.5, 0.0, 1.0], ").replace(
+        "trivial: [slide], ", ""
+    )
+    (complaint,) = complaints(FREE, robot)
+    assert complaint.startswith("robot.yaml:3:")
+    assert "initial.position: the robot starts at x = 0.5 m" in complaint
+
+
 def test_a_model_without_bodies_is_refused(complaints):
     assert "model: the model has no body" in str(complaints("<mujoco/>", ROBOT))
 

@@ -127,7 +127,7 @@ def test_a_region_may_be_a_point(task):
         ("ball.friction=[1.0, 0.5]", "expected a list of 3, found a list of 2"),
         ("ball.radius=0.1m", "expected a number, found the string '0.1m'"),
         ("simulation.iterations=2.5", "expected a whole number, found the number 2.5"),
-        ("episode.contact_window=-1", "expected a number of at least 0, found the number -1"),
+        ("episode.contact_window=0", "expected a number greater than 0, found the number 0"),
         (
             "evaluation.mirrored=on",
             "expected true or false, found the string 'on' (write true without quotes)",
