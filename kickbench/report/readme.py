@@ -165,7 +165,8 @@ def _effort(arm: ArmData) -> list[str]:
         [hardware(of.provenance) for of in found],
         [commit_text(of.provenance) for of in found],
     )
-    return [", ".join(dict.fromkeys(values)) or "none" for values in columns]
+    # Hardware has commas of its own.
+    return ["; ".join(dict.fromkeys(values)) or "none" for values in columns]
 
 
 def _iterations(arm: ArmData, done: int) -> str:

@@ -26,6 +26,12 @@ def test_the_measured_runs_beside_the_experiment_are_judged(capsys):
     ]
 
 
+def test_the_readme_shows_what_is_printed(capsys):
+    assert main(["claims", MINI]) == 0
+    table = capsys.readouterr().out.split("\n\n")[1]
+    assert table in (ROOT / "README.md").read_text()
+
+
 def test_as_json_they_are_the_file_that_the_repository_keeps(capsys, tmp_path):
     assert main(["claims", MINI, "--json"]) == 0
     (tmp_path / "verdicts.json").write_text(capsys.readouterr().out)
@@ -47,7 +53,7 @@ def test_a_damaged_file_of_verdicts_is_an_error_that_names_it(tmp_path):
 
 def test_without_runs_there_is_not_enough_data_which_only_strict_minds(capsys, tmp_path):
     assert main(["claims", MINI, str(tmp_path)]) == 0
-    assert "baseline seeds 0, 1, 2: missing" in capsys.readouterr().out
+    assert "baseline seeds 0, 1, 2, 3, 4: missing" in capsys.readouterr().out
     assert main(["claims", MINI, str(tmp_path), "--strict"]) == 1
 
 

@@ -133,13 +133,14 @@ def test_an_experiment_names_missing_unfinished_and_smaller_runs(folder):
     unfinished.mkdir(parents=True)
     (unfinished / "progress.csv").write_text("iteration,mean_return\n0,1\n1,2\n")
     page, _ = page_of(folder.path, "--experiment", str(REPORTED))
-    assert "2 of 9 runs are finished." in page.text
+    assert "2 of 15 runs are finished." in page.text
     assert "Unfinished: 2 of 450 iterations, not evaluated: augmentation seed 2." in page.text
     assert "Scaled down to 0.1 of its size: equivariant seed 0." in page.text
     assert "45 of 450 iterations: equivariant seed 0." in page.text
     assert "60 of 2,000 episodes a side: baseline seed 0, equivariant seed 0." in page.text
     assert (
-        "Not run: baseline seeds 1 and 2, augmentation seeds 0 and 1, equivariant seeds 1 and 2." in page.text
+        "Not run: baseline seeds 1, 2, 3 and 4, augmentation seeds 0, 1, 3 and 4, equivariant seeds 1, 2, 3 and 4."
+        in page.text
     )
     assert "Of 3 claims: 3 without enough data to say." in page.text
     assert "The baseline loses at least 15 points of success on the mirrored side" in page.text

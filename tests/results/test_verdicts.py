@@ -285,8 +285,8 @@ def test_the_thesis_own_figures_meet_its_claims(name):
     assert not [name for name, value in met.items() if value is False]
 
 
-def test_three_measured_seeds_of_the_mini_kicker_leave_the_baselines_mean_loss_open():
-    """Each seed loses more than the 15 points claimed, but they differ by more than three of them can average out."""
+def test_five_measured_seeds_of_the_mini_kicker_leave_the_baselines_mean_loss_open():
+    """They lose between 12 and 73 points on the mirrored side: more than five can average out."""
     experiment = load_reported(ROOT / "results/reported/mini_home_field.yaml")
     measured = read_measured(ROOT / "results/measured/mini_home_field", experiment)
     assert {v.name: v.outcome for v in judge(experiment, measured)} == {
