@@ -40,6 +40,7 @@ __all__ = [
     "Spec",
     "Vector3",
     "VectorPair",
+    "distinct",
     "json_schema",
     "validate",
 ]
@@ -75,6 +76,20 @@ FloatList = Annotated[tuple[float, ...], Field(strict=False)]
 """Numbers."""
 NameList = Annotated[tuple[str, ...], Field(strict=False)]
 """Strings."""
+
+
+def distinct(what: str) -> AfterValidator:
+    """A validator that refuses a list in which an entry, called `what`, stands twice."""
+
+    def check(entries: tuple[Any, ...]) -> tuple[Any, ...]:
+        repeated = [entry for index, entry in enumerate(entries) if entry in entries[:index]]
+        if repeated:
+            raise ValueError(f"the {what} {repeated[0]} is there twice: {what}s are distinct")
+        return entries
+
+    return AfterValidator(check)
+
+
 Vector3 = Annotated[tuple[float, float, float], Field(strict=False)]
 """Three numbers."""
 VectorPair = Annotated[tuple[float, float], Field(strict=False)]

@@ -113,6 +113,13 @@ def test_some_metrics_need_a_name(complaints, metric, key):
     ]
 
 
+def test_a_termination_is_not_counted_twice(complaints):
+    given = TEXT.replace("success_rate", "termination_share, terminations: [fall, time_out, fall]")
+    assert complaints(ReportedSpec, given) == [
+        "a.yaml:6:85: claims.c.terminations: the termination fall is there twice: terminations are distinct"
+    ]
+
+
 def test_every_arm_has_a_task(complaints, read):
     without = TEXT.removeprefix("task: table.yaml\n")
     (complaint,) = complaints(ReportedSpec, without)
