@@ -20,7 +20,6 @@ from kickbench.spec.base import (
 )
 from kickbench.spec.claims import Claim, Side
 
-
 Seeds = Annotated[tuple[NonNegativeInt, ...], Field(strict=False, min_length=1), distinct("seed")]
 """Distinct seeds of training."""
 
