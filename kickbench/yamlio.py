@@ -8,6 +8,7 @@ last, by the same rules.
 from __future__ import annotations
 
 import os
+from codecs import BOM_UTF8
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -184,8 +185,10 @@ class _Reading:
         except (OSError, ValueError) as error:  # ValueError: a null byte in the path
             self.problems.append(Problem(mark, path, *unreadable(file, error)))
             return None
+        # Not the codec utf-8-sig: the places of its errors do not count the mark.
+        data = data.removeprefix(BOM_UTF8)
         try:
-            return data.decode("utf-8-sig")
+            return data.decode()
         except UnicodeDecodeError as error:
             before = data[: error.start]
             line, column = before.count(b"\n") + 1, len(before.rpartition(b"\n")[2].decode()) + 1

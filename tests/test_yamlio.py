@@ -200,6 +200,12 @@ def test_a_file_without_keys_is_refused(text, found):
     assert problems() == [("a.yaml:1:1", (), f"expected keys at the top of the file; found {found}", None)]
 
 
+@pytest.mark.parametrize("text", [b"a: 1\nb: \xff\n", b"a: 1\n\xc3\xa4: \xff\n"])
+def test_a_byte_order_mark_does_not_shift_the_place_of_what_is_not_utf_8(text):
+    Path("a.yaml").write_bytes(b"\xef\xbb\xbf" + text)
+    assert problems() == [("a.yaml:2:4", (), "not UTF-8: the byte 0xff", None)]
+
+
 def test_a_file_that_is_not_utf_8_is_refused():
     Path("a.yaml").write_bytes(b"a: 1\n\xc3\xa9: \xff\n")
     assert problems() == [("a.yaml:2:4", (), "not UTF-8: the byte 0xff", None)]
