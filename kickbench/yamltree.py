@@ -27,6 +27,9 @@ _MAX_VALUES = 50_000
 _MAX_DEPTH = 100
 """Nor near this depth, and Python has a limit of its own."""
 
+_MAX_INT = 10**300
+"""Whole numbers below this are no greater than the greatest float."""
+
 _TAG = "tag:yaml.org,2002:"
 _CORE = {
     "null": re.compile(r"~|null|Null|NULL|"),
@@ -234,7 +237,7 @@ class _Builder:
             return None
         try:
             value = _READ[kind](text)
-        except ValueError:  # Python refuses to convert integers of thousands of digits
+        except ValueError:
             self._report(mark, path, f"a number of {len(text)} digits is too long")
             return None
         if isinstance(value, float) and not math.isfinite(value):
@@ -249,8 +252,12 @@ class _Builder:
 
 
 def _read_int(text: str) -> int:
-    # Python reads 0o17 and 0x1f with base 0, but refuses the leading zeros that YAML 1.2 allows.
-    return int(text, 0) if text[:2] in ("0o", "0x") else int(text)
+    # Python reads 0o17 and 0x1f with base 0, but refuses the leading zeros that YAML 1.2 allows. Decimals of thousands
+    # of digits it refuses, too, and neither does it write hexadecimal ones in decimals.
+    value = int(text, 0) if text[:2] in ("0o", "0x") else int(text)
+    if abs(value) >= _MAX_INT:
+        raise ValueError
+    return value
 
 
 def _read_float(text: str) -> float:

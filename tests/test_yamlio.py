@@ -110,9 +110,12 @@ def test_a_number_that_is_not_finite_is_refused(text):
     assert problems() == [("a.yaml:3:5", ("a", 1), f"expected a finite number, found {text}", None)]
 
 
-def test_an_integer_beyond_all_measure_is_refused():
-    write(f"a: {'1' * 5000}\n")
-    assert problems() == [("a.yaml:1:4", ("a",), "a number of 5000 digits is too long", None)]
+@pytest.mark.parametrize(
+    "text", ["1" * 5000, "1" * 400, f"0x{'f' * 4000}"], ids=["5000", "400", "hexadecimal"]
+)
+def test_an_integer_beyond_all_measure_is_refused(text):
+    write(f"a: {text}\n")
+    assert problems() == [("a.yaml:1:4", ("a",), f"a number of {len(text)} digits is too long", None)]
 
 
 @pytest.mark.parametrize(

@@ -37,6 +37,7 @@ __all__ = [
     "PositiveInt",
     "PositiveRange",
     "Range",
+    "Seed",
     "Spec",
     "Vector3",
     "VectorPair",
@@ -67,8 +68,13 @@ S = TypeVar("S", bound=BaseModel)
 
 PositiveFloat = Annotated[float, Field(gt=0)]
 NonNegativeFloat = Annotated[float, Field(ge=0)]
-PositiveInt = Annotated[int, Field(gt=0)]
-NonNegativeInt = Annotated[int, Field(ge=0)]
+_LARGEST = 2**31 - 1
+"""Largest integer of MuJoCo's C structures, and more than anything else is counted to."""
+
+PositiveInt = Annotated[int, Field(gt=0, le=_LARGEST)]
+NonNegativeInt = Annotated[int, Field(ge=0, le=_LARGEST)]
+Seed = Annotated[int, Field(ge=0, le=2**63 - 1)]
+"""Seed of random numbers; torch takes no greater ones."""
 Fraction = Annotated[float, Field(ge=0, le=1)]
 """A number from 0 to 1, both included."""
 

@@ -13,14 +13,14 @@ from kickbench.spec.base import (
     FileRef,
     Fraction,
     NonNegativeFloat,
-    NonNegativeInt,
     PositiveInt,
+    Seed,
     Spec,
     distinct,
 )
 from kickbench.spec.claims import Claim, Side
 
-Seeds = Annotated[tuple[NonNegativeInt, ...], Field(strict=False, min_length=1), distinct("seed")]
+Seeds = Annotated[tuple[Seed, ...], Field(strict=False, min_length=1), distinct("seed")]
 """Distinct seeds of training."""
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_]+$")]
