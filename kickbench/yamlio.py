@@ -16,7 +16,7 @@ from typing import Any
 
 from kickbench.errors import KeyPath, Mark, Problem, SpecError, did_you_mean, dotted, shown
 from kickbench.yamldump import dump_yaml, flow_yaml
-from kickbench.yamltree import Source, Tree, describe, parse
+from kickbench.yamltree import MAX_DEPTH, Source, Tree, describe, parse
 
 __all__ = ["Document", "describe", "dump_yaml", "flow_yaml", "load_document"]
 
@@ -151,6 +151,9 @@ class _Reading:
         if keys[0] == EXTENDS:
             self._report(mark, path, f"`{EXTENDS}` cannot be set: it is read from files only")
             return tree
+        if len(keys) > MAX_DEPTH:
+            self._report(mark, (), "nested too deeply")
+            return tree
         value, problems = parse(Source(right, name, None, path))
         self.problems += problems
         if tree is None or problems:
@@ -257,7 +260,8 @@ def _put(tree: Tree, keys: list[str], value: Tree, mark: Mark, done: KeyPath = (
 
 
 def _index(key: str, items: list[Tree], path: KeyPath) -> int:
-    if key.isdecimal() and int(key) < len(items):
+    # Python refuses to read integers of thousands of digits; no list is so long.
+    if key.isdecimal() and len(key) < 10 and int(key) < len(items):
         return int(key)
     expected = f"expected an index below {len(items)}, found '{key}'"
     raise _NoRoom(f"'{dotted(path)}' is a list of {len(items)}; {expected}")

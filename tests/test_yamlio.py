@@ -1,3 +1,4 @@
+import re
 from pathlib import Path
 
 import pytest
@@ -172,6 +173,8 @@ def test_all_problems_of_a_file_are_told_at_once():
         ("a: [1\nb: 2\n", "a.yaml:2:2", "expected ',' or ']'", "is a bracket not closed?"),
         ("a: *x\n", "a.yaml:1:4", "found undefined alias 'x'", None),
         ("a: 1\n---\nb: 2\n", "a.yaml:2:1", "but found another document", None),
+        ('a: "b\\U00110000"\n', "a.yaml:1:8", "the escape stands for no character", None),
+        ('a: "b\\Uffffffff"\n', "a.yaml:1:8", "the escape stands for no character", None),
         ("a: 1\nb: \0\n", "a.yaml:2:4", "the character '\\x00' is not allowed", None),
     ],
 )
@@ -188,6 +191,21 @@ def test_a_text_nested_too_deeply_is_refused():
     assert problems() == [("a.yaml:1:1", (), "nested too deeply", None)]
     write("a: " + "[" * 100 + "]" * 100)
     assert problems() == [("a.yaml:1:103", ("a", *[0] * 99), "nested too deeply", None)]
+
+
+@pytest.mark.parametrize(
+    ("text", "mark", "path"),
+    [
+        ('extends: "\\ud800"', "a.yaml:1:10", ("extends",)),
+        ('a: ["x\\ud83d\\ude00"]', "a.yaml:1:5", ("a", 0)),
+        ('a: {"\\udfff": 1}', "a.yaml:1:5", ("a",)),
+    ],
+)
+def test_half_a_character_is_refused(text, mark, path):
+    write(text)
+    ((where, key, message, _), *_) = problems()
+    assert (where, key) == (mark, path)
+    assert re.fullmatch(r"the escape \\ud[0-9a-f]{3} stands for no character", message)
 
 
 @pytest.mark.parametrize("text", ["", "# only a comment\n", "---\n"])
@@ -370,6 +388,14 @@ def test_a_malformed_override_says_its_form(text):
 def test_an_impossible_override_says_why(override, path, message):
     write("a: {b: 1}\nl: [1, 2]\n")
     assert problems("a.yaml", override) == [(f"--set {override}", path, message, None)]
+
+
+@pytest.mark.parametrize("key", ["l." + "9" * 5000, ".".join(["a"] * 2000)], ids=["index", "depth"])
+def test_an_override_beyond_all_measure_is_refused(key):
+    write("a: {b: 1}\nl: [1, 2]\n")
+    [(mark, _, message, _)] = problems("a.yaml", f"{key}=1")
+    assert mark == f"--set {key}=1"
+    assert message.startswith("'l' is a list of 2;") or message == "nested too deeply"
 
 
 def test_an_override_with_a_syntax_error_names_itself():
