@@ -14,7 +14,7 @@ from kickbench.errors import KeyPath, Problem, SpecError, did_you_mean
 from kickbench.mdp.catalog import task_model
 from kickbench.spec.claims import OF_A_RUN, AnyClaim, NearReported, Operand
 from kickbench.spec.load import LoadedMethod, LoadedTask, load, load_method, load_task
-from kickbench.spec.reported import ArmSpec, ReportedFiguresSpec, ReportedSpec
+from kickbench.spec.reported import ArmSpec, FiguresSpec, ReportedFiguresSpec, ReportedSpec
 from kickbench.spec.task import TaskSpec
 from kickbench.spec.terms import RewardParams, TerminationParams
 from kickbench.yamlio import Document
@@ -46,9 +46,17 @@ class Arm:
     also: Mapping[str, LoadedTask[TaskSpec]]
     reported: ReportedFiguresSpec | None
 
+    def is_of_own_task(self, operand: Operand) -> bool:
+        """Whether an operand is about the task trained on, named or not."""
+        return operand.task in (None, self.task.name)
+
     def task_of(self, operand: Operand) -> LoadedTask[TaskSpec]:
         """The task whose episodes an operand is about."""
-        return self.task if operand.task in (None, self.task.name) else self.also[str(operand.task)]
+        return self.task if self.is_of_own_task(operand) else self.also[str(operand.task)]
+
+    def figures_of(self, operand: Operand) -> FiguresSpec | None:
+        """What was reported of an operand's side; nothing is reported of a further task."""
+        return self.reported.of_side(operand.side) if self.reported and self.is_of_own_task(operand) else None
 
 
 @dataclass(frozen=True)
@@ -196,7 +204,7 @@ def _operand_problems(
     of_a_run = claim.metric in OF_A_RUN
     if of_a_run and operand.side == "mirrored":
         yield document.problem((*path, "side"), f"the metric {claim.metric} is of a run, and has no sides")
-    if of_a_run and operand.task not in (None, arm.task.name):
+    if of_a_run and not arm.is_of_own_task(operand):
         yield document.problem(
             (*path, "task"), f"the metric {claim.metric} is measured on the task trained on only"
         )
@@ -204,14 +212,19 @@ def _operand_problems(
     task = arm.task_of(operand)
     if mirrored and not task.spec.evaluation.mirrored:
         yield document.problem((*path, "side"), f"the task {task.name} has no mirrored evaluation")
-    if isinstance(claim, NearReported) and _reported_figure(claim, arm) is None:
+    if isinstance(claim, NearReported):
+        yield from _unreported(claim, operand, arm, path, document)
+
+
+def _unreported(
+    claim: NearReported, operand: Operand, arm: Arm, path: KeyPath, document: Document
+) -> Iterator[Problem]:
+    if not arm.is_of_own_task(operand):
+        what = f"nothing was reported of the arm {arm.name} on a further task; {claim.kind} needs a figure"
+        yield document.problem((*path, "task"), what)
+    elif getattr(arm.figures_of(operand), claim.metric, None) is None:
         what = f"no {claim.metric} of {operand.side} was reported of the arm {arm.name}"
         yield document.problem(path, what)
-
-
-def _reported_figure(claim: NearReported, arm: Arm) -> float | None:
-    side = arm.reported.of_side(claim.value.side) if arm.reported else None
-    return getattr(side, claim.metric, None)
 
 
 def _term_problems(

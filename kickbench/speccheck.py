@@ -124,7 +124,7 @@ def _check(
 
 
 def _check_reported(experiment: LoadedReported, report: Report) -> None:
-    """Every task of an experiment with every method it is learned by, each pair once."""
+    """Every task of an experiment with every method it is learned by, each pair once, and every robot."""
     tasks: dict[str, CompiledTask] = {}
     pairs: set[tuple[str, str]] = set()
     for arm in experiment.arms.values():
@@ -139,6 +139,9 @@ def _check_reported(experiment: LoadedReported, report: Report) -> None:
                 read_symmetry(tasks[key[0]], arm.method)
             except SpecError as error:
                 report.problems += error.problems
+    robots = {task.robot.document.file: task.robot for task in tasks.values()}
+    for robot in robots.values():
+        _compare_with_geometry(robot, report)
 
 
 def _compare_with_geometry(robot: Loaded[RobotSpec], report: Report) -> None:

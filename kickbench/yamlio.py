@@ -8,6 +8,7 @@ last, by the same rules.
 from __future__ import annotations
 
 import os
+from codecs import BOM_UTF8
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,7 +16,7 @@ from typing import Any
 
 from kickbench.errors import KeyPath, Mark, Problem, SpecError, did_you_mean, dotted, shown
 from kickbench.yamldump import dump_yaml, flow_yaml
-from kickbench.yamltree import Source, Tree, describe, parse
+from kickbench.yamltree import MAX_DEPTH, Source, Tree, describe, parse
 
 __all__ = ["Document", "describe", "dump_yaml", "flow_yaml", "load_document"]
 
@@ -150,6 +151,9 @@ class _Reading:
         if keys[0] == EXTENDS:
             self._report(mark, path, f"`{EXTENDS}` cannot be set: it is read from files only")
             return tree
+        if len(keys) > MAX_DEPTH:
+            self._report(mark, (), "nested too deeply")
+            return tree
         value, problems = parse(Source(right, name, None, path))
         self.problems += problems
         if tree is None or problems:
@@ -184,8 +188,10 @@ class _Reading:
         except (OSError, ValueError) as error:  # ValueError: a null byte in the path
             self.problems.append(Problem(mark, path, *unreadable(file, error)))
             return None
+        # Not the codec utf-8-sig: the places of its errors do not count the mark.
+        data = data.removeprefix(BOM_UTF8)
         try:
-            return data.decode("utf-8-sig")
+            return data.decode()
         except UnicodeDecodeError as error:
             before = data[: error.start]
             line, column = before.count(b"\n") + 1, len(before.rpartition(b"\n")[2].decode()) + 1
@@ -254,7 +260,8 @@ def _put(tree: Tree, keys: list[str], value: Tree, mark: Mark, done: KeyPath = (
 
 
 def _index(key: str, items: list[Tree], path: KeyPath) -> int:
-    if key.isdecimal() and int(key) < len(items):
+    # Python refuses to read integers of thousands of digits; no list is so long.
+    if key.isdecimal() and len(key) < 10 and int(key) < len(items):
         return int(key)
     expected = f"expected an index below {len(items)}, found '{key}'"
     raise _NoRoom(f"'{dotted(path)}' is a list of {len(items)}; {expected}")

@@ -24,8 +24,13 @@ Scalar = str | int | float | bool | None
 _MAX_VALUES = 50_000
 """Nested aliases grow exponentially; no honest file comes near this many values."""
 
-_MAX_DEPTH = 100
+MAX_DEPTH = 100
 """Nor near this depth, and Python has a limit of its own."""
+
+_MAX_INT = 10**300
+"""Whole numbers below this are no greater than the greatest float."""
+
+_SURROGATE = re.compile(r"[\ud800-\udfff]")
 
 _TAG = "tag:yaml.org,2002:"
 _CORE = {
@@ -147,6 +152,10 @@ def _compose(text: str) -> Node | None:
     loader = _Loader(text)
     try:
         return loader.get_single_node()
+    except (ValueError, OverflowError):
+        # From `chr`: PyYAML does not look whether an escape is in the range of Unicode.
+        what = "the escape stands for no character"
+        raise yaml.MarkedYAMLError(problem=what, problem_mark=loader.get_mark()) from None
     finally:
         loader.dispose()
 
@@ -184,7 +193,7 @@ class _Builder:
     def _refusal(self, node: Node) -> str | None:
         if any(node is other for other in self._open):
             return "an alias contains itself"
-        if len(self._open) >= _MAX_DEPTH:
+        if len(self._open) >= MAX_DEPTH:
             return "nested too deeply"
         return f"aliases expand to more than {_MAX_VALUES} values" if self._count == _MAX_VALUES else None
 
@@ -219,6 +228,9 @@ class _Builder:
             what = "list" if isinstance(node, SequenceNode) else "mapping"
             self._report(mark, path, f"a key must be a string, found a {what}")
             return "?"
+        if _SURROGATE.search(node.value):
+            self._no_character(node.value, path, mark)
+            return "?"
         if node.tag == _TAG + "merge" or (node.value == "<<" and node.style is None):
             instead = "use `extends: other.yaml`"
             self._report(mark, (*path, "<<"), "merge keys '<<' are not supported", instead)
@@ -232,14 +244,22 @@ class _Builder:
         if kind != "str" and not _CORE[kind].fullmatch(text):
             self._report(mark, path, f"'{text}' is not a value of the tag '!!{kind}'")
             return None
+        if _SURROGATE.search(text):
+            self._no_character(text, path, mark)
+            return None
         try:
             value = _READ[kind](text)
-        except ValueError:  # Python refuses to convert integers of thousands of digits
+        except ValueError:
             self._report(mark, path, f"a number of {len(text)} digits is too long")
             return None
         if isinstance(value, float) and not math.isfinite(value):
             self._report(mark, path, f"expected a finite number, found {text}")
         return value
+
+    def _no_character(self, text: str, path: KeyPath, mark: Mark) -> None:
+        # Half of a pair of UTF-16; an escape can write it, but no file, no path and no terminal can have it.
+        escape = ascii(_SURROGATE.findall(text)[0])[1:-1]
+        self._report(mark, path, f"the escape {escape} stands for no character")
 
     def _mark(self, node: Node) -> Mark:
         return self.source.mark(node.start_mark.line + 1, node.start_mark.column + 1)
@@ -249,8 +269,12 @@ class _Builder:
 
 
 def _read_int(text: str) -> int:
-    # Python reads 0o17 and 0x1f with base 0, but refuses the leading zeros that YAML 1.2 allows.
-    return int(text, 0) if text[:2] in ("0o", "0x") else int(text)
+    # Python reads 0o17 and 0x1f with base 0, but refuses the leading zeros that YAML 1.2 allows. Decimals of thousands
+    # of digits it refuses, too, and neither does it write hexadecimal ones in decimals.
+    value = int(text, 0) if text[:2] in ("0o", "0x") else int(text)
+    if abs(value) >= _MAX_INT:
+        raise ValueError
+    return value
 
 
 def _read_float(text: str) -> float:

@@ -11,7 +11,7 @@ from kickbench.reported import load_reported
 from kickbench.results.metrics import Metrics
 from kickbench.results.run_figures import _OF_RUNS, _OF_SIDES
 from kickbench.results.run_units import _UNITS
-from kickbench.spec.claims import METRICS, OF_A_RUN
+from kickbench.spec.claims import METRICS, OF_A_RUN, Operand
 
 ROOT = Path(__file__).parents[1]
 SHIPPED = sorted((ROOT / "results/reported").glob("*.yaml"))
@@ -167,3 +167,25 @@ def test_a_further_task_may_be_named_by_a_claim(load):
     text = f"seeds: [0]\nevaluation: {{also: [{ROOT}/tasks/k1_lite.yaml]}}"
     arm = load("seeds: [0, 1]", text).arms["baseline"]
     assert list(arm.also) == ["k1_lite"]
+
+
+NEAR = (
+    "methods/mini/baseline.yaml}\n",
+    "methods/mini/baseline.yaml, reported: {section: S, in_distribution: {success_rate: 0.5}}}\n",
+)
+
+
+def test_a_claim_may_name_the_task_of_its_arm(load):
+    arm = load(*NEAR).arms["baseline"]
+    named, unnamed = (Operand(arm="baseline", task=task) for task in ("mini_general", None))
+    assert arm.figures_of(named) is arm.figures_of(unnamed) is not None
+
+
+def test_nothing_is_near_what_was_reported_of_another_task(load):
+    load(*NEAR)
+    near = f"{{statement: S, kind: near_reported, {METRIC}, bound: 0.1, value: {{arm: baseline, task: k1_lite}}}}"
+    also = f"evaluation.also=[{ROOT}/tasks/k1_lite.yaml]"
+    with pytest.raises(SpecError) as error:
+        load_reported("x.yaml", [also, f"claims.near={near}"])
+    what = "nothing was reported of the arm baseline on a further task; near_reported needs a figure"
+    assert str(error.value).endswith(f"claims.near.value.task: {what}")

@@ -1,3 +1,4 @@
+import re
 from pathlib import Path
 
 import pytest
@@ -110,9 +111,12 @@ def test_a_number_that_is_not_finite_is_refused(text):
     assert problems() == [("a.yaml:3:5", ("a", 1), f"expected a finite number, found {text}", None)]
 
 
-def test_an_integer_beyond_all_measure_is_refused():
-    write(f"a: {'1' * 5000}\n")
-    assert problems() == [("a.yaml:1:4", ("a",), "a number of 5000 digits is too long", None)]
+@pytest.mark.parametrize(
+    "text", ["1" * 5000, "1" * 400, f"0x{'f' * 4000}"], ids=["5000", "400", "hexadecimal"]
+)
+def test_an_integer_beyond_all_measure_is_refused(text):
+    write(f"a: {text}\n")
+    assert problems() == [("a.yaml:1:4", ("a",), f"a number of {len(text)} digits is too long", None)]
 
 
 @pytest.mark.parametrize(
@@ -169,6 +173,8 @@ def test_all_problems_of_a_file_are_told_at_once():
         ("a: [1\nb: 2\n", "a.yaml:2:2", "expected ',' or ']'", "is a bracket not closed?"),
         ("a: *x\n", "a.yaml:1:4", "found undefined alias 'x'", None),
         ("a: 1\n---\nb: 2\n", "a.yaml:2:1", "but found another document", None),
+        ('a: "b\\U00110000"\n', "a.yaml:1:8", "the escape stands for no character", None),
+        ('a: "b\\Uffffffff"\n', "a.yaml:1:8", "the escape stands for no character", None),
         ("a: 1\nb: \0\n", "a.yaml:2:4", "the character '\\x00' is not allowed", None),
     ],
 )
@@ -187,6 +193,21 @@ def test_a_text_nested_too_deeply_is_refused():
     assert problems() == [("a.yaml:1:103", ("a", *[0] * 99), "nested too deeply", None)]
 
 
+@pytest.mark.parametrize(
+    ("text", "mark", "path"),
+    [
+        ('extends: "\\ud800"', "a.yaml:1:10", ("extends",)),
+        ('a: ["x\\ud83d\\ude00"]', "a.yaml:1:5", ("a", 0)),
+        ('a: {"\\udfff": 1}', "a.yaml:1:5", ("a",)),
+    ],
+)
+def test_half_a_character_is_refused(text, mark, path):
+    write(text)
+    ((where, key, message, _), *_) = problems()
+    assert (where, key) == (mark, path)
+    assert re.fullmatch(r"the escape \\ud[0-9a-f]{3} stands for no character", message)
+
+
 @pytest.mark.parametrize("text", ["", "# only a comment\n", "---\n"])
 def test_an_empty_file_is_refused(text):
     write(text)
@@ -198,6 +219,12 @@ def test_an_empty_file_is_refused(text):
 def test_a_file_without_keys_is_refused(text, found):
     write(text)
     assert problems() == [("a.yaml:1:1", (), f"expected keys at the top of the file; found {found}", None)]
+
+
+@pytest.mark.parametrize("text", [b"a: 1\nb: \xff\n", b"a: 1\n\xc3\xa4: \xff\n"])
+def test_a_byte_order_mark_does_not_shift_the_place_of_what_is_not_utf_8(text):
+    Path("a.yaml").write_bytes(b"\xef\xbb\xbf" + text)
+    assert problems() == [("a.yaml:2:4", (), "not UTF-8: the byte 0xff", None)]
 
 
 def test_a_file_that_is_not_utf_8_is_refused():
@@ -361,6 +388,14 @@ def test_a_malformed_override_says_its_form(text):
 def test_an_impossible_override_says_why(override, path, message):
     write("a: {b: 1}\nl: [1, 2]\n")
     assert problems("a.yaml", override) == [(f"--set {override}", path, message, None)]
+
+
+@pytest.mark.parametrize("key", ["l." + "9" * 5000, ".".join(["a"] * 2000)], ids=["index", "depth"])
+def test_an_override_beyond_all_measure_is_refused(key):
+    write("a: {b: 1}\nl: [1, 2]\n")
+    [(mark, _, message, _)] = problems("a.yaml", f"{key}=1")
+    assert mark == f"--set {key}=1"
+    assert message.startswith("'l' is a list of 2;") or message == "nested too deeply"
 
 
 def test_an_override_with_a_syntax_error_names_itself():

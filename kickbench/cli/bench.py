@@ -21,6 +21,7 @@ from kickbench.experiment import Experiment, load_experiment
 from kickbench.nets.threads import torch_threads
 from kickbench.physics.cpu import usable_cores
 from kickbench.physics.devices import check_device
+from kickbench.results.atomic import check_writable
 from kickbench.results.provenance import collect_provenance
 
 _METHODS = ("baseline", "augmentation", "equivariant")
@@ -35,6 +36,8 @@ def bench(arguments: argparse.Namespace) -> int:
     setting = Setting(arguments.device, arguments.threads or usable_cores(), arguments.rounds)
     # All at first: a wrong file is told before anything is measured.
     chosen = [_experiments(arguments, num_envs) for num_envs in arguments.num_envs]
+    if arguments.json:
+        check_writable(arguments.json)
     sizes = [_measured(experiments, setting) for experiments in chosen]
     profiles = _profiles(chosen[0], setting) if arguments.profile else ()
     report = BenchReport(

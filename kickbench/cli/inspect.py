@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from kickbench.errors import KickbenchError, Problem, SpecError
 from kickbench.results.metrics import load_metrics
-from kickbench.results.store import RunDirectory, find_runs
+from kickbench.results.store import RunDirectory, find_results
 from kickbench.results.table import render_table
 from kickbench.speccheck import KINDS, check_files, kind_of, model_of
 
@@ -89,7 +90,7 @@ def list_files(arguments: argparse.Namespace) -> int:
             width = max(len(str(path)) for path, _ in entries)
             print(f"{kind}:")
             print("\n".join(f"  {path!s:<{width}}  {text}".rstrip() for path, text in entries))
-    runs = find_runs(root)
+    runs = _undamaged(find_results(root))
     if runs:
         print("finished runs:\n" + "\n".join(f"  {run.path}" for run in runs))
     return 0
@@ -131,7 +132,24 @@ def compare(arguments: argparse.Namespace) -> int:
 
 
 def _finished_runs(roots: Sequence[Path]) -> list[RunDirectory]:
-    runs = [run for root in roots for run in find_runs(root)]
-    if not runs:
-        raise KickbenchError(f"no finished run in {', '.join(map(str, roots))}")
-    return runs
+    """The finished runs of some folders, each once however many of the folders it is in.
+
+    Raises:
+        KickbenchError: A folder has none: its name may be misspelt.
+    """
+    below = {root: _undamaged(find_results(root)) for root in dict.fromkeys(roots)}
+    empty = [str(root) for root, runs in below.items() if not runs]
+    if empty:
+        raise KickbenchError(f"no finished run in {', '.join(empty)}")
+    found: dict[Path, RunDirectory] = {}
+    for run in (run for runs in below.values() for run in runs):
+        found.setdefault(run.path.resolve(), run)
+    return list(found.values())
+
+
+def _undamaged(results: Sequence[RunDirectory]) -> list[RunDirectory]:
+    """The runs whose result can be read; the others are told, as they are not counted."""
+    damage = {run: run.damage for run in results}
+    for told in filter(None, damage.values()):
+        print(f"left out: {told}", file=sys.stderr)
+    return [run for run in results if damage[run] is None]

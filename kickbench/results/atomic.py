@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import secrets
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO
+
+from kickbench.errors import KickbenchError
 
 TEMPORARY_PREFIX = ".partial-"
 
@@ -25,22 +29,56 @@ def atomic_file(path: Path) -> Iterator[IO[bytes]]:
 
     Yields:
         An open file, for instance for `torch.save`.
+
+    Raises:
+        KickbenchError: it cannot be written.
     """
     path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f"{TEMPORARY_PREFIX}{path.name}-{secrets.token_hex(6)}")
+    with _refusals(path):
+        _make_parents(path)
+        # Not `with_name`, which refuses a path like `.`.
+        temporary = path.parent / f"{TEMPORARY_PREFIX}{path.name}-{secrets.token_hex(6)}"
+        try:
+            # "x" and the default mode: the user's umask decides who may read it, as for any file they write.
+            with open(temporary, "xb") as file:
+                yield file
+                file.flush()
+                os.fsync(file.fileno())
+            os.replace(temporary, path)
+        except BaseException:
+            with suppress(OSError):
+                temporary.unlink()
+            raise
+        _sync_folder(path.parent)
+
+
+def check_writable(path: Path) -> None:
+    """Raises at once what `atomic_file` would raise after a long measurement.
+
+    Raises:
+        KickbenchError: the file cannot be written.
+    """
+    with _refusals(path):
+        _make_parents(path)
+        tempfile.TemporaryFile(dir=path.parent).close()
+
+
+@contextmanager
+def _refusals(path: Path) -> Iterator[None]:
+    """Words what the system refuses."""
     try:
-        # "x" and the default mode: the user's umask decides who may read it, as for any file they write.
-        with open(temporary, "xb") as file:
-            yield file
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
-    except BaseException:
-        with suppress(FileNotFoundError):
-            temporary.unlink()
-        raise
-    _sync_folder(path.parent)
+        yield
+    except OSError as error:
+        raise KickbenchError(f"{path}: cannot be written: {error.strerror or error}") from error
+
+
+def _make_parents(path: Path) -> None:
+    if path.is_dir():
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except FileExistsError:  # of a file that stands where the folder should
+        raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR)) from None
 
 
 def atomic_write_bytes(path: Path, data: bytes) -> None:

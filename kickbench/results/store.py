@@ -19,6 +19,7 @@ __all__ = [
     "atomic_write_bytes",
     "atomic_write_text",
     "find_begun_runs",
+    "find_results",
     "find_runs",
 ]
 
@@ -131,13 +132,16 @@ class RunDirectory:
     @property
     def is_finished(self) -> bool:
         """Whether a valid metrics.json exists. A damaged one counts as none."""
-        if not self.metrics.is_file():
-            return False
+        return self.metrics.is_file() and self.damage is None
+
+    @property
+    def damage(self) -> str | None:
+        """Why metrics.json does not count, with its path; None if it does."""
         try:
             load_metrics(self.metrics)
-        except KickbenchError:
-            return False
-        return True
+        except KickbenchError as error:
+            return str(error)
+        return None
 
     @property
     def holds_a_run(self) -> bool:
@@ -237,8 +241,12 @@ def _locked(descriptor: int) -> bool:
 
 def find_runs(root: Path | str) -> list[RunDirectory]:
     """The finished runs in `root` (itself or any folder below), in the order of their paths."""
-    candidates = sorted(file.parent for file in Path(root).rglob("metrics.json"))
-    return [run for run in map(RunDirectory, candidates) if run.is_finished]
+    return [run for run in find_results(root) if run.is_finished]
+
+
+def find_results(root: Path | str) -> list[RunDirectory]:
+    """The runs in `root`, as of `find_runs`, with those whose metrics.json is damaged."""
+    return [RunDirectory(path) for path in sorted(file.parent for file in Path(root).rglob("metrics.json"))]
 
 
 def find_begun_runs(root: Path | str) -> list[RunDirectory]:

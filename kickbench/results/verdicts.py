@@ -196,9 +196,7 @@ def _possible(claim: AnyClaim, interval: Interval | None) -> Interval | None:
 
 def _reported(operand: Operand, claim: AnyClaim, experiment: LoadedReported) -> float | None:
     """What was reported of an operand's metric."""
-    figures = experiment.arms[operand.arm].reported
-    side = figures.of_side(operand.side) if figures and operand.task is None else None
-    return getattr(side, claim.metric, None)
+    return getattr(experiment.arms[operand.arm].figures_of(operand), claim.metric, None)
 
 
 def _reported_figure(claim: AnyClaim, contrast: Contrast, experiment: LoadedReported) -> float | None:

@@ -37,9 +37,11 @@ __all__ = [
     "PositiveInt",
     "PositiveRange",
     "Range",
+    "Seed",
     "Spec",
     "Vector3",
     "VectorPair",
+    "distinct",
     "json_schema",
     "validate",
 ]
@@ -66,8 +68,13 @@ S = TypeVar("S", bound=BaseModel)
 
 PositiveFloat = Annotated[float, Field(gt=0)]
 NonNegativeFloat = Annotated[float, Field(ge=0)]
-PositiveInt = Annotated[int, Field(gt=0)]
-NonNegativeInt = Annotated[int, Field(ge=0)]
+_LARGEST = 2**31 - 1
+"""Largest integer of MuJoCo's C structures, and more than anything else is counted to."""
+
+PositiveInt = Annotated[int, Field(gt=0, le=_LARGEST)]
+NonNegativeInt = Annotated[int, Field(ge=0, le=_LARGEST)]
+Seed = Annotated[int, Field(ge=0, le=2**63 - 1)]
+"""Seed of random numbers; torch takes no greater ones."""
 Fraction = Annotated[float, Field(ge=0, le=1)]
 """A number from 0 to 1, both included."""
 
@@ -75,6 +82,20 @@ FloatList = Annotated[tuple[float, ...], Field(strict=False)]
 """Numbers."""
 NameList = Annotated[tuple[str, ...], Field(strict=False)]
 """Strings."""
+
+
+def distinct(what: str) -> AfterValidator:
+    """A validator that refuses a list in which an entry, called `what`, stands twice."""
+
+    def check(entries: tuple[Any, ...]) -> tuple[Any, ...]:
+        repeated = [entry for index, entry in enumerate(entries) if entry in entries[:index]]
+        if repeated:
+            raise ValueError(f"the {what} {repeated[0]} is there twice: {what}s are distinct")
+        return entries
+
+    return AfterValidator(check)
+
+
 Vector3 = Annotated[tuple[float, float, float], Field(strict=False)]
 """Three numbers."""
 VectorPair = Annotated[tuple[float, float], Field(strict=False)]

@@ -10,7 +10,7 @@ from typing import Annotated, Literal, get_args
 
 from pydantic import Field, model_validator
 
-from kickbench.spec.base import NameList, NonNegativeFloat, PositiveFloat, Spec
+from kickbench.spec.base import NameList, NonNegativeFloat, PositiveFloat, Spec, distinct
 
 Side = Literal["in_distribution", "mirrored"]
 """Which episodes: as the task samples them, or from the mirror images of their starts."""
@@ -55,7 +55,7 @@ class _Claim(Spec):
     """Where the thesis says so; empty if it does not."""
     metric: Metric
     """Which figure is compared."""
-    terminations: NameList = ()
+    terminations: Annotated[NameList, distinct("termination")] = ()
     """Of `termination_share`: the terminations whose shares are added up."""
     reward: str | None = None
     """Of `raw_reward`: the reward term whose mean value per control step in training, without its weight, is meant."""

@@ -25,7 +25,7 @@ class AlgorithmSpec(Spec):
 
     iterations: PositiveInt
     """Iterations of rollout and update."""
-    num_envs: PositiveInt
+    num_envs: int = Field(gt=0, le=2**20)
     """Parallel environments."""
     steps_per_env: PositiveInt = 24
     """Control steps per environment and iteration."""

@@ -194,7 +194,8 @@ def _expected(kind: str, context: Mapping[str, Any], hints: list[Hint]) -> str |
     """Says what a value of the right type, size or length would be."""
     if kind in _BOUNDS:
         key, words = _BOUNDS[kind]
-        return f"a number {words} {context[key]:g}"
+        bound = context[key]
+        return f"a number {words} {bound if isinstance(bound, int) else format(bound, 'g')}"
     if kind == "too_long" and any(hint.length == context["max_length"] for hint in hints):
         return f"a list of {context['max_length']}"
     if kind in _LENGTHS:

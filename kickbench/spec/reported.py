@@ -7,20 +7,20 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import Field, model_validator
 
-from kickbench.spec.base import FileRef, Fraction, NonNegativeFloat, NonNegativeInt, PositiveInt, Spec
+from kickbench.spec.base import (
+    FileRef,
+    Fraction,
+    NonNegativeFloat,
+    PositiveInt,
+    Seed,
+    Spec,
+    distinct,
+)
 from kickbench.spec.claims import Claim, Side
 
-
-def _distinct(seeds: tuple[int, ...]) -> tuple[int, ...]:
-    repeated = [seed for index, seed in enumerate(seeds) if seed in seeds[:index]]
-    if repeated:
-        raise ValueError(f"the seed {repeated[0]} is there twice: seeds are distinct")
-    return seeds
-
-
-Seeds = Annotated[tuple[NonNegativeInt, ...], Field(strict=False, min_length=1), AfterValidator(_distinct)]
+Seeds = Annotated[tuple[Seed, ...], Field(strict=False, min_length=1), distinct("seed")]
 """Distinct seeds of training."""
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_]+$")]

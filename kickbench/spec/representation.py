@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from itertools import accumulate
 from typing import Annotated
 
 from pydantic import AfterValidator, Field
@@ -18,6 +19,9 @@ from kickbench.spec.base import Spec
 
 NAMES = ("trivial", "sign", "regular", "regular_sign", "joints", "actions")
 """The four representations of the reflection group that occur, and the robot's own two."""
+
+_MAX_DEPTH = 20
+"""Parentheses within parentheses; Python has a limit of its own."""
 
 _TOKEN = re.compile(r"\s*(?:(\w+)|(\S))")
 
@@ -49,6 +53,8 @@ def parse_expression(text: str) -> Expression:
         ValueError: The text is no expression; the message says what was expected.
     """
     tokens = [word or sign for word, sign in _TOKEN.findall(text)]
+    if max(accumulate((token == "(") - (token == ")") for token in tokens), default=0) > _MAX_DEPTH:
+        raise ValueError(f"parentheses are nested more than {_MAX_DEPTH} deep")
     expression, rest = _sum(tokens, text)
     if rest:
         raise ValueError(f"expected '+' or 'x' before '{rest[0]}' in '{text}'")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from kickbench.spec.base import (
     Bounds,
@@ -17,10 +17,14 @@ from kickbench.spec.base import (
     PositiveFloat,
     PositiveInt,
     Range,
+    Seed,
     Spec,
     VectorPair,
 )
 from kickbench.spec.terms import RewardTable, TermTable
+
+_TURN = 6.2832
+"""2 pi, rounded up as people round it."""
 
 Friction = Annotated[tuple[NonNegativeFloat, NonNegativeFloat, NonNegativeFloat], Field(strict=False)]
 """Sliding, torsional and rolling friction."""
@@ -29,9 +33,9 @@ Friction = Annotated[tuple[NonNegativeFloat, NonNegativeFloat, NonNegativeFloat]
 class BallSpec(Spec):
     """The ball (thesis Table 3.1)."""
 
-    mass: PositiveFloat = 0.1
+    mass: PositiveFloat = Field(default=0.1, le=1000)
     """Mass, kg."""
-    radius: PositiveFloat = 0.08
+    radius: PositiveFloat = Field(default=0.08, le=10)
     """Radius, m. The ball is a thin-walled sphere: inertia 2/3 m r^2."""
     friction: Friction = (1.0, 0.5, 0.015)
     """Sliding, torsional (m) and rolling (m) friction."""
@@ -53,9 +57,9 @@ class FloorSpec(Spec):
 class SimulationSpec(Spec):
     """Time discretisation and solver of MuJoCo."""
 
-    timestep: PositiveFloat
+    timestep: float = Field(ge=1e-6, le=1)
     """Physics time step, s."""
-    control_interval: PositiveFloat
+    control_interval: PositiveFloat = Field(le=10)
     """Time between two actions, s; a whole multiple of the time step."""
     integrator: Literal["euler", "implicit", "implicitfast"] = "euler"
     """Integrator."""
@@ -110,12 +114,19 @@ class BallSampling(Spec):
     """Lateral offset, m; left is positive."""
 
 
+def _within_a_turn(angle: tuple[float, float]) -> tuple[float, float]:
+    if max(map(abs, angle)) > _TURN:
+        worst = max(angle, key=abs)
+        raise ValueError(f"expected angles from -2 pi to 2 pi, in radians, found {worst:g}")
+    return angle
+
+
 class TargetSampling(Spec):
     """Where the target lies, in polar coordinates of the robot's start frame."""
 
     distance: NonNegativeRange
     """Distance from the robot, m."""
-    angle: Range
+    angle: Annotated[Range, AfterValidator(_within_a_turn)]
     """Angle from straight ahead, rad; left is positive."""
 
     def extent(self) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -163,7 +174,7 @@ class EvaluationSpec(Spec):
 
     episodes: PositiveInt
     """Episodes a side."""
-    seed: NonNegativeInt = Field(default=20_000, le=2**63 - 1)
+    seed: Seed = 20_000
     """Seed of the starts; all methods and training seeds meet the same episodes."""
     mirrored: bool
     """Also evaluate the exact mirror images of the starts."""

@@ -198,3 +198,10 @@ def test_another_robots_task_without_its_methods_is_told_whose_methods_were_take
     assert "--methods is not given" in told.err
     assert "no representation" in told.err
     assert not told.out
+
+
+def test_a_report_that_cannot_be_written_is_told_before_anything_is_measured(monkeypatch, tmp_path, capsys):
+    monkeypatch.chdir(ROOT)
+    monkeypatch.setattr("kickbench.cli.bench.measure_size", None)
+    assert main(["bench", "--json", str(tmp_path)]) == 2
+    assert capsys.readouterr().err.endswith(": cannot be written: Is a directory\n")

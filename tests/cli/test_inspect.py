@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -240,6 +241,34 @@ def test_list_of_a_folder_that_does_not_exist_is_an_error(place, capsys):
 def test_a_table_of_no_runs_is_an_error(place, capsys):
     assert main(["table", "runs"]) == 2
     assert capsys.readouterr().err == "no finished run in runs\n"
+
+
+@pytest.fixture
+def runs(place):
+    """Two finished runs, and one whose result is damaged."""
+    measured = ROOT / "results/measured/mini_home_field/baseline"
+    for name in ("a/seed0", "b/seed1"):
+        shutil.copytree(measured / Path(name).name, place / name)
+    Path("a/seed2").mkdir()
+    Path("a/seed2/metrics.json").write_text("{")
+
+
+@pytest.mark.parametrize("verb", ["table", "compare"])
+def test_a_folder_without_a_run_is_an_error_beside_one_with_runs(runs, capsys, verb):
+    assert main([verb, "a", "c", "b"]) == 2
+    assert capsys.readouterr().err.splitlines()[-1] == "no finished run in c"
+
+
+def test_a_run_counts_once_however_often_it_is_named(runs, printed):
+    assert printed("table", "a", "a/seed0", "./a") == printed("table", "a")
+
+
+@pytest.mark.parametrize("argv", [["table", "a"], ["compare", "a", "b"], ["list"]], ids=" ".join)
+def test_a_damaged_result_is_told_and_left_out(runs, capsys, argv):
+    assert main(argv) == 0
+    printed = capsys.readouterr()
+    assert printed.err.startswith("left out: a/seed2/metrics.json: no valid metrics: ")
+    assert "a/seed2" not in printed.out
 
 
 def test_show_fields_prints_how_everything_that_is_seen_and_done_mirrors(printed):

@@ -570,3 +570,15 @@ def test_several_tasks_are_checked_one_by_one_since_methods_belong_to_a_robot(ca
     assert " with " not in capsys.readouterr().out
     assert main(["validate", *map(str, files[1:])]) == 2
     assert "the field 'projected_gravity' has no representation" in capsys.readouterr().err
+
+
+def test_an_experiments_robot_is_compared_with_its_geometry_once(edit, fails):
+    edit(ROBOT, "sign: [base_y, base_yaw]", "sign: [base_yaw]")
+    edit(ROBOT, "trivial: [base_x]", "trivial: [base_x, base_y]")
+    Path("x.yaml").write_text(
+        f"seeds: [0]\narms:\n  a: {{task: {TASK}, method: {BASELINE}}}\n  b: {{task: {HOME}, method: {BASELINE}}}\n"
+    )
+    (line,) = fails("validate", "x.yaml")
+    assert line.startswith(
+        f"{place_of(ROBOT, '[base_x, ¦base_y]')}: symmetry.trivial.1: the joint 'base_y' is"
+    )

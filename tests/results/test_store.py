@@ -70,6 +70,25 @@ def test_a_write_that_fails_leaves_the_old_file_and_no_other(tmp_path: Path) -> 
     assert [file.name for file in tmp_path.iterdir()] == ["checkpoint.pt"]
 
 
+@pytest.mark.parametrize(
+    ("path", "reason"),
+    [
+        (".", "Is a directory"),
+        ("folder", "Is a directory"),
+        ("file/a", "Not a directory"),
+        ("n" * 300, "File name too"),
+    ],
+    ids=["here", "folder", "below a file", "long"],
+)
+def test_what_cannot_be_written_is_said(tmp_path, monkeypatch, path, reason) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("folder").mkdir()
+    Path("file").write_text("")
+    with pytest.raises(KickbenchError, match=f"^{path}: cannot be written: {reason}"):
+        atomic_write_text(Path(path), "x")
+    assert sorted(file.name for file in tmp_path.rglob("*")) == ["file", "folder"]
+
+
 def test_a_written_file_has_the_permissions_of_any_other(tmp_path: Path) -> None:
     (tmp_path / "plain").write_text("")
     atomic_write_text(tmp_path / "atomic", "")

@@ -294,3 +294,15 @@ def test_five_measured_seeds_of_the_mini_kicker_leave_the_baselines_mean_loss_op
         "equivariant_keeps": "met",
         "augmentation_keeps": "met",
     }
+
+
+def test_near_reported_with_the_arms_own_task_named_is_as_without(make):
+    value = "{arm: baseline, task: mini_home_field}"
+    claim = f"{{statement: S, kind: near_reported, metric: success_rate, value: {value}, bound: 0.1}}"
+    figures = "{section: S, in_distribution: {success_rate: 0.5}}"
+    overrides = [f"claims.near={claim}", f"arms.baseline.reported={figures}"]
+    experiment = load_reported(ROOT / "results/reported/mini_home_field.yaml", overrides)
+    runs = [make.metrics(make.side(0.51), seed=seed) for seed in range(5)]
+    verdicts = judge(experiment, make.measured({name: runs for name in experiment.arms}))
+    (near,) = (verdict for verdict in verdicts if verdict.name == "near")
+    assert (near.outcome, near.reported) == ("met", 0.5)

@@ -65,6 +65,7 @@ def test_there_are_at_least_as_many_samples_as_mini_batches(complaints, read):
     [
         ("algorithm.iterations=0", "expected a number greater than 0, found the number 0"),
         ("algorithm.iterations=1.5", "expected a whole number, found the number 1.5"),
+        ("algorithm.num_envs=1048577", "expected a number of at most 1048576, found the number 1048577"),
         ("algorithm.learning_rate=-1e-3", "expected a number greater than 0, found the number -0.001"),
         ("algorithm.gamma=1.01", "expected a number of at most 1, found the number 1.01"),
         ("algorithm.gae_lambda=-0.1", "expected a number of at least 0, found the number -0.1"),

@@ -52,6 +52,12 @@ def test_metrics_of_a_run_are_metrics():
         ("[0, 1]", "[0, 1, 0]", "2:8: seeds", "the seed 0 is there twice: seeds are distinct"),
         ("[0, 1]", "[]", "2:8: seeds", "expected at least 1 entry, found an empty list"),
         ("[0, 1]", "[-1]", "2:9: seeds.0", "expected a number of at least 0, found the number -1"),
+        (
+            "[0, 1]",
+            f"[{2**63}]",
+            "2:9: seeds.0",
+            f"expected a number of at most {2**63 - 1}, found the number {2**63}",
+        ),
         ("  baseline: {", "  a b: {", "4:3: arms.a b", "wrong key 'a b': expected a string of the form"),
         ("It is so", "''", "6:18: claims.c.statement", "expected a string of length 1 or more, found"),
         ("[0, 1]", "[0]\niterations: 0", "3:13: iterations", "expected a number greater than 0, found"),
@@ -110,6 +116,13 @@ def test_some_metrics_need_a_name(complaints, metric, key):
     given = TEXT.replace("success_rate", f"success_rate, {key}: " + ("[a]" if key == "terminations" else "a"))
     assert complaints(ReportedSpec, given) == [
         f"a.yaml:6:3: claims.c: {key} is for the metric {metric}; the metric is success_rate"
+    ]
+
+
+def test_a_termination_is_not_counted_twice(complaints):
+    given = TEXT.replace("success_rate", "termination_share, terminations: [fall, time_out, fall]")
+    assert complaints(ReportedSpec, given) == [
+        "a.yaml:6:85: claims.c.terminations: the termination fall is there twice: terminations are distinct"
     ]
 
 

@@ -120,6 +120,12 @@ def test_a_table_without_fields_is_an_error(complaints):
     ]
 
 
+def test_parentheses_nest_only_so_deep():
+    assert parse_expression("(" * 20 + "sign" + ")" * 20) == "sign"
+    with pytest.raises(ValueError, match="parentheses are nested more than 20 deep"):
+        parse_expression("(" * 3000 + "sign" + ")" * 3000)
+
+
 def test_an_expression_is_a_string(complaints):
     assert complaints(RepresentationSpec, "fields:\n  ball: [trivial, sign]\n") == [
         "a.yaml:2:9: fields.ball: expected a string, found a list of 2"

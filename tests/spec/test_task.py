@@ -134,6 +134,16 @@ def test_a_region_may_be_a_point(task):
         ),
         ("evaluation.episodes=0", "expected a number greater than 0, found the number 0"),
         ("terminations.target_hit.radius=0", "expected a number greater than 0, found the number 0"),
+        (
+            "simulation.ls_iterations=2147483648",
+            "expected a number of at most 2147483647, found the number 2147483648",
+        ),
+        ("ball.priority=2147483648", "expected a number of at most 2147483647, found the number 2147483648"),
+        ("simulation.timestep=1e-310", "expected a number of at least 1e-06, found the number 1e-310"),
+        ("simulation.control_interval=1e9", "expected a number of at most 10, found the number 1000000000.0"),
+        ("ball.radius=1e200", "expected a number of at most 10, found the number 1e+200"),
+        ("ball.mass=1e200", "expected a number of at most 1000, found the number 1e+200"),
+        ("sampling.target.angle=[0, 1e9]", "expected angles from -2 pi to 2 pi, in radians, found 1e+09"),
         ("rewards.target_distance.sigma=-1", "expected a number greater than 0, found the number -1"),
     ],
 )
@@ -166,7 +176,7 @@ def test_the_parts_of_a_task_are_required(wrong, key):
         ((1.0, 2.0), (-1.0, 1.0), ((math.cos(1.0), 2.0), (-2 * math.sin(1.0), 2 * math.sin(1.0)))),
         ((2.5, 8.5), (0.0, math.pi), ((-8.5, 8.5), (0.0, 8.5))),
         ((1.0, 3.0), (3.0, 4.0), ((-3.0, math.cos(4.0)), (3 * math.sin(4.0), 3 * math.sin(3.0)))),
-        ((0.0, 1.0), (-10.0, 10.0), ((-1.0, 1.0), (-1.0, 1.0))),
+        ((0.0, 1.0), (-6.0, 6.0), ((-1.0, 1.0), (-1.0, 1.0))),
     ],
 )
 def test_the_extent_of_targets_is_that_of_their_sector(distance, angle, extent):
