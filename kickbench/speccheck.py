@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -51,7 +52,7 @@ def kind_of(document: Document) -> str:
 
 @dataclass
 class Report:
-    """What was found in one file, or in a task and a method together."""
+    """What was found in one file, or in a task and a method together; with no kind only a note."""
 
     name: str
     kind: str
@@ -60,7 +61,7 @@ class Report:
 
 
 def check_files(files: Sequence[Path], overrides: Sequence[str] = ()) -> Iterator[Report]:
-    """Checks every file, and a single task with every method among them.
+    """Checks every file once, and a single task with every method among them.
 
     Args:
         files: Tasks, methods, robots, representation tables and reported experiments.
@@ -69,7 +70,7 @@ def check_files(files: Sequence[Path], overrides: Sequence[str] = ()) -> Iterato
     unused = dict.fromkeys(overrides)
     tasks: list[CompiledTask] = []
     methods: list[LoadedMethod] = []
-    for path in files:
+    for path in {os.path.abspath(path): path for path in files}.values():
         report = Report(str(path), "?")
         try:
             report.kind = kind_of(load_document(path))
@@ -82,6 +83,9 @@ def check_files(files: Sequence[Path], overrides: Sequence[str] = ()) -> Iterato
     for text in unused:
         yield Report(f"--set {text}", "override", [_unused(text)])
     # Methods are made for a robot: several tasks and methods at once need not all go together.
+    if len(tasks) > 1 and methods:
+        note = "not checked together: that takes one task and its methods"
+        yield Report(f"{len(tasks)} tasks, {len(methods)} methods", "", notes=[note])
     for method in methods if len(tasks) == 1 else ():
         report = Report(f"{tasks[0].name} with {method.name}", "task and method")
         try:

@@ -148,14 +148,15 @@ def _add_inspection(verbs: argparse._SubParsersAction) -> None:
     verb.add_argument(
         "file", type=Path, metavar="FILE", help="task, method, robot, representations or reported"
     )
-    verb.add_argument(
+    instead = verb.add_mutually_exclusive_group()
+    instead.add_argument(
         "--plot",
         type=Path,
         metavar="FILE",
         action=_Plot,
         help="draw a task's sampling regions from above instead (.png, .svg)",
     )
-    verb.add_argument(
+    instead.add_argument(
         "--fields",
         type=Path,
         metavar="METHOD",
@@ -208,9 +209,7 @@ def _add_bench(verbs: argparse._SubParsersAction) -> None:
         metavar="DIR",
         help="folder of the three methods compared (default: methods/mini; methods for the K1)",
     )
-    verb.add_argument(
-        "--num-envs", type=_positive, nargs="+", metavar="N", default=[512], help="worlds (default: 512)"
-    )
+    verb.add_argument("--num-envs", type=_positive, nargs="+", metavar="N", help="worlds (default: 512)")
     verb.add_argument("--rounds", type=_positive, default=10, help="interleaved repetitions (default: 10)")
     verb.add_argument("--json", type=Path, metavar="FILE", help="write the figures as JSON, too")
     verb.add_argument(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
@@ -16,6 +16,7 @@ from kickbench.bench.profile import profile_iteration
 from kickbench.bench.record import BenchReport, Profile, SizeFigures, write_report
 from kickbench.bench.text import print_report
 from kickbench.bench.training import Iterations
+from kickbench.cli.flags import override_of, refuse_contradiction
 from kickbench.errors import SpecError
 from kickbench.experiment import Experiment, load_experiment
 from kickbench.nets.threads import torch_threads
@@ -26,6 +27,8 @@ from kickbench.results.provenance import collect_provenance
 
 _METHODS = ("baseline", "augmentation", "equivariant")
 _DEFAULT_METHODS = Path("methods/mini")
+_NUM_ENVS = "algorithm.num_envs"
+_DEFAULT_WORLDS = 512
 _PROFILED_ITERATIONS = 3
 
 
@@ -35,7 +38,7 @@ def bench(arguments: argparse.Namespace) -> int:
     started = datetime.now(UTC)
     setting = Setting(arguments.device, arguments.threads or usable_cores(), arguments.rounds)
     # All at first: a wrong file is told before anything is measured.
-    chosen = [_experiments(arguments, num_envs) for num_envs in arguments.num_envs]
+    chosen = [_experiments(arguments, num_envs) for num_envs in _worlds(arguments)]
     if arguments.json:
         check_writable(arguments.json)
     sizes = [_measured(experiments, setting) for experiments in chosen]
@@ -61,8 +64,16 @@ def bench(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _experiments(arguments: argparse.Namespace, num_envs: int) -> dict[str, Experiment]:
-    overrides = [*arguments.overrides, f"algorithm.num_envs={num_envs}"]
+def _worlds(arguments: argparse.Namespace) -> Sequence[int | None]:
+    """Numbers of worlds to measure; None stands for that which a `--set` gives."""
+    refuse_contradiction(arguments.overrides, _NUM_ENVS, "--num-envs", arguments.num_envs)
+    default = _DEFAULT_WORLDS if override_of(arguments.overrides, _NUM_ENVS) is None else None
+    return arguments.num_envs or [default]
+
+
+def _experiments(arguments: argparse.Namespace, num_envs: int | None) -> dict[str, Experiment]:
+    of_flag = [] if num_envs is None else [f"{_NUM_ENVS}={num_envs}"]
+    overrides = [*arguments.overrides, *of_flag]
     folder = arguments.methods or _DEFAULT_METHODS
     paths = {name: Path(folder, f"{name}.yaml") for name in _METHODS}
     try:

@@ -20,7 +20,7 @@ def validate(arguments: argparse.Namespace) -> int:
     problems: list[Problem] = []
     for report in check_files(arguments.files, arguments.overrides):
         problems += report.problems
-        if not report.problems:
+        if report.kind and not report.problems:
             print(f"{report.name}: fine ({report.kind})")
         for note in report.notes:
             print(f"{report.name}: note: {note}")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 
+from kickbench.cli.flags import refuse_contradiction
 from kickbench.errors import KickbenchError
 from kickbench.results.metrics import write_metrics
 from kickbench.results.store import RunDirectory
@@ -15,6 +16,9 @@ from kickbench.runner import run as run_experiment
 
 def run(arguments: argparse.Namespace) -> int:
     """`kickbench run TASK METHOD`."""
+    for flag, value in (("iterations", arguments.iterations), ("num_envs", arguments.num_envs)):
+        values = None if value is None else [value]
+        refuse_contradiction(arguments.overrides, f"algorithm.{flag}", f"--{flag.replace('_', '-')}", values)
     outcome = run_experiment(
         RunRequest(
             task=arguments.task,

@@ -205,3 +205,26 @@ def test_a_report_that_cannot_be_written_is_told_before_anything_is_measured(mon
     monkeypatch.setattr("kickbench.cli.bench.measure_size", None)
     assert main(["bench", "--json", str(tmp_path)]) == 2
     assert capsys.readouterr().err.endswith(": cannot be written: Is a directory\n")
+
+
+@pytest.mark.parametrize(
+    ("argv", "sizes"),
+    [([], [512]), (["--set", "algorithm.num_envs=8"], [8]), (["--num-envs", "4", "8"], [4, 8])],
+)
+def test_the_number_of_worlds_may_be_set_either_way(monkeypatch, argv, sizes):
+    found: list[int] = []
+
+    def measure(experiments, *_):
+        found.append(experiments["baseline"].method.spec.algorithm.num_envs)
+        raise KickbenchError("enough")
+
+    monkeypatch.chdir(ROOT)
+    monkeypatch.setattr("kickbench.cli.bench.measure_size", measure)
+    main(["bench", *argv])
+    assert found == sizes[:1]
+
+
+def test_two_numbers_of_worlds_are_an_error(monkeypatch, capsys):
+    monkeypatch.chdir(ROOT)
+    assert main(["bench", "--num-envs", "4", "8", "--set", "algorithm.num_envs=8"]) == 2
+    assert "--num-envs 4 8 sets algorithm.num_envs, too" in capsys.readouterr().err

@@ -567,7 +567,9 @@ def test_several_tasks_are_checked_one_by_one_since_methods_belong_to_a_robot(ca
         root / "methods/mini/baseline.yaml",
     ]
     assert main(["validate", *map(str, files)]) == 0
-    assert " with " not in capsys.readouterr().out
+    *fine, note = capsys.readouterr().out.splitlines()
+    assert [line.rpartition(": ")[2] for line in fine] == ["fine (task)", "fine (task)", "fine (method)"]
+    assert note == "2 tasks, 1 methods: note: not checked together: that takes one task and its methods"
     assert main(["validate", *map(str, files[1:])]) == 2
     assert "the field 'projected_gravity' has no representation" in capsys.readouterr().err
 
@@ -582,3 +584,17 @@ def test_an_experiments_robot_is_compared_with_its_geometry_once(edit, fails):
     assert line.startswith(
         f"{place_of(ROBOT, '[base_x, ¦base_y]')}: symmetry.trivial.1: the joint 'base_y' is"
     )
+
+
+def test_a_file_that_is_named_twice_is_checked_once(place, capsys):
+    assert main(["validate", TASK, BASELINE, f"./{TASK}"]) == 0
+    lines = [line.partition(": ")[2] for line in capsys.readouterr().out.splitlines()]
+    assert lines == ["fine (task)", "fine (method)", "fine (task and method)"]
+
+
+@pytest.mark.parametrize(("flag", "key"), [("--iterations", "iterations"), ("--num-envs", "num_envs")])
+def test_a_flag_and_an_override_do_not_contradict_each_other(fails, flag, key):
+    override = f"algorithm.{key}=7"
+    assert fails("run", TASK, BASELINE, "--set", override, flag, "5", "--out", "runs/x") == [
+        f"--set {override}: {flag} 5 sets algorithm.{key}, too: give one of them only"
+    ]
