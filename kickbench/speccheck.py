@@ -67,7 +67,7 @@ def check_files(files: Sequence[Path], overrides: Sequence[str] = ()) -> Iterato
         files: Tasks, methods, robots, representation tables and reported experiments.
         overrides: `key.path=value` texts, applied to the files whose kind has the first key.
     """
-    unused = dict.fromkeys(overrides)
+    unused, unknown = dict.fromkeys(overrides), False
     tasks: list[CompiledTask] = []
     methods: list[LoadedMethod] = []
     for path in {os.path.abspath(path): path for path in files}.values():
@@ -79,13 +79,15 @@ def check_files(files: Sequence[Path], overrides: Sequence[str] = ()) -> Iterato
             _check(path, report, own, tasks, methods)
         except SpecError as error:
             report.problems += error.problems
+        unknown |= report.kind == "?"
         yield report
-    for text in unused:
+    # A file that cannot be read may have any key.
+    for text in () if unknown else unused:
         yield Report(f"--set {text}", "override", [_unused(text)])
     # Methods are made for a robot: several tasks and methods at once need not all go together.
     if len(tasks) > 1 and methods:
-        note = "not checked together: that takes one task and its methods"
-        yield Report(f"{len(tasks)} tasks, {len(methods)} methods", "", notes=[note])
+        note = "none was checked together with a method, which takes a single task"
+        yield Report("several tasks", "", notes=[note])
     for method in methods if len(tasks) == 1 else ():
         report = Report(f"{tasks[0].name} with {method.name}", "task and method")
         try:

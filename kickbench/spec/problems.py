@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -22,7 +23,8 @@ def problems_of(error: ValidationError, model: type[BaseModel], document: Docume
         model: The model that was validated.
         document: The document with its data.
     """
-    findings = [_find(detail, model, document.data) for detail in error.errors(include_url=False)]
+    details = [detail for detail in error.errors(include_url=False) if not _only_seems_short(detail)]
+    findings = [_find(detail, model, document.data) for detail in details]
     groups: dict[KeyPath, list[_Finding]] = {}
     for finding in findings:
         groups.setdefault(finding.path, []).append(finding)
@@ -54,6 +56,16 @@ def _words(group: list[_Finding], document: Document) -> Iterable[Problem]:
         yield Problem(mark, finding.path, str(finding.message), finding.hint)
 
 
+def _only_seems_short(detail: ErrorDetails) -> bool:
+    """Pydantic counts the right entries of a list alone; what is wrong with the others has errors of its own."""
+    found = detail["input"]
+    return (
+        detail["type"] == "too_short"
+        and isinstance(found, list)
+        and len(found) >= detail.get("ctx", {})["min_length"]
+    )
+
+
 def _find(detail: ErrorDetails, model: type[BaseModel], data: Any) -> _Finding:
     kind, found, context = detail["type"], detail["input"], detail.get("ctx", {})
     path, of_key = _path(detail["loc"], data, absent=kind == "missing")
@@ -65,7 +77,7 @@ def _find(detail: ErrorDetails, model: type[BaseModel], data: Any) -> _Finding:
     if kind in ("literal_error", "enum"):
         return _wrong_choice(path, found, hints, str(context.get("expected")), of_key)
     if kind in ("union_tag_invalid", "union_tag_not_found"):
-        return _wrong_tag(path, context)
+        return _wrong_tag(path, found, context)
     if kind in ("value_error", "assertion_error"):
         # What a model says of its keys together belongs to its key, what is said of one value to the value.
         of_model = isinstance(found, Mapping | BaseModel)
@@ -147,13 +159,14 @@ def _wrong_choice(path: KeyPath, found: Any, hints: list[Hint], expected: str, o
     return _Finding(path, expected=f"one of: {listed}", found=found, hint=hint)
 
 
-def _wrong_tag(path: KeyPath, context: Mapping[str, Any]) -> _Finding:
+def _wrong_tag(path: KeyPath, table: Mapping[str, Any], context: Mapping[str, Any]) -> _Finding:
     key = str(context["discriminator"]).strip("'")
     if "tag" not in context:
         return _Finding((*path, key), message=f"missing key '{key}'")
     tags = [tag.strip("'") for tag in str(context["expected_tags"]).split(", ")]
     hint = did_you_mean(str(context["tag"]), tags)
-    return _Finding((*path, key), expected=f"one of: {', '.join(tags)}", found=context["tag"], hint=hint)
+    # Not the context's tag, which is the text of it, whatever its type.
+    return _Finding((*path, key), expected=f"one of: {', '.join(tags)}", found=table[key], hint=hint)
 
 
 _TYPES = {
@@ -224,7 +237,6 @@ def _type_hint(kind: str, found: Any) -> str | None:
 
 def _is_number(text: str) -> bool:
     try:
-        float(text)
+        return math.isfinite(float(text))
     except ValueError:
         return False
-    return True

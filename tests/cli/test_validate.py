@@ -527,6 +527,12 @@ def test_an_override_that_no_file_takes_is_an_error(fails):
     ]
 
 
+def test_a_file_that_cannot_be_read_may_have_the_key_of_an_override(fails):
+    Path("twice.yaml").write_text("a: 1\na: 2\n")
+    (line,) = fails("validate", "twice.yaml", "--set", "rewards.survival.weight=3")
+    assert line.startswith("twice.yaml:2:1: a: duplicate key")
+
+
 @pytest.mark.parametrize(
     "name", ["wrong term name", "joint driven on one side only", "field without a representation"]
 )
@@ -569,7 +575,7 @@ def test_several_tasks_are_checked_one_by_one_since_methods_belong_to_a_robot(ca
     assert main(["validate", *map(str, files)]) == 0
     *fine, note = capsys.readouterr().out.splitlines()
     assert [line.rpartition(": ")[2] for line in fine] == ["fine (task)", "fine (task)", "fine (method)"]
-    assert note == "2 tasks, 1 methods: note: not checked together: that takes one task and its methods"
+    assert note == "several tasks: note: none was checked together with a method, which takes a single task"
     assert main(["validate", *map(str, files[1:])]) == 2
     assert "the field 'projected_gravity' has no representation" in capsys.readouterr().err
 

@@ -80,6 +80,17 @@ def test_an_unknown_metric_lists_every_metric_once_and_names_the_nearest(complai
     assert complaint.endswith("(did you mean 'success_rate'?)")
 
 
+@pytest.mark.parametrize(("kind", "said"), [("3", "the number 3"), ("null", "null"), ("[a]", "a list of 1")])
+def test_a_kind_that_is_no_name_is_shown_as_it_is(complaints, kind, said):
+    (complaint,) = complaints(ReportedSpec, TEXT.replace("at_least", kind))
+    assert complaint.endswith(f"near_reported, found {said}")
+
+
+def test_a_wrong_seed_does_not_make_the_list_short(complaints):
+    (complaint,) = complaints(ReportedSpec, TEXT.replace("[0, 1]", "[-1]"))
+    assert "seeds.0: expected a number of at least 0" in complaint
+
+
 def test_a_kind_has_its_own_keys_only(complaints):
     (complaint,) = complaints(ReportedSpec, TEXT.replace("bound", "minus: {arm: baseline}, bound"))
     keys = "statement, section, metric, terminations, reward, seeds, value, kind, bound"
