@@ -14,7 +14,8 @@ def derive(arguments: argparse.Namespace) -> int:
     from kickbench.symmetry.derive import derive as derive_from
 
     if not arguments.model.is_file():
-        raise KickbenchError(f"{arguments.model}: no such file")
+        what = "a folder, no file" if arguments.model.is_dir() else "no such file"
+        raise KickbenchError(f"{arguments.model}: {what}")
     derivation = derive_from(compile_skeleton(arguments.model), arguments.plane)
     print(symmetry_block(derivation, arguments.model.name))
     return 1 if derivation.unclear else 0

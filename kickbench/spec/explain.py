@@ -42,7 +42,8 @@ class _Line:
     comment: str | None = None
 
     def aligned(self, width: int) -> str:
-        return f"{self.text:<{width}}  # {self.comment}" if self.comment else self.text
+        # An override may have line breaks; a comment ends at one.
+        return f"{self.text:<{width}}  # {' '.join(self.comment.split())}" if self.comment else self.text
 
     def below(self, prefix: str) -> _Line:
         """The line as part of a block that is one level further in."""

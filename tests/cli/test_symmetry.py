@@ -36,6 +36,8 @@ def test_a_model_with_a_joint_that_has_no_image_is_printed_and_fails(capsys):
 def test_a_missing_model_and_one_that_is_none_are_errors(place, capsys):
     assert main(["symmetry", "derive", "none.xml"]) == 2
     assert capsys.readouterr().err == "none.xml: no such file\n"
+    assert main(["symmetry", "derive", "assets"]) == 2
+    assert capsys.readouterr().err == "assets: a folder, no file\n"
     Path("bad.xml").write_text("<mujoco><nothing/></mujoco>")
     assert main(["symmetry", "derive", "bad.xml"]) == 2
     assert "bad.xml: MuJoCo cannot read this model" in capsys.readouterr().err
