@@ -245,9 +245,10 @@ def term_rows(recording: Recording) -> Iterator[Row]:
             share = float((mine != 0.0).mean())
             detail = ""
             verdict: Verdict = "ok"
-            if error > tolerance:
+            # NaN compares false, and is no agreement.
+            if not error <= tolerance:
                 verdict = "FAIL"
-                odd = int((np.abs(mine - theirs) > tolerance).sum())
+                odd = int((~(np.abs(mine - theirs) <= tolerance)).sum())
                 detail = f"declared invariant; measured: changes by up to {error:.2g} ({odd} of {len(mine)} states)"
             elif peak == 0.0:
                 verdict, detail = "never excited", "zero in every state"

@@ -68,7 +68,10 @@ def _verdicts(plan: Plan) -> str:
     if plan.record.overrides:
         # Nothing in a result tells that its specs are not the experiment's, so no claim is judged by it.
         return f"no verdicts: not the experiment as it is stated ({plan.record.deviation})"
-    verdicts = judge(plan.experiment, read_measured(plan.folder, plan.experiment))
+    try:
+        verdicts = judge(plan.experiment, read_measured(plan.folder, plan.experiment))
+    except KickbenchError as error:  # the runs that failed are still to be named
+        return f"no verdicts: {error}"
     return "\n".join(verdict_lines(plan.experiment, verdicts)).rstrip()
 
 

@@ -141,16 +141,16 @@ def read_tail(path: Path) -> ProgressTail | None:
     except OSError:
         return None
     lines = body[: body.rfind(b"\n") + 1].decode("utf-8", errors="replace").splitlines()
-    columns = next(csv.reader([header.decode("utf-8", errors="replace")]), [])
-    rows = [
-        dict(zip(columns, row, strict=True))
-        # A read from the middle of the file begins in the middle of a row.
-        for row in csv.reader(lines if at_start else lines[1:])
-        if len(row) == len(columns)
-    ]
     try:
+        columns = next(csv.reader([header.decode("utf-8", errors="replace")]), [])
+        rows = [
+            dict(zip(columns, row, strict=True))
+            # A read from the middle of the file begins in the middle of a row.
+            for row in csv.reader(lines if at_start else lines[1:])
+            if len(row) == len(columns)
+        ]
         return _summary(rows[-_PACE_ROWS:]) if rows else None
-    except (KeyError, ValueError):
+    except (KeyError, ValueError, csv.Error):
         return None  # not a progress table of ours
 
 

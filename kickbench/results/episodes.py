@@ -128,12 +128,12 @@ def read_episodes(path: Path) -> EpisodeSides:
     try:
         with open(path, encoding="utf-8", newline="") as file:
             rows = list(csv.reader(file))
-    except OSError as error:
-        raise KickbenchError(f"{path}: cannot read the episode table: {error.strerror}") from error
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise KickbenchError(f"{path}: cannot read the episode table: {error}") from error
     _check_rows(path, rows)
     try:
         home, mirrored = (_parse_side(rows[1:], side) for side in _SIDES)
-    except ValueError as error:
+    except (ValueError, OverflowError) as error:
         raise KickbenchError(f"{path}: {error}") from error
     return EpisodeSides(home, mirrored if len(mirrored) else None)
 

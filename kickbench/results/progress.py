@@ -41,9 +41,9 @@ def read_progress(path: Path) -> Progress:
     """
     try:
         text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+        rows = list(csv.reader(io.StringIO(text[: text.rfind("\n") + 1], newline="")))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise KickbenchError(f"{path}: cannot read the progress table: {error}") from error
-    rows = list(csv.reader(io.StringIO(text[: text.rfind("\n") + 1], newline="")))
     if not rows or rows[0][:1] != ["iteration"]:
         raise KickbenchError(f"{path}:1: expected a progress table whose first column is iteration")
     names = rows[0]

@@ -124,16 +124,17 @@ class Countdown:
     def __init__(self, clock: Clock = time.monotonic) -> None:
         self._clock = clock
         self.total = self._first = self.done = 0
-        self._started = clock()
+        self._started = self._advanced = clock()
 
     def start(self, total_iterations: int, first_iteration: int) -> None:
         """Start counting at `first_iteration` of `total_iterations`."""
         self.total, self._first, self.done = total_iterations, first_iteration, first_iteration
-        self._started = self._clock()
+        self._started = self._advanced = self._clock()
 
     def advance(self, record: IterationRecord) -> None:
         """Count the iteration of `record` as done."""
         self.done = record.iteration + 1
+        self._advanced = self._clock()
 
     @property
     def fraction(self) -> float:
@@ -146,7 +147,9 @@ class Countdown:
         here = self.done - self._first
         if here < 1:
             return math.nan
-        return (self._clock() - self._started) / here * max(0, self.total - self.done)
+        # The pace is that of the iterations done; the time since the last of them is time gone of what is left.
+        left = (self._advanced - self._started) / here * max(0, self.total - self.done)
+        return max(0.0, left - (self._clock() - self._advanced))
 
 
 class PlainProgress:

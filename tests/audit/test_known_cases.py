@@ -210,6 +210,19 @@ def test_what_is_no_table_is_refused(capsys):
     assert "expected a method or a representation table, found a task file" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("mine", "theirs"), [([1.0, float("nan")], [1.0, 5.0]), ([1.0, 2.0], [1.0, float("nan")])]
+)
+def test_a_term_that_is_no_number_is_not_invariant(mini, mine, theirs):
+    from kickbench.audit.checks import term_rows
+    from kickbench.audit.record import Pairs
+
+    odd, everywhere = Pairs("odd"), torch.ones(2, dtype=torch.bool)
+    odd.add(torch.tensor(mine), torch.tensor(theirs), everywhere)
+    (row,) = term_rows(replace(mini.recording, rewards=(odd,), terminations=()))
+    assert row.verdict == "FAIL"
+
+
 # Policies
 
 

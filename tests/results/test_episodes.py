@@ -126,6 +126,14 @@ def test_a_damaged_file_is_an_error_that_names_the_place(
     assert "episodes.csv" in str(caught.value)
 
 
+@pytest.mark.parametrize("damage", [b"\xff\xfe\x00", b'"' + b"1" * 200_000])
+def test_a_file_that_is_no_table_at_all_is_an_error(tmp_path: Path, damage: bytes) -> None:
+    path = tmp_path / "episodes.csv"
+    path.write_bytes(damage)
+    with pytest.raises(KickbenchError, match=r"episodes\.csv: cannot read the episode table"):
+        read_episodes(path)
+
+
 def test_a_missing_file_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(KickbenchError, match="No such file"):
         read_episodes(tmp_path / "episodes.csv")

@@ -14,6 +14,7 @@ import pytest
 
 from kickbench.errors import KickbenchError
 from kickbench.train.progress import (
+    Countdown,
     IterationRecord,
     PlainProgress,
     ProgressGroup,
@@ -98,6 +99,19 @@ def test_a_fast_training_prints_a_line_every_five_percent() -> None:
 def test_a_slow_training_prints_a_line_every_ten_seconds() -> None:
     counts = [int(line.split("/")[0]) for line in plain_lines(4.0, 10_000, range(9))[1:]]
     assert counts == [1, 4, 7, 9]
+
+
+def test_the_time_left_falls_while_an_iteration_runs() -> None:
+    clock = Clock()
+    countdown = Countdown(clock)
+    countdown.start(100, 0)
+    clock.now += 60.0
+    countdown.advance(record(0))
+    assert countdown.seconds_left == 99 * 60.0
+    clock.now += 59.0
+    assert countdown.seconds_left == 98 * 60.0 + 1.0
+    clock.now += 1e6
+    assert countdown.seconds_left == 0.0
 
 
 def test_an_interrupted_training_prints_its_last_iteration_once() -> None:
