@@ -79,6 +79,7 @@ def rows(machine: Machine) -> list[tuple[str, str]]:
         ("processor", f"{machine.processor}, {_count(machine.cores, 'core')} usable"),
         *(("graphics card", gpu) for gpu in machine.gpus or ("no NVIDIA driver answers",)),
         *(("CUDA device", device) for device in machine.devices or ("none",)),
+        ("idle threads", _waiting(os.environ)),
         ("CUDA graphs", graphs),
         ("pictures", drawing),
     ]
@@ -199,6 +200,16 @@ def _drawing() -> tuple[str | None, str]:
 
 def _one_line(text: str) -> str:
     return " ".join(text.split())
+
+
+def _waiting(environment: Mapping[str, str]) -> str:
+    """What torch's threads do while they have no work: kickbench asks for passive waiting where nothing is set."""
+    if "GOMP_SPINCOUNT" in environment:
+        return f"spin: GOMP_SPINCOUNT={environment['GOMP_SPINCOUNT']}"
+    policy = environment.get("OMP_WAIT_POLICY", "not set")
+    if policy.upper() == "PASSIVE":
+        return "sleep (OMP_WAIT_POLICY=PASSIVE)"
+    return f"spin (OMP_WAIT_POLICY={policy}): slow beside other processes"
 
 
 def _count(number: int, noun: str) -> str:

@@ -31,12 +31,12 @@ _ENUMS = {
         "implicitfast": mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
     },
     "cone": {"elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC, "pyramidal": mujoco.mjtCone.mjCONE_PYRAMIDAL},
-    "jacobian": {
-        "dense": mujoco.mjtJacobian.mjJAC_DENSE,
-        "sparse": mujoco.mjtJacobian.mjJAC_SPARSE,
-        "auto": mujoco.mjtJacobian.mjJAC_AUTO,
-    },
 }
+_INERTIA = {"solid": mujoco.mjtGeomInertia.mjINERTIA_VOLUME, "shell": mujoco.mjtGeomInertia.mjINERTIA_SHELL}
+_SPARSE_FROM = 32
+"""Degrees of freedom from which on a sparse Jacobian is faster; also where mujoco_warp draws the line.
+
+Steps of the K1 (34) take 0.87 times as long with a sparse one, those of the mini kicker (13) 1.14 times."""
 
 
 @dataclass(frozen=True)
@@ -106,6 +106,7 @@ def build_scene(task: TaskSpec, robot: Loaded[RobotSpec], needs: frozenset[Senso
         model = physics.compile()
     except ValueError as error:
         raise _model_error(robot, "compile the scene of this model", error) from None
+    model.opt.jacobian = _jacobian(task.simulation, model.nv)
     layout = read_layout(model, robot.spec, plans)
     if problems := check_start(robot, model, layout.default_qpos, ROBOT + root):
         raise SpecError(problems)
@@ -165,6 +166,11 @@ def _set_options(scene: mujoco.MjSpec, simulation: SimulationSpec) -> None:
     option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
 
 
+def _jacobian(simulation: SimulationSpec, dofs: int) -> int:
+    sparse = dofs >= _SPARSE_FROM if simulation.jacobian == "auto" else simulation.jacobian == "sparse"
+    return mujoco.mjtJacobian.mjJAC_SPARSE if sparse else mujoco.mjtJacobian.mjJAC_DENSE
+
+
 def _add_floor(scene: mujoco.MjSpec, task: TaskSpec) -> None:
     texture = scene.add_texture(
         name="grid", type=mujoco.mjtTexture.mjTEXTURE_2D, builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER
@@ -193,7 +199,7 @@ def _add_ball(scene: mujoco.MjSpec, ball: BallSpec) -> None:
         type=mujoco.mjtGeom.mjGEOM_SPHERE,
         size=[ball.radius, 0, 0],
         mass=ball.mass,
-        typeinertia=mujoco.mjtGeomInertia.mjINERTIA_SHELL,
+        typeinertia=_INERTIA[ball.inertia],
         friction=ball.friction,
         condim=ball.condim,
         priority=ball.priority,

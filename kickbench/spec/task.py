@@ -36,7 +36,10 @@ class BallSpec(Spec):
     mass: PositiveFloat = Field(default=0.1, le=1000)
     """Mass, kg."""
     radius: PositiveFloat = Field(default=0.08, le=10)
-    """Radius, m. The ball is a thin-walled sphere: inertia 2/3 m r^2."""
+    """Radius, m."""
+    inertia: Literal["solid", "shell"]
+    """How the mass is spread. solid: throughout, 2/5 m r^2; shell: on the surface, 2/3 m r^2. A solid ball rolls
+    farther from the same kick: 8.6 against 7.6 m at 6.4 m/s."""
     friction: Friction = (1.0, 0.5, 0.015)
     """Sliding, torsional (m) and rolling (m) friction."""
     condim: Literal[3, 4, 6] = 6
@@ -65,8 +68,9 @@ class SimulationSpec(Spec):
     """Integrator."""
     cone: Literal["elliptic", "pyramidal"] = "elliptic"
     """Friction cone; the pyramidal one makes the ball's roll depend on its heading (digest)."""
-    jacobian: Literal["dense", "sparse", "auto"] = "dense"
-    """Constraint Jacobian."""
+    jacobian: Literal["dense", "sparse", "auto"] = "auto"
+    """How the constraint Jacobian is stored, which changes the speed and not the physics. auto: sparse from 32 degrees
+    of freedom on, dense below."""
     iterations: PositiveInt = 10
     """Newton iterations."""
     ls_iterations: PositiveInt = 20
@@ -193,7 +197,7 @@ class TaskSpec(Spec):
     """One line for lists and reports."""
     robot: FileRef
     """Path of the robot's YAML file."""
-    ball: BallSpec = BallSpec()
+    ball: BallSpec
     """Ball."""
     floor: FloorSpec = FloorSpec()
     """Floor."""

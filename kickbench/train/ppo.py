@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -67,6 +68,16 @@ def tf32_products(enabled: bool) -> Iterator[None]:
         matmul.allow_tf32 = before
 
 
+class GatheredRollout(RolloutStorage):
+    """rsl_rl's storage, which draws one permutation an update: its mini-batches are gathered once, not every epoch."""
+
+    def mini_batch_generator(self, num_mini_batches: int, num_epochs: int = 8) -> Iterator[RolloutStorage.Batch]:
+        """See `RolloutStorage.mini_batch_generator`; each batch is an object of its own over shared tensors."""
+        batches = list(super().mini_batch_generator(num_mini_batches, 1))
+        for _ in range(num_epochs):
+            yield from map(copy.copy, batches)
+
+
 class _AugmentationOnly(Symmetry):
     """rsl_rl's symmetry extension without the pass for a mirror loss that nobody asked for."""
 
@@ -90,7 +101,7 @@ def build_ppo(
     actor = build_actor(method, symmetry.groups["actor"], symmetry.actions)
     critic = build_critic(method, symmetry.groups["critic"])
     envs, actions = observations.batch_size[0], symmetry.actions.dim
-    storage = RolloutStorage("rl", envs, settings.steps_per_env, observations, [actions], str(device))
+    storage = GatheredRollout("rl", envs, settings.steps_per_env, observations, [actions], str(device))
     shared = {"device": str(device), "multi_gpu_cfg": ranks.rsl_rl()}
     ppo = BoundedPPO(actor, critic, storage, **shared, **_settings(settings))
     ppo.symmetry = _build_symmetry(method.symmetry, symmetry)
