@@ -172,8 +172,8 @@ def roll(timestep: float, speed: float, heading: float) -> tuple[float, float, f
 @pytest.mark.parametrize("timestep", [0.002, 0.005])
 @pytest.mark.parametrize("speed", [1.0, 2.0, 4.0, 6.0])
 def test_a_ball_rolls_as_far_and_as_long_as_rolling_friction_says_in_every_direction(timestep, speed):
-    """A thin shell decelerates by c g / (r (1 + 2/3)), c = 0.015 m the rolling friction: 1.10 m/s^2."""
-    deceleration = 0.015 * 9.81 / (0.08 * (1 + 2 / 3))
+    """A solid ball decelerates by c g / (r (1 + 2/5)), c = 0.015 m the rolling friction: 1.31 m/s^2."""
+    deceleration = 0.015 * 9.81 / (0.08 * (1 + 2 / 5))
     far, long = speed**2 / (2 * deceleration), speed / deceleration
     along, across = roll(timestep, speed, 0.0), roll(timestep, speed, 0.7)
     for heading, (distance, drift, seconds) in ((0.0, along), (0.7, across)):

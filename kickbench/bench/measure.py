@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
@@ -66,7 +67,9 @@ def measure_size(experiments: Mapping[str, Experiment], setting: Setting, tell: 
             tell(done)
             stage.round()
             for name, method in methods.items():
+                before = time.process_time()
                 record = method()
+                stage.watch.note(f"cpu {name}", time.process_time() - before)
                 stage.watch.note(f"rollout {name}", record.collect_seconds)
                 stage.watch.note(f"update {name}", record.update_seconds)
                 stage.watch.note(f"iteration {name}", record.collect_seconds + record.update_seconds)
@@ -133,6 +136,7 @@ def _method_figures(method: Iterations, timing: Timing, name: str, reference: st
         iteration_seconds=timing.median(f"iteration {name}"),
         iteration_ratio=timing.ratio(f"iteration {name}", f"iteration {reference}"),
         iteration_steps_per_second=samples / timing.median(f"iteration {name}"),
+        steps_per_cpu_second=samples / timing.median(f"cpu {name}"),
     )
 
 

@@ -38,6 +38,9 @@ class MethodFigures(Record):
     iteration_seconds: PositiveFloat = Field(description="rollout and update [s]")
     iteration_ratio: PositiveFloat = Field(description="the same over that of the first method")
     iteration_steps_per_second: PositiveFloat = Field(description="steps of whole iterations [1/s]")
+    steps_per_cpu_second: PositiveFloat = Field(
+        description="steps of whole iterations per second of CPU time, all threads of the process together [1/s]"
+    )
 
 
 class Count(Record):

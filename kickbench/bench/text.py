@@ -30,7 +30,7 @@ def print_report(report: BenchReport, console: Console) -> None:
 def _sizes(size: SizeFigures) -> Table:
     table = Table(box=None, pad_edge=False)
     table.add_column("", no_wrap=True)
-    for heading in ("steps/s", "/physics", "update ms", "/first", "iter. ms", "/first"):
+    for heading in ("steps/s", "/physics", "update ms", "/first", "iter. ms", "/first", "steps/CPU s"):
         table.add_column(heading, justify="right", no_wrap=True)
     step = size.step
     table.add_row("physics alone", f"{step.physics_steps_per_second:,.0f}", "1.00")
@@ -44,6 +44,7 @@ def _sizes(size: SizeFigures) -> Table:
             f"{figures.update_ratio:.2f}",
             f"{1e3 * figures.iteration_seconds:,.1f}",
             f"{figures.iteration_ratio:.2f}",
+            f"{figures.steps_per_cpu_second:,.0f}",
         )
     return table
 

@@ -207,7 +207,7 @@ def _add_bench(verbs: argparse._SubParsersAction) -> None:
         "--methods",
         type=Path,
         metavar="DIR",
-        help="folder of the three methods compared (default: methods/mini; methods for the K1)",
+        help="folder of the three methods compared (default: the first in methods that is for the task's robot)",
     )
     verb.add_argument("--num-envs", type=_positive, nargs="+", metavar="N", help="worlds (default: 512)")
     verb.add_argument("--rounds", type=_positive, default=10, help="interleaved repetitions (default: 10)")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -18,15 +18,18 @@ from kickbench.bench.text import print_report
 from kickbench.bench.training import Iterations
 from kickbench.cli.flags import override_of, refuse_contradiction
 from kickbench.errors import SpecError
-from kickbench.experiment import Experiment, load_experiment
+from kickbench.experiment import Experiment, load_experiment, read_symmetry
+from kickbench.mdp.catalog import task_model
+from kickbench.mdp.compile import compile_task
 from kickbench.nets.threads import torch_threads
 from kickbench.physics.cpu import usable_cores
 from kickbench.physics.devices import check_device
 from kickbench.results.atomic import check_writable
 from kickbench.results.provenance import collect_provenance
+from kickbench.spec.load import load_method, load_task, split_overrides
 
 _METHODS = ("baseline", "augmentation", "equivariant")
-_DEFAULT_METHODS = Path("methods/mini")
+_METHOD_FOLDER = Path("methods")
 _NUM_ENVS = "algorithm.num_envs"
 _DEFAULT_WORLDS = 512
 _PROFILED_ITERATIONS = 3
@@ -37,8 +40,9 @@ def bench(arguments: argparse.Namespace) -> int:
     check_device(arguments.device)
     started = datetime.now(UTC)
     setting = Setting(arguments.device, arguments.threads or usable_cores(), arguments.rounds)
-    # All at first: a wrong file is told before anything is measured.
-    chosen = [_experiments(arguments, num_envs) for num_envs in _worlds(arguments)]
+    # All at first: a wrong file is an error before anything is measured.
+    folder = arguments.methods or _fitting_methods(arguments)
+    chosen = [_experiments(arguments, folder, num_envs) for num_envs in _worlds(arguments)]
     if arguments.json:
         check_writable(arguments.json)
     sizes = [_measured(experiments, setting) for experiments in chosen]
@@ -71,18 +75,30 @@ def _worlds(arguments: argparse.Namespace) -> Sequence[int | None]:
     return arguments.num_envs or [default]
 
 
-def _experiments(arguments: argparse.Namespace, num_envs: int | None) -> dict[str, Experiment]:
+def _fitting_methods(arguments: argparse.Namespace) -> Path:
+    """The first folder of methods, in `methods` or below, that are for the task's robot.
+
+    Raises:
+        SpecError: The task is wrong, or no folder fits.
+    """
+    of_task, _ = split_overrides(arguments.overrides)
+    task = compile_task(load_task(task_model(), arguments.task, of_task))
+    files = sorted(_METHOD_FOLDER.rglob(f"{_METHODS[0]}.yaml"), key=lambda file: (len(file.parts), file))
+    for file in files:
+        with suppress(SpecError):
+            read_symmetry(task, load_method(file))
+            return file.parent
+    folders = ", ".join(str(file.parent) for file in files) or f"{_METHOD_FOLDER}: no such methods"
+    raise SpecError.of(
+        str(arguments.task), f"no methods for its robot in {folders}", "--methods names a folder"
+    )
+
+
+def _experiments(arguments: argparse.Namespace, folder: Path, num_envs: int | None) -> dict[str, Experiment]:
     of_flag = [] if num_envs is None else [f"{_NUM_ENVS}={num_envs}"]
     overrides = [*arguments.overrides, *of_flag]
-    folder = arguments.methods or _DEFAULT_METHODS
     paths = {name: Path(folder, f"{name}.yaml") for name in _METHODS}
-    try:
-        return {name: load_experiment(arguments.task, path, overrides) for name, path in paths.items()}
-    except SpecError:
-        if arguments.methods is None:
-            hint = f"--methods is not given, so those of {folder} are taken: they are for the mini kicker"
-            print(f"kickbench bench: {hint}", file=sys.stderr)
-        raise
+    return {name: load_experiment(arguments.task, path, overrides) for name, path in paths.items()}
 
 
 def _measured(experiments: dict[str, Experiment], setting: Setting) -> SizeFigures:

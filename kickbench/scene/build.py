@@ -106,7 +106,7 @@ def build_scene(task: TaskSpec, robot: Loaded[RobotSpec], needs: frozenset[Senso
         model = physics.compile()
     except ValueError as error:
         raise _model_error(robot, "compile the scene of this model", error) from None
-    model.opt.jacobian = _jacobian(task.simulation, model.nv)
+    model.opt.jacobian = jacobian_of(task.simulation, model.nv)
     layout = read_layout(model, robot.spec, plans)
     if problems := check_start(robot, model, layout.default_qpos, ROBOT + root):
         raise SpecError(problems)
@@ -166,7 +166,8 @@ def _set_options(scene: mujoco.MjSpec, simulation: SimulationSpec) -> None:
     option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
 
 
-def _jacobian(simulation: SimulationSpec, dofs: int) -> int:
+def jacobian_of(simulation: SimulationSpec, dofs: int) -> int:
+    """How MuJoCo stores the constraint Jacobian of a scene with so many degrees of freedom."""
     sparse = dofs >= _SPARSE_FROM if simulation.jacobian == "auto" else simulation.jacobian == "sparse"
     return mujoco.mjtJacobian.mjJAC_SPARSE if sparse else mujoco.mjtJacobian.mjJAC_DENSE
 

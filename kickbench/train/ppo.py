@@ -71,7 +71,9 @@ def tf32_products(enabled: bool) -> Iterator[None]:
 class GatheredRollout(RolloutStorage):
     """rsl_rl's storage, which draws one permutation an update: its mini-batches are gathered once, not every epoch."""
 
-    def mini_batch_generator(self, num_mini_batches: int, num_epochs: int = 8) -> Iterator[RolloutStorage.Batch]:
+    def mini_batch_generator(
+        self, num_mini_batches: int, num_epochs: int = 8
+    ) -> Iterator[RolloutStorage.Batch]:
         """See `RolloutStorage.mini_batch_generator`; each batch is an object of its own over shared tensors."""
         batches = list(super().mini_batch_generator(num_mini_batches, 1))
         for _ in range(num_epochs):

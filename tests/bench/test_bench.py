@@ -57,6 +57,7 @@ def test_the_first_method_is_the_reference_and_figures_fit_each_other(measured):
             per_second = figures.samples / figures.iteration_seconds
             assert figures.iteration_steps_per_second == pytest.approx(per_second, rel=1e-9)
             assert figures.rollout_steps_per_second > figures.iteration_steps_per_second
+            assert figures.steps_per_cpu_second > 0.0
 
 
 def test_the_report_says_where_it_comes_from(measured):
@@ -191,13 +192,24 @@ def test_the_room_of_a_gpu_engine_is_read_and_its_steps_repeat_the_controls(expe
     assert count_contacts(env) is None
 
 
-def test_another_robots_task_without_its_methods_is_told_whose_methods_were_taken(monkeypatch, capsys):
+@pytest.mark.parametrize(("task", "folder"), [("mini_general", "methods/mini"), ("k1_lite", "methods")])
+def test_the_methods_that_are_compared_are_for_the_tasks_robot(monkeypatch, task, folder):
+    found: list[Path] = []
+
+    def stop(arguments, methods, num_envs):
+        found.append(methods)
+        raise KickbenchError("enough")
+
     monkeypatch.chdir(ROOT)
-    assert main(["bench", "--task", "tasks/k1_lite.yaml"]) == 2
-    told = capsys.readouterr()
-    assert "--methods is not given" in told.err
-    assert "no representation" in told.err
-    assert not told.out
+    monkeypatch.setattr("kickbench.cli.bench._experiments", stop)
+    assert main(["bench", "--task", f"tasks/{task}.yaml"]) == 2
+    assert found == [Path(folder)]
+
+
+def test_a_robot_that_no_methods_are_for_is_an_error_that_lists_the_folders(monkeypatch, capsys, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    assert main(["bench", "--task", str(ROOT / "tasks/k1_lite.yaml")]) == 2
+    assert "no methods for its robot" in capsys.readouterr().err
 
 
 def test_a_report_that_cannot_be_written_is_told_before_anything_is_measured(monkeypatch, tmp_path, capsys):

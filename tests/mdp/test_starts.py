@@ -24,7 +24,7 @@ def sample(mini):
         generator = torch.Generator().manual_seed(seed)
         layout, nv = mini.scene.layout, mini.scene.model.nv
         sampler = StartSampler(
-            layout, sampling or region(), BallSpec(radius=radius), randomizers, nv, generator
+            layout, sampling or region(), BallSpec(radius=radius, inertia="shell"), randomizers, nv, generator
         )
         return sampler.sample(count)
 

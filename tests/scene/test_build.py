@@ -8,6 +8,9 @@ import mujoco
 import numpy as np
 import pytest
 
+from kickbench.scene.build import jacobian_of
+from kickbench.spec.task import SimulationSpec
+
 # A floating base with two arms; the actuators' order is not the joints', nothing about it is friendly.
 NASTY = """
 <mujoco>
@@ -66,6 +69,27 @@ def mini(experiment):
 
 
 # The ball
+
+
+@pytest.mark.parametrize(("inertia", "factor"), [("shell", 2 / 3), ("solid", 2 / 5)])
+def test_the_task_states_how_the_balls_mass_is_spread(build, inertia, factor):
+    ball = build(NASTY, ROBOT, f"ball.inertia={inertia}").model.body("ball")
+    assert ball.inertia == pytest.approx(factor * 0.1 * 0.08**2 * np.ones(3))
+
+
+@pytest.mark.parametrize(
+    ("dofs", "chosen", "sparse"),
+    [(31, "auto", 0), (32, "auto", 1), (4, "sparse", 1), (100, "dense", 0)],
+)
+def test_the_jacobian_is_sparse_for_many_degrees_of_freedom_unless_the_task_says_otherwise(
+    dofs, chosen, sparse
+):
+    simulation = SimulationSpec(timestep=0.005, control_interval=0.02, jacobian=chosen)
+    assert jacobian_of(simulation, dofs) == sparse
+
+
+def test_the_scene_of_the_mini_kicker_has_a_dense_jacobian(mini):
+    assert mini.model.opt.jacobian == mujoco.mjtJacobian.mjJAC_DENSE
 
 
 @pytest.mark.parametrize("which", ["nasty", "mini"])

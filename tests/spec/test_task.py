@@ -23,6 +23,7 @@ rewards:
   target_distance: {weight: 5, sigma: 0.6}
 terminations: {time_out: {}, target_hit: {radius: 0.3}}
 evaluation: {episodes: 10, mirrored: false, success_radius: 0.3}
+ball: {inertia: solid}
 """
 
 
@@ -152,6 +153,13 @@ def test_values_are_bounded(wrong, override, message):
     assert wrong(TASK, override) == [f"--set {override}: {key}: {message}"]
 
 
+def test_a_task_states_how_the_balls_mass_is_spread(wrong):
+    (problem,) = wrong(TASK.replace("{inertia: solid}", "{mass: 0.2}"))
+    assert problem.startswith(
+        "a.yaml:15:1: ball.inertia: missing key 'inertia' (How the mass is spread. solid:"
+    )
+
+
 def test_friction_is_not_negative(wrong):
     override = "ball.friction=[1.0, -0.5, 0.0]"
     message = "expected a number of at least 0, found the number -0.5"
@@ -160,7 +168,17 @@ def test_friction_is_not_negative(wrong):
 
 @pytest.mark.parametrize(
     "key",
-    ["robot", "simulation", "episode", "sampling", "observations", "rewards", "terminations", "evaluation"],
+    [
+        "robot",
+        "ball",
+        "simulation",
+        "episode",
+        "sampling",
+        "observations",
+        "rewards",
+        "terminations",
+        "evaluation",
+    ],
 )
 def test_the_parts_of_a_task_are_required(wrong, key):
     text = re.sub(rf"^{key}:.*\n(  .*\n)*", "", TASK, flags=re.MULTILINE)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from rsl_rl.storage import RolloutStorage
 from tensordict import TensorDict
 from torch.utils._python_dispatch import TorchDispatchMode
 
@@ -138,3 +139,29 @@ def test_tf32_without_a_gpu_is_told_where_it_was_asked_for(tmp_path, capsys):
     assert "method.yaml:3" in message
     assert "tf32 needs a GPU" in message
     assert not out.exists()
+
+
+def test_batches_gathered_once_are_those_of_rsl_rl_in_every_epoch(experiment):
+    """The stock generator, from the same random state, gives the same numbers in the same order."""
+    chosen = experiment("mini_home_field", "baseline", *SMALL)
+    ppo = learned(chosen, fused=False)
+    storage = ppo.storage
+    torch.manual_seed(1)
+    ours = list(storage.mini_batch_generator(2, 3))
+    torch.manual_seed(1)
+    theirs = list(RolloutStorage.mini_batch_generator(storage, 2, 3))
+    assert len(ours) == len(theirs) == 6
+    for mine, stock in zip(ours, theirs, strict=True):
+        assert torch.equal(mine.observations["actor"], stock.observations["actor"])
+        for name in ("actions", "values", "advantages", "returns", "old_actions_log_prob"):
+            assert torch.equal(getattr(mine, name), getattr(stock, name)), name
+
+
+def test_what_an_epoch_does_to_a_batch_does_not_reach_the_next(experiment):
+    """rsl_rl's symmetry extension puts augmented tensors into the batch that it is given."""
+    storage = learned(experiment("mini_home_field", "baseline", *SMALL), fused=False).storage
+    batches = storage.mini_batch_generator(1, 2)
+    first = next(batches)
+    actions = first.actions.clone()
+    first.actions = torch.cat([first.actions, first.actions])
+    assert torch.equal(next(batches).actions, actions)
