@@ -70,15 +70,9 @@ class KickEnv(VecEnv):
         self.device: torch.device = engine.device
         self.cfg = task.spec
         self.generator = torch.Generator(self.device).manual_seed(seed)
-        self.sampler = StartSampler(
-            task.scene.layout,
-            task.spec.sampling,
-            task.spec.ball,
-            task.randomizers,
-            task.scene.model.nv,
-            self.generator,
-        )
-        self._starts = starts or self._make_starts(resident)
+        self._resident = self.device.type != "cpu" if resident is None else resident
+        self.sampler = self._make_sampler()
+        self._starts = starts or self._make_starts()
         self._noise = noise
         self._prepare_constants()
         made = {bound.term.stage: self._make_process(bound) for bound in task.processes}
@@ -96,9 +90,7 @@ class KickEnv(VecEnv):
         self._index = StateIndex(layout, self.device)
         self._default_target = torch.as_tensor(layout.default_target, dtype=torch.float32, device=self.device)
         self._action_scale = torch.as_tensor(layout.action_scale, dtype=torch.float32, device=self.device)
-        scale = task.spec.simulation.control_interval if task.spec.rewards.scale_by_dt else 1.0
-        weights = [weight * scale for _, weight in task.rewards]
-        self._weights = torch.tensor(weights, device=self.device)
+        self._weights = self._make_weights()
         concludes = [not bound.term.truncates for bound in task.terminations]
         self._concludes = torch.tensor(concludes, device=self.device)
         self._observer = Observer(task.groups, self.device, noise=self._noise)
@@ -106,15 +98,47 @@ class KickEnv(VecEnv):
         self._has_feet = bool(layout.foot_geoms)
         self._variation = ModelVariation(task.scene, self.device)
 
-    def _make_starts(self, resident: bool | None) -> StartSource:
-        if resident or (resident is None and self.device.type != "cpu"):
+    def _make_sampler(self) -> StartSampler:
+        scene, spec, randomizers = self.task.scene, self.task.spec, self.task.randomizers
+        return StartSampler(
+            scene.layout, spec.sampling, spec.ball, randomizers, scene.model.nv, self.generator
+        )
+
+    def _make_starts(self) -> StartSource:
+        if self._resident:
             return FreshStarts(self.sampler, self.num_envs)
         return StartPool(self.sampler, _POOLED * self.num_envs)
+
+    def _make_weights(self) -> Tensor:
+        spec = self.task.spec
+        scale = spec.simulation.control_interval if spec.rewards.scale_by_dt else 1.0
+        return torch.tensor([weight * scale for _, weight in self.task.rewards], device=self.device)
 
     def _make_process(self, bound: Bound) -> Any:
         spec = self.task.spec.simulation
         setting = Setting(spec.timestep, spec.decimation, self._default_target, self.num_envs, self.generator)
         return bound.term.function(bound.params, setting)
+
+    def grow(self, task: CompiledTask) -> None:
+        """Goes on with other values of the same task: regions, reward weights, randomisation.
+
+        Running episodes go on from where they are; starts that were drawn ahead are drawn anew. A step that was
+        recorded as a graph has the old values: record it again.
+
+        Args:
+            task: The env's task with other values, as `mdp.curriculum.grown` makes it.
+        """
+        self.task, self.cfg = task, task.spec
+        self.sampler = self._make_sampler()
+        self._starts = self._make_starts()
+        for weights in (self._weights, self.totals.weights):
+            weights.copy_(self._make_weights())
+        for bound in task.processes:
+            made = self._make_process(bound)
+            if isinstance(made, ActionDelay) and self._delay is not None:
+                made.memory, self._delay = self._delay.memory, made
+            elif isinstance(made, Pushes) and self._pushes is not None:
+                made.memory, self._pushes = self._pushes.memory, made
 
     @property
     def episode_length_buf(self) -> Tensor:  # type: ignore[override]

@@ -16,6 +16,7 @@ from pydantic import Field, create_model
 from kickbench.mdp import observations, randomizations, rewards, terminations
 from kickbench.mdp.term import Kind, Term
 from kickbench.spec.base import Spec
+from kickbench.spec.curriculum import RAMP, CurriculumSpec
 from kickbench.spec.task import ObservationSpec, TaskSpec
 from kickbench.spec.terms import RewardTable, TermTable
 
@@ -66,9 +67,20 @@ def task_model() -> type[TaskSpec]:
         "terminations": _table("Terminations", TermTable, terms.terminations),
     }
     narrowed: dict[str, Any] = {name: (model, _like(TaskSpec, name)) for name, model in tables.items()}
-    description = TaskSpec.model_fields["randomization"].description
-    narrowed["randomization"] = (randomization, Field(randomization(), description=description))
+    growing = _growing(terms)
+    curriculum = _model("Curriculum", CurriculumSpec, growing)
+    narrowed["curriculum"] = (curriculum | None, _default(TaskSpec, "curriculum", None))
+    narrowed["randomization"] = (randomization, _default(TaskSpec, "randomization", randomization()))
     return _model("Task", TaskSpec, narrowed)
+
+
+def _growing(terms: Catalog) -> dict[str, Any]:
+    """The values that a curriculum may move: regions, weights of rewards, numbers and ranges of randomisation."""
+    keys = ["sampling.ball.x", "sampling.ball.y", "sampling.target.distance", "sampling.target.angle"]
+    keys += [f"rewards.{name}.weight" for name in terms.rewards]
+    for name, term in terms.randomizations.items():
+        keys += [f"randomization.{name}.{parameter}" for parameter in term.params.model_fields]
+    return {key: (RAMP | None, Field(None, description=f"How {key} grows.")) for key in keys}
 
 
 def _table(name: str, base: type[TermTable], terms: Mapping[str, Term[Any]]) -> type[TermTable]:
@@ -78,6 +90,11 @@ def _table(name: str, base: type[TermTable], terms: Mapping[str, Term[Any]]) -> 
 
 def _model(name: str, base: type[S], fields: dict[str, Any]) -> type[S]:
     return create_model(name, __base__=base, __doc__=base.__doc__, **fields)
+
+
+def _default(base: type[Spec], name: str, value: Any) -> Any:
+    """A field with a default, described as in the base model."""
+    return Field(value, description=base.model_fields[name].description)
 
 
 def _like(base: type[Spec], name: str) -> Any:

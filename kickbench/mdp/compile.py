@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -12,6 +12,7 @@ from torch import Tensor
 from kickbench.errors import KeyPath, Problem, SpecError, did_you_mean
 from kickbench.mdp.catalog import catalog
 from kickbench.mdp.check import field_problems, start_problems, term_problems
+from kickbench.mdp.curriculum import curriculum_problems, first_start_problems, spec_at
 from kickbench.mdp.starts import Draw, Starts
 from kickbench.mdp.state import State
 from kickbench.mdp.term import Term
@@ -107,17 +108,17 @@ def compile_task(task: LoadedTask[Any]) -> CompiledTask:
     spec: TaskSpec = task.spec
     terms = catalog()
     check_task(task)
-    rewards = _bind(terms.rewards, spec.rewards, RewardParams)
+    rewards = bind_rewards(spec)
     terminations = _bind(terms.terminations, spec.terminations, TerminationParams)
-    randomizations = _bind(terms.randomizations, spec.randomization, RandomizationParams)
+    randomizations = _randomizations(spec)
     actor = _bind(terms.observations, spec.observations.actor, ObservationParams)
     critic = _bind(terms.observations, spec.observations.critic, ObservationParams)
-    used = (*rewards, *terminations, *randomizations, *actor, *critic)
+    used = (*(bound for bound, _ in rewards), *terminations, *randomizations, *actor, *critic)
     needs: frozenset[SensorGroup] = frozenset(group for bound in used for group in bound.term.needs)
     # Which foot kicks is a result of every task, so robots with feet always sense it.
     needs |= available_groups(task.robot.spec) & {"foot_ball"}
     scene = build_scene(spec, task.robot, needs)
-    if problems := tuple(start_problems(task, scene.layout)):
+    if problems := (*start_problems(task, scene.layout), *first_start_problems(task, scene.layout)):
         raise SpecError(problems)
     joints, actions = len(scene.layout.joint_names), len(scene.layout.actuator_names)
     return CompiledTask(
@@ -126,10 +127,27 @@ def compile_task(task: LoadedTask[Any]) -> CompiledTask:
         robot=task.robot,
         scene=scene,
         groups={"actor": _fields(actor, joints, actions), "critic": _fields(critic, joints, actions)},
-        rewards=tuple((bound, _weight(bound)) for bound in rewards),
+        rewards=rewards,
         terminations=terminations,
-        randomizers=tuple(_randomizer(b) for b in randomizations if b.term.stage == "start"),
-        processes=tuple(b for b in randomizations if b.term.stage != "start"),
+        randomizers=bind_start_randomizers(spec),
+        processes=bind_processes(spec),
+    )
+
+
+def grown(task: CompiledTask, levels: Mapping[str, float]) -> CompiledTask:
+    """The task with the values of its curriculum at some levels; scene and observations are shared.
+
+    Args:
+        task: The compiled task, with its own values.
+        levels: Level of every ramp by its key, in [0, 1].
+    """
+    spec = spec_at(task.spec, levels)
+    return replace(
+        task,
+        spec=spec,
+        rewards=bind_rewards(spec),
+        randomizers=bind_start_randomizers(spec),
+        processes=bind_processes(spec),
     )
 
 
@@ -162,6 +180,7 @@ def check_task(task: LoadedTask[Any]) -> None:
                 why = f"the robot {task.robot.document.file.name} names no `feet`"
                 problems.append(document.problem((*path, name), what, why))
     problems += field_problems(task)
+    problems += curriculum_problems(task)
     limits = [name for name, term in terms.terminations.items() if term.truncates]
     endings = spec.terminations.active(TermParams)
     if endings and not set(limits) & set(endings):
@@ -184,9 +203,24 @@ def _bind(known: Mapping[str, Term[Any]], table: TermTable, kind: type[TermParam
     return tuple(Bound(known[name], params) for name, params in table.active(kind).items())
 
 
-def _weight(bound: Bound) -> float:
-    assert isinstance(bound.params, RewardParams)
-    return bound.params.weight
+def bind_rewards(spec: TaskSpec) -> tuple[tuple[Bound, float], ...]:
+    """Reward terms with their parameters and weights."""
+    bounds = _bind(catalog().rewards, spec.rewards, RewardParams)
+    return tuple((bound, bound.params.weight) for bound in bounds if isinstance(bound.params, RewardParams))
+
+
+def _randomizations(spec: TaskSpec) -> tuple[Bound, ...]:
+    return _bind(catalog().randomizations, spec.randomization, RandomizationParams)
+
+
+def bind_start_randomizers(spec: TaskSpec) -> tuple[Callable[[Starts, Draw], Starts], ...]:
+    """Randomisation of episode starts, parameters bound."""
+    return tuple(_randomizer(bound) for bound in _randomizations(spec) if bound.term.stage == "start")
+
+
+def bind_processes(spec: TaskSpec) -> tuple[Bound, ...]:
+    """Randomisation that acts during episodes."""
+    return tuple(bound for bound in _randomizations(spec) if bound.term.stage != "start")
 
 
 def _fields(bounds: tuple[Bound, ...], joints: int, actions: int) -> tuple[Field, ...]:

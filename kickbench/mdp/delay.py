@@ -91,7 +91,12 @@ class ActionDelay(Stateful):
 
     @memory.setter
     def memory(self, memory: DelayMemory) -> None:
-        self._history, self._newest = memory.history, memory.newest
+        """Takes over commands, of a line with another range of delays as well."""
+        depth, missing = self._history.shape[1], self._history.shape[1] - memory.history.shape[1]
+        history = memory.history[:, :depth]
+        if missing > 0:  # what is older than the oldest command known was the same
+            history = torch.cat([history, history[:, -1:].expand(-1, missing, -1)], dim=1)
+        self._history, self._newest = history, memory.newest.clamp(max=depth - 1)
 
     def reset(self, mask: Tensor) -> None:
         """Forgets the commands of the worlds in `mask` [B]: their servos hold the default target."""

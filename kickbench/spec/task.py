@@ -21,6 +21,7 @@ from kickbench.spec.base import (
     Spec,
     VectorPair,
 )
+from kickbench.spec.curriculum import CurriculumSpec
 from kickbench.spec.terms import RewardTable, TermTable
 
 _TURN = 6.2832
@@ -219,6 +220,8 @@ class TaskSpec(Spec):
     """Randomisation terms."""
     evaluation: EvaluationSpec
     """Evaluation protocol."""
+    curriculum: CurriculumSpec | None = None
+    """Values that grow during the training."""
 
     @property
     def seconds(self) -> float:

@@ -40,6 +40,7 @@ class IterationRecord:
         residual_shares: share of the asymmetric residual in the norm of a relaxed network's weights, by network.
         load: most contacts a world and constraint rows in a substep, and the share of the control steps that lacked
             room for them; empty on a CPU, which makes room.
+        curriculum: level of every value that the task's curriculum moves, from 0 to 1 for the task's own.
     """
 
     iteration: int
@@ -59,6 +60,7 @@ class IterationRecord:
     resets_nonfinite: int
     residual_shares: Mapping[str, float] = field(default_factory=dict)
     load: Mapping[str, float] = field(default_factory=dict)
+    curriculum: Mapping[str, float] = field(default_factory=dict)
 
 
 class Progress(Protocol):

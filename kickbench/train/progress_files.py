@@ -40,6 +40,7 @@ def flatten(record: IterationRecord) -> dict[str, float]:
         "loss": record.losses,
         "residual_share": record.residual_shares,
         "load": record.load,
+        "curriculum": record.curriculum,
     }
     for group, values in groups.items():
         flat.update({f"{group}/{name}": value for name, value in values.items()})

@@ -14,6 +14,8 @@ from kickbench.env import KickEnv
 from kickbench.errors import KickbenchError
 from kickbench.experiment import Experiment
 from kickbench.graph import fastest_steps
+from kickbench.mdp.compile import grown
+from kickbench.mdp.curriculum import Growth
 from kickbench.nets.relaxed import residual_share
 from kickbench.nets.threads import torch_threads
 from kickbench.results.history import RunHistory
@@ -79,16 +81,41 @@ class Trainer:
             ranks: The processes that train together; each has its share of the environments.
         """
         self.experiment, self.env, self.progress = experiment, env, progress
+        self._graph, self._levels = graph, dict[str, float]()
         self._steps = fastest_steps(env, graph=graph)
         self.ppo: BoundedPPO = build_ppo(experiment, env.get_observations(), torch.device(env.device), ranks)
         self._ranks = ranks
         self.iteration = 0
+        curriculum = experiment.task.spec.curriculum
+        self._growth = Growth(curriculum) if curriculum else None
         self._update_threads = update_threads
         self._horizon, self._seconds = 0, 0.0
         self._checkpoints, self._history = checkpoints, history
         self._every = (checkpoint_every, checkpoint_seconds)
         self._kept: TrainingResult | None = None
         self._steps_per_iteration = experiment.method.spec.algorithm.steps_per_env * env.num_envs * ranks.size
+
+    def _grow(self) -> None:
+        """Gives the environments the values that the curriculum has come to."""
+        if self._growth is None:
+            return
+        levels = self._growth.levels(min(1.0, self.iteration / max(self._horizon, 1)))
+        if levels != self._levels:
+            self._levels = levels
+            self.env.grow(grown(self.experiment.task, levels))
+            self._steps = fastest_steps(self.env, graph=self._graph)
+
+    def _begin_growth(self) -> None:
+        """The first episodes have the first values, too."""
+        if self._growth is not None:
+            self._grow()
+            self.env.reset()
+
+    def _note_success(self, rate: float) -> None:
+        """Lets the curriculum know how often exploration succeeded in this iteration, in all processes."""
+        if self._growth is not None:
+            rates = [float(part["success"]) for part in self._ranks.gather({"success": rate})]
+            self._growth.note(sum(rates) / len(rates))
 
     @property
     def env_steps(self) -> int:
@@ -111,6 +138,7 @@ class Trainer:
         if self._ranks.size > 1:
             self.ppo.broadcast_parameters()
         if self.iteration == 0:
+            self._begin_growth()
             self.save()
         self.progress.start(iterations, self.iteration)
         self.ppo.train_mode()
@@ -149,6 +177,7 @@ class Trainer:
             "learner": {**self.ppo.save(), "learning_rate": self.ppo.learning_rate},
             "rng": _rng_states(self.env.device),
             "env": self.env.state_dict(),
+            **({"curriculum": self._growth.state_dict()} if self._growth else {}),
         }
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
@@ -167,10 +196,13 @@ class Trainer:
             learner = dict(state["learner"])
             self.ppo.load(learner, None, strict=True)
             self.ppo.learning_rate = learner["learning_rate"]
-            self.env.load_state_dict(own["env"])
             self.iteration, self._horizon, self._seconds = (
                 state[key] for key in ("iteration", "horizon", "seconds")
             )
+            if self._growth is not None:
+                self._growth.load_state_dict(state["curriculum"])
+                self._grow()
+            self.env.load_state_dict(own["env"])
             _set_rng_states(own["rng"], self.env.device)
         except (LookupError, RuntimeError, TypeError, ValueError) as error:
             raise KickbenchError(f"the checkpoint is not one of this experiment: {error}") from error
@@ -218,6 +250,8 @@ class Trainer:
         if not all(torch.isfinite(torch.tensor(list(losses.values())))):
             raise KickbenchError(f"iteration {record.iteration}: the loss is not finite ({losses})")
         self.progress.update(record)
+        self._note_success(record.success_rate)
+        self._grow()
 
     def _now(self) -> float:
         """The time by which everything asked of the device is done, s."""
@@ -263,6 +297,7 @@ class Trainer:
             resets_nonfinite=int(finished.failures),
             residual_shares=self._residual_shares(),
             load=self._load(),
+            curriculum=self._levels,
         )
 
     def _load(self) -> dict[str, float]:

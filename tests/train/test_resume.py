@@ -76,9 +76,24 @@ def without_clock(state: dict) -> dict:
     return {key: value for key, value in state.items() if key not in ("run", "seconds")}
 
 
-@pytest.mark.parametrize("method", ["baseline", "augmentation", "equivariant"])
-def test_so_many_iterations_and_so_many_more_are_those_of_one_training(experiment, tmp_path, method):
-    chosen = experiment("mini_general", method, *SMALL)
+GROWING = (
+    "randomization.pushes={interval: [0.02, 0.06], duration: 0.04, force: [0.0, 5.0]}",
+    "curriculum={competence: {success: 0.01, step: 0.3, window: 1}, "
+    "sampling.target.distance: {from: 0.3, over: competence}, "
+    "sampling.ball.y: {from: [0.0, 0.1], over: 0.5}, rewards.action_rate.weight: {from: 0.0, over: 1.0}, "
+    "randomization.pushes.force: {from: 0.0, over: 0.7}}",
+)
+
+
+@pytest.mark.parametrize(
+    ("method", "settings"),
+    [("baseline", ()), ("augmentation", ()), ("equivariant", ()), ("baseline", GROWING)],
+    ids=["baseline", "augmentation", "equivariant", "curriculum"],
+)
+def test_so_many_iterations_and_so_many_more_are_those_of_one_training(
+    experiment, tmp_path, method, settings
+):
+    chosen = experiment("mini_general", method, *SMALL, *settings)
     whole = make_trainer(chosen, tmp_path / "whole")
     whole.train(10)
 
