@@ -26,8 +26,9 @@ class StateIndex:
         self.foot_frames = {
             what: Columns([*left, *right], device) for what, left, right in _by_foot(layout.frames)
         }
-        first = min(int(places.min()) for places in layout.contacts.values())
-        self.counts = slice(first, max(int(places.max()) for places in layout.contacts.values()) + 1)
+        sensed = np.concatenate(list(layout.contacts.values()))
+        first = int(sensed.min())
+        self.counts = slice(first, int(sensed.max()) + 1)
         """Columns of sensordata from the first to the last contact count; channels count from its beginning."""
         self.contacts = {name: Columns(places - first, device) for name, places in layout.contacts.items()}
         self.foot_contacts = {

@@ -6,7 +6,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from kickbench.errors import KeyPath, Problem, shown
-from kickbench.scene.build import read_robot
+from kickbench.scene.build import compile_robot, read_robot
+from kickbench.scene.native import option_notes
 from kickbench.scene.sensors import SIDES
 from kickbench.scene.skeleton import read_skeleton
 from kickbench.spec.load import Loaded
@@ -36,13 +37,9 @@ def check_symmetry(robot: Loaded[RobotSpec]) -> Agreement:
         SpecError: The MJCF cannot be read or compiled.
     """
     body = read_robot(robot)
-    try:
-        model = body.compile()
-    except ValueError as error:
-        reason = " ".join(str(error).split())
-        raise robot.document.error(("model",), f"MuJoCo cannot compile this model: {reason}") from None
-    derivation = derive(read_skeleton(model))
-    notes = [f"joint '{m.name}': its mirror image is not derived: {m.reason}" for m in derivation.unclear]
+    derivation = derive(read_skeleton(compile_robot(robot, body)))
+    notes = list(option_notes(body))
+    notes += [f"joint '{m.name}': its mirror image is not derived: {m.reason}" for m in derivation.unclear]
     return Agreement((*_joints(robot, derivation), *_feet(robot, derivation)), tuple(notes))
 
 

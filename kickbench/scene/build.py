@@ -11,6 +11,7 @@ import mujoco
 from kickbench.errors import SpecError
 from kickbench.scene.check import check_robot, check_start
 from kickbench.scene.layout import SceneLayout, read_layout
+from kickbench.scene.native import compile_native, differences, world_references
 from kickbench.scene.sensors import ALWAYS, ROBOT, SIDES, SensorGroup, plan_sensors, sole_site
 from kickbench.scene.servo import set_servo
 from kickbench.spec.load import Loaded
@@ -64,10 +65,27 @@ def read_robot(robot: Loaded[RobotSpec]) -> mujoco.MjSpec:
         spec = mujoco.MjSpec.from_file(robot.spec.model)
     except ValueError as error:
         raise _model_error(robot, "read this model", error) from None
+    # Bodies that the robot file names would be merged into their parents.
+    spec.compiler.fusestatic = False
     problems = check_robot(robot, spec)
     if problems:
         raise SpecError(problems)
     return spec
+
+
+def compile_robot(robot: Loaded[RobotSpec], body: mujoco.MjSpec) -> mujoco.MjModel:
+    """Compiles a robot's MJCF by itself.
+
+    Raises:
+        SpecError: MuJoCo cannot, or it has what no scene can carry over.
+    """
+    try:
+        native = compile_native(body)
+    except ValueError as error:
+        raise _model_error(robot, "compile this model", error) from None
+    if lost := [robot.document.problem(("model",), what) for what in world_references(native)]:
+        raise SpecError(lost)
+    return native
 
 
 def build_scene(task: TaskSpec, robot: Loaded[RobotSpec], needs: frozenset[SensorGroup]) -> Scene:
@@ -82,6 +100,7 @@ def build_scene(task: TaskSpec, robot: Loaded[RobotSpec], needs: frozenset[Senso
         SpecError: The MJCF cannot be read, lacks a name or does not compile.
     """
     body = read_robot(robot)
+    native = compile_robot(robot, body)
     root = body.worldbody.first_body().name or "kickbench_root"
     body.worldbody.first_body().name = root
     _strip(body, robot.spec)
@@ -89,8 +108,9 @@ def build_scene(task: TaskSpec, robot: Loaded[RobotSpec], needs: frozenset[Senso
     scene = mujoco.MjSpec()
     scene.modelname = "kickbench"
     _set_options(scene, task.simulation)
-    # The options are the task's; MuJoCo would warn about every one that the robot's MJCF has otherwise.
+    # Options and visual settings are the scene's, and where the robot's MJCF has others MuJoCo need not say so.
     body.option, body.memory, body.nuserdata = scene.option, scene.memory, scene.nuserdata
+    body.visual, body.stat = scene.visual, scene.stat
     _add_floor(scene, task)
     _add_soles(body, robot.spec)
     scene.attach(body, prefix=ROBOT, frame=scene.worldbody.add_frame())
@@ -107,8 +127,10 @@ def build_scene(task: TaskSpec, robot: Loaded[RobotSpec], needs: frozenset[Senso
     except ValueError as error:
         raise _model_error(robot, "compile the scene of this model", error) from None
     model.opt.jacobian = jacobian_of(task.simulation, model.nv)
-    layout = read_layout(model, robot.spec, plans)
-    if problems := check_start(robot, model, layout.default_qpos, ROBOT + root):
+    layout = read_layout(model, robot.spec, plans, needs)
+    problems = [robot.document.problem(("model",), what) for what in differences(native, model)]
+    problems += check_start(robot, model, layout, ROBOT + root)
+    if problems:
         raise SpecError(problems)
     return Scene(scene, model, layout)
 

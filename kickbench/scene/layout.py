@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 # pyright: reportAttributeAccessIssue=false
 import mujoco
 import numpy as np
 
-from kickbench.scene.sensors import ROBOT, SIDES, SensorPlan
+from kickbench.scene.sensors import ROBOT, SIDES, SensorGroup, SensorPlan
 from kickbench.scene.servo import ServoTable, servo_table
 from kickbench.spec.robot import ActuatorSpec, RobotSpec
 from kickbench.symmetry.mirror import Coordinate
@@ -71,14 +71,25 @@ class SceneLayout:
     obstacles: np.ndarray
 
 
-def read_layout(model: mujoco.MjModel, robot: RobotSpec, plans: Sequence[SensorPlan]) -> SceneLayout:
-    """Reads the index maps of a compiled scene."""
+def read_layout(
+    model: mujoco.MjModel, robot: RobotSpec, plans: Sequence[SensorPlan], needs: Collection[SensorGroup] = ()
+) -> SceneLayout:
+    """Reads the index maps of a compiled scene.
+
+    Args:
+        model: The compiled scene.
+        robot: The robot.
+        plans: Its sensors.
+        needs: The groups that they were planned for.
+    """
     coordinates = tuple(_coordinate(model, j) for j in range(model.njnt))
     by_name = {c.name: c for c in coordinates}
     driven = [spec.joint for spec in robot.actuators.values() if spec.joint is not None]
     default = _default_qpos(model, robot, by_name)
     sides = _body_sides(model, robot)
     frames, contacts, forces = _sensor_maps(model, plans)
+    if "body_floor" in needs:  # where the feet alone collide there is nothing to sense of the rest
+        contacts.setdefault("body_floor", np.array([], dtype=np.int64))
     return SceneLayout(
         coordinates=coordinates,
         actuator_names=tuple(robot.actuators),

@@ -36,7 +36,7 @@ def _tables(derivation: Derivation) -> Iterator[str]:
     found: dict[str, Columns] = {name: ([], []) for name in BY_NAME}
     for name, (partner, sign) in derivation.image.items():
         kind = kind_of_coordinate(partner == name, sign)
-        if name in found[kind][1]:
+        if any(name in column for column in found[kind]):
             continue
         left, right = (name, partner) if _is_left(derivation, name, partner) else (partner, name)
         found[kind][0].append(left)

@@ -132,3 +132,18 @@ def test_what_geometry_does_not_tell_is_noted_and_no_error(place, edit, capsys):
 
 def test_the_slightly_asymmetric_robot_is_fine(place, capsys):
     assert printed(capsys, "validate", "assets/booster_k1/asymmetric.yaml").count("\n") == 1
+
+
+@pytest.mark.parametrize("first", ["left", "right"])
+def test_every_pair_is_printed_once_left_first_whichever_side_the_mjcf_lists_first(first, tmp_path, capsys):
+    sides = {"left": 0.1, "right": -0.1}
+    legs = [
+        f'<body name="{side}" pos="0 {sides[side]} 0"><joint name="{side}_hip" axis="0 1 0"/><geom size=".05"/></body>'
+        for side in sorted(sides, reverse=first == "right")
+    ]
+    model = tmp_path / "legs.xml"
+    trunk = f'<body name="trunk"><freejoint/><geom size=".1"/>{"".join(legs)}</body>'
+    model.write_text(f"<mujoco><worldbody>{trunk}</worldbody></mujoco>")
+    assert main(["symmetry", "derive", str(model)]) == 0
+    block = capsys.readouterr().out.split("symmetry:")[-1]
+    assert block.split() == ["regular:", "left:", "[left_hip]", "right:", "[right_hip]"]

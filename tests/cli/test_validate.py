@@ -47,15 +47,16 @@ MALFORMED = {
         [TASK],
         (TASK, "  solref: [0.01, 1.0]", "  sol_ref: [0.01, 1.0]"),
         (TASK, "¦sol_ref:"),
-        "ball.sol_ref: unknown key 'sol_ref'; expected one of: mass, radius, friction, condim, priority, solref "
-        "(did you mean 'solref'?)",
+        "ball.sol_ref: unknown key 'sol_ref'; expected one of: mass, radius, inertia, friction, condim, priority, "
+        "solref (did you mean 'solref'?)",
     ),
     "unknown key at the top": Case(
         [HOME],
         (HOME, "sampling:", "samplings:"),
         (HOME, "¦samplings:"),
         "samplings: unknown key 'samplings'; expected one of: description, robot, ball, floor, field, simulation, "
-        "episode, sampling, observations, rewards, terminations, randomization, evaluation (did you mean 'sampling'?)",
+        "episode, sampling, observations, rewards, terminations, randomization, evaluation, curriculum "
+        "(did you mean 'sampling'?)",
     ),
     "wrong type": Case(
         [TASK],
@@ -317,7 +318,7 @@ MALFORMED = {
         [TASK],
         (XML, 'mass="0.3"', 'mass="-0.3"'),
         (ROBOT, "\n¦model:"),
-        "model: MuJoCo cannot compile the scene of this model: Error: mass, inertia or density are negative",
+        "model: MuJoCo cannot compile this model: Error: mass, inertia or density are negative",
     ),
     "odd width of an equivariant network": Case(
         [EQUIVARIANT],
@@ -362,7 +363,7 @@ MALFORMED = {
         [TASK],
         (XML, 'range="-0.7 0.7"', 'limited="true" range="0.7 -0.7"'),
         (ROBOT, "\n¦model:"),
-        "model: MuJoCo cannot compile the scene of this model: Error: range[0] should be smaller ",
+        "model: MuJoCo cannot compile this model: Error: range[0] should be smaller ",
     ),
 }  # fmt: skip
 
@@ -491,8 +492,8 @@ BAD_OVERRIDES = {
     "rewards": "expected key.path=value (for example rewards.fall.weight=-2)",
     "ball.mass=heavy": "ball.mass: expected a number, found the string 'heavy'",
     "ball.mass=.nan": "ball.mass: expected a finite number, found .nan",
-    "ball.mas=0.2": "ball.mas: unknown key 'mas'; expected one of: mass, radius, friction, condim, priority, solref "
-    "(did you mean 'mass'?)",
+    "ball.mas=0.2": "ball.mas: unknown key 'mas'; expected one of: mass, radius, inertia, friction, condim, "
+    "priority, solref (did you mean 'mass'?)",
     "sampling.ball.x=[1, 0]": "sampling.ball.x: the range [1, 0] is reversed: "
     "low must be less than high; a constant is one number",
     "ball.friction.3=1": "ball.friction.3: 'ball.friction' is a list of 3; expected an index below 3, found '3'",

@@ -18,7 +18,10 @@ from kickbench.mdp.engines import make_engine
 ROOT = Path(__file__).parents[2]
 BALL = "sampling.ball.y"
 TARGET = "sampling.target.distance"
-GROWING = "curriculum={sampling.ball.y: {from: [0.25, 0.30], over: 0.5}, rewards.action_rate.weight: {from: 0.0, over: 1.0}}"
+GROWING = (
+    "curriculum={sampling.ball.y: {from: [0.25, 0.30], over: 0.5}, "
+    "rewards.action_rate.weight: {from: 0.0, over: 1.0}}"
+)
 ABLE = (
     "curriculum={competence: {success: 0.5, step: 0.4, window: 2}, "
     "sampling.target.distance: {from: 1.0, over: competence}}"

@@ -190,7 +190,5 @@ def test_a_model_that_does_not_compile_is_refused_in_one_line(complaints):
     (complaint,) = complaints(
         MJCF.replace('name="left_foot" size="0.1" mass="1"', 'name="left_foot" size="0.1" mass="0"'), ROBOT
     )
-    assert complaint.startswith(
-        "robot.yaml:1:1: model: MuJoCo cannot compile the scene of this model: Error: mass"
-    )
+    assert complaint.startswith("robot.yaml:1:1: model: MuJoCo cannot compile this model: Error: mass")
     assert "\n" not in complaint

@@ -269,5 +269,5 @@ def test_what_would_be_lost_in_silence_is_refused(complaints, meshes, old, new, 
 
 def test_a_mesh_that_is_missing_is_named(complaints, tmp_path):
     (complaint,) = complaints(MJCF, ROBOT)
-    assert complaint.startswith("robot.yaml:2:1: model: MuJoCo cannot compile the scene of this model")
+    assert complaint.startswith("robot.yaml:2:1: model: MuJoCo cannot compile this model")
     assert "trunk.stl" in complaint
