@@ -23,8 +23,6 @@ def make_table(episodes: int = 60, seed: int = 0) -> EpisodeTable:
     target = np.stack([reach * np.cos(angle), reach * np.sin(angle)])
     distance = np.where(hit, 0.2, 0.8)
     return EpisodeTable(
-        world=np.arange(episodes),
-        episode=np.zeros(episodes, dtype=int),
         start_ball_x=rng.uniform(0.25, 0.55, episodes),
         start_ball_y=ball_y,
         target_x=target[0],

@@ -22,8 +22,6 @@ def episodes(successes: int, count: int = 10) -> EpisodeTable:
     numbers, zeros = np.arange(count), np.zeros(count)
     success = numbers < successes
     return EpisodeTable(
-        world=numbers,
-        episode=0 * numbers,
         start_ball_x=zeros + 0.3,
         start_ball_y=np.where(numbers % 2, 0.1, -0.1),
         target_x=zeros + 1.5,

@@ -22,8 +22,6 @@ def episodes(rate: float, seed: int) -> EpisodeTable:
     success = own.random(STARTS) < rate
     count, zeros = np.arange(STARTS), np.zeros(STARTS)
     return EpisodeTable(
-        world=count,
-        episode=0 * count,
         start_ball_x=fixed.uniform(0.2, 0.4, STARTS),
         start_ball_y=fixed.uniform(0.01, 0.3, STARTS),
         target_x=fixed.uniform(1, 2, STARTS),

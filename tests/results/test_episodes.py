@@ -15,8 +15,6 @@ def make_table(episodes: int = 5, seed: int = 0) -> EpisodeTable:
     kicked = rng.random(episodes) < 0.8
     distance = rng.gamma(2.0, 0.2, episodes)
     return EpisodeTable(
-        world=np.arange(episodes) % 3,
-        episode=np.arange(episodes) // 3,
         start_ball_x=rng.uniform(0.2, 0.4, episodes),
         start_ball_y=rng.uniform(-0.2, 0.2, episodes),
         target_x=rng.uniform(1, 2, episodes),

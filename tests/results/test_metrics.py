@@ -30,8 +30,6 @@ def make_table() -> EpisodeTable:
     eight = np.arange(8)
     distance = np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 2.0])
     return EpisodeTable(
-        world=eight,
-        episode=0 * eight,
         start_ball_x=np.full(8, 0.3),
         start_ball_y=np.array(BALL_Y),
         target_x=np.full(8, 1.5),
