@@ -25,13 +25,11 @@ from kickbench.mdp.episode import FOOT_NAMES
 from kickbench.mdp.starts import Starts, StartSampler
 from kickbench.nets.threads import torch_threads
 from kickbench.results.episodes import EpisodeTable
+from kickbench.results.kick import NON_FINITE
 from kickbench.symmetry.torch_ops import Mirror
 
 Policy = Callable[[TensorDict], Tensor]
 """Observations {group: [B, width]} -> actions [B, nu]."""
-
-FAILED = "non_finite"
-"""Termination of an episode whose numbers were not finite."""
 
 _BUSY_SHARE, _FEWEST_ENVS = 0.75, 8
 """Share of envs with an episode below which the others are dropped, and how few envs are not worth that."""
@@ -210,7 +208,7 @@ def _table(task: CompiledTask, starts: Starts, ended: list[dict[str, np.ndarray]
     assert (rows["running"] == np.arange(len(starts))).all(), "every episode is counted exactly once"
     place = task.scene.layout.ball_qpos
     start_ball, target = starts.qpos[:, place : place + 2].numpy(), starts.target.numpy()
-    endings = np.array([*(bound.name for bound in task.terminations), FAILED])
+    endings = np.array([*(bound.name for bound in task.terminations), NON_FINITE])
     final = np.stack([rows["ball_x"], rows["ball_y"]], axis=1).astype(np.float64)
     return EpisodeTable(
         start_ball_x=start_ball[:, 0],

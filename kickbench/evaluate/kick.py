@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -27,20 +28,20 @@ class KickRecord:
             of the first touch, where u is the unit vector from p to b [B], m.
         launch_speed: Largest :math:`|v_t|` within `LAUNCH_WINDOW` from the first touch [B], m/s; 0 without a touch.
             The episode's `peak_ball_speed` has no such limit.
-        direction_error: Angle from the direction b -> target to v in the control step of that largest speed,
-            positive to the left (counter-clockwise) [B], rad in (-pi, pi]; NaN if the ball has not moved.
+        launch: Dot and cross product of the vector from b to the target with v in the control step of that largest
+            speed [B, 2]; the angle from the one to the other is the direction error, positive to the left.
     """
 
     touches: Tensor
     walked_after_touch: Tensor
     launch_speed: Tensor
-    direction_error: Tensor
+    launch: Tensor
 
     @staticmethod
     def empty(num_envs: int) -> KickRecord:
         """Records of episodes that have not begun."""
         zeros = torch.zeros(num_envs)
-        return KickRecord(zeros.long(), zeros, zeros, zeros / 0.0)
+        return KickRecord(zeros.long(), zeros, zeros, torch.zeros(num_envs, 2))
 
     def note(self, before: State, state: State, failed: Tensor, control_interval: float) -> None:
         """Takes account of one control step.
@@ -60,37 +61,33 @@ class KickRecord:
         window = max(1, round(LAUNCH_WINDOW / control_interval))
         faster = (since > 0) & (since <= window) & (state.ball_ground_speed > self.launch_speed)
         self.launch_speed = torch.where(faster, state.ball_ground_speed, self.launch_speed)
-        error = angle_between(state.ball_to_target, state.ball_lin_vel[:, :2])
-        self.direction_error = torch.where(faster, error, self.direction_error)
+        (x, y), (vx, vy) = state.ball_to_target.T, state.ball_lin_vel[:, :2].T
+        launch = torch.stack([x * vx + y * vy, x * vy - y * vx], dim=1)
+        self.launch = torch.where(faster.unsqueeze(1), launch, self.launch)
 
     def clear(self, mask: Tensor) -> None:
         """Starts new records in the envs in `mask` [B]."""
-        fresh = KickRecord.empty(len(mask))
         for field in fields(self):
-            setattr(
-                self, field.name, torch.where(mask, getattr(fresh, field.name), getattr(self, field.name))
-            )
+            value = getattr(self, field.name)
+            cleared = value.masked_fill(mask if value.dim() == 1 else mask.unsqueeze(1), 0)
+            setattr(self, field.name, cleared)
 
     def take(self, rows: Tensor) -> KickRecord:
         """The records of the given envs, in that order."""
         return KickRecord(*(getattr(self, field.name)[rows] for field in fields(self)))
 
     def columns(self, stop_speed: float) -> dict[str, Tensor]:
-        """Columns of a table of episodes.
+        """Columns of a table of episodes, the direction error in rad in (-pi, pi].
 
         Args:
             stop_speed: A ball slower than that has not been launched: its direction means nothing, m/s.
         """
-        launched = self.launch_speed >= stop_speed
+        dot, cross = self.launch.double().T.numpy()
+        # In numpy: the last bits of torch's do not depend on the numbers alone, but on their place in the tensor.
+        error = torch.from_numpy(np.arctan2(cross, dot))
         return {
             "touches": self.touches,
             "walked_after_touch": self.walked_after_touch,
             "launch_speed": self.launch_speed.masked_fill(self.touches == 0, torch.nan),
-            "direction_error": self.direction_error.masked_fill(~launched, torch.nan),
+            "direction_error": error.masked_fill(self.launch_speed < stop_speed, torch.nan),
         }
-
-
-def angle_between(first: Tensor, second: Tensor) -> Tensor:
-    """Angle from one planar vector [B, 2] to another, counter-clockwise positive [B], rad in (-pi, pi]."""
-    cross = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
-    return torch.atan2(cross, (first * second).sum(dim=1))

@@ -74,7 +74,7 @@ def make_metrics(sides: EpisodeSides, task: str, method: str, seed: int, **chang
         "iterations": 450,
         "env_steps": 2_764_800,
         "training_seconds": 5000.0,
-        "evaluation": summarise_sides(sides, 0.35),
+        "evaluation": summarise_sides(sides, 0.35, 0.02),
         "provenance": provenance,
     }
     return Metrics.model_validate({**values, **changes})

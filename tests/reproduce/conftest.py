@@ -61,7 +61,7 @@ def make_metrics(iterations: int, seconds: float = 100.0, **values) -> Metrics:
         iterations=iterations,
         env_steps=1000,
         training_seconds=seconds,
-        evaluation=summarise_sides(EpisodeSides(episodes(4), None), 0.35),
+        evaluation=summarise_sides(EpisodeSides(episodes(4), None), 0.35, 0.02),
         provenance=provenance,
     )
 

@@ -74,7 +74,7 @@ def write_run(folder: Path, method: str, seed: int, rate: float, *, table: bool 
         iterations=450,
         env_steps=0,
         training_seconds=0,
-        evaluation=summarise_sides(sides, RADIUS),
+        evaluation=summarise_sides(sides, RADIUS, 0.02),
         provenance=provenance,
     )
     write_metrics(path / "metrics.json", metrics)
