@@ -89,10 +89,10 @@ class _Schedule:
 class _Evaluation:
     """Running episodes: envs, their schedule and records, and the observations they wait with."""
 
-    def __init__(self, task: CompiledTask, starts: Starts, seed: int, num_threads: int | None) -> None:
+    def __init__(
+        self, task: CompiledTask, starts: Starts, seed: int, num_envs: int, num_threads: int | None
+    ) -> None:
         self.task, self.starts, self.seed, self.num_threads = task, starts, seed, num_threads
-
-    def begin(self, num_envs: int) -> None:
         self.schedule = _Schedule(self.starts, self.seed, num_envs)
         self.env, self.kick = self._make_env(self.schedule), KickRecord.empty(num_envs)
         self.observations = self.env.get_observations()
@@ -157,10 +157,9 @@ def run_episodes(
     Returns:
         Row i is the episode from start i.
     """
-    running = _Evaluation(task, starts, seed, num_threads)
     ended: list[dict[str, np.ndarray]] = []
     with torch.inference_mode(), torch_threads(1):
-        running.begin(min(num_envs, len(starts)))
+        running = _Evaluation(task, starts, seed, min(num_envs, len(starts)), num_threads)
         while not running.schedule.finished:
             running.shrink()
             actions = policy(running.observations)

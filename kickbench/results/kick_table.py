@@ -8,10 +8,10 @@ from kickbench.results.columns import NOTHING, Row, mean_and_spread, render_bloc
 from kickbench.results.kick import KickFigures
 from kickbench.results.metrics import EvaluationMetrics, Metrics
 
-_GROUPS = ("", "", "", "launch", "direction error [rad]", "", "", "touch", "", "walked", "episodes [%]", "")
+_GROUPS = ("", "", "", "launch", "direction [rad]", "", "", "touch", "", "walked", "episodes [%]", "")
 _HEADER = (
-    "method", "seed", "starts", "[m/s] [95 % CI]", "mean", "median", "bias", "after [s]", "times", "after [m]",
-    "fallen", "not finite",
+    "method", "seed", "side", "[m/s] [95 % CI]", "|error|", "median", "bias", "at [s]", "times", "on [m]",
+    "fell", "failed",
 )  # fmt: skip
 _FIGURES = (
     ("mean_launch_speed", 2, 1), ("mean_direction_error", 3, 1), ("median_direction_error", 3, 1),
@@ -24,6 +24,10 @@ _SIDES = (("in_distribution", "in-dist."), ("mirrored", "mirrored"))
 
 def kick_block(task: str, runs: Sequence[Metrics]) -> str:
     """The table of one task: a row for every run and side, and mean and standard deviation over several seeds.
+
+    Columns are those of `KickFigures`: mean speed of the launch, mean and median of the direction error without its
+    sign and its bias, time of the first touch and number of touches, path towards the ball after it, falls, and
+    episodes whose state was not finite.
 
     Args:
         task: name of the task.
