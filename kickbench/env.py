@@ -14,6 +14,7 @@ from torch import Tensor
 
 from kickbench.mdp.compile import Bound, CompiledTask
 from kickbench.mdp.delay import ActionDelay
+from kickbench.mdp.draws import Draws
 from kickbench.mdp.engines import make_engine as make_engine
 from kickbench.mdp.episode import EpisodeRecord, Outcome, Totals
 from kickbench.mdp.observing import Observer
@@ -50,6 +51,7 @@ class KickEnv(VecEnv):
         noise: bool = True,
         pushes: bool = True,
         starts: StartSource | None = None,
+        draws: Draws | None = None,
         resident: bool | None = None,
     ) -> None:
         """Resets every world.
@@ -61,6 +63,7 @@ class KickEnv(VecEnv):
             noise: Whether observation noise applies.
             pushes: Whether the task's pushes apply.
             starts: Where starts come from; default: sampled from the task's regions.
+            draws: Where observation noise, delays and pushes come from; default: the generator of the starts.
             resident: Whether no step may wait for the host to read a number back; default: on all devices but the
                 CPU, where it costs nothing to look. Starts are then drawn in another order.
         """
@@ -73,6 +76,7 @@ class KickEnv(VecEnv):
         self._resident = self.device.type != "cpu" if resident is None else resident
         self.sampler = self._make_sampler()
         self._starts = starts or self._make_starts()
+        self._draws: Draws = draws or self.generator
         self._noise = noise
         self._prepare_constants()
         made = {bound.term.stage: self._make_process(bound) for bound in task.processes}
@@ -116,7 +120,7 @@ class KickEnv(VecEnv):
 
     def _make_process(self, bound: Bound) -> Any:
         spec = self.task.spec.simulation
-        setting = Setting(spec.timestep, spec.decimation, self._default_target, self.num_envs, self.generator)
+        setting = Setting(spec.timestep, spec.decimation, self._default_target, self.num_envs, self._draws)
         return bound.term.function(bound.params, setting)
 
     def grow(self, task: CompiledTask) -> None:
@@ -203,7 +207,10 @@ class KickEnv(VecEnv):
 
     def step(self, actions: Tensor) -> tuple[TensorDict, Tensor, Tensor, dict[str, Tensor]]:
         """Advances every world by one control step; see the class."""
-        state = self.advance(actions)
+        return self.finish(self.advance(actions))
+
+    def finish(self, state: State) -> tuple[TensorDict, Tensor, Tensor, dict[str, Tensor]]:
+        """The second half of a step, given what `advance` returned: rewards, endings, resets, observations."""
         rewards = self._reward(state)
         failed = self.engine.failed.clone()
         terminated = torch.stack([bound(state) for bound in self.task.terminations], dim=1)
@@ -291,7 +298,7 @@ class KickEnv(VecEnv):
             self._by_side[name] = torch.where(mask.unsqueeze(1), values, self._by_side.get(name, values))
 
     def _observe(self) -> TensorDict:
-        return self._group(self._observer(self.state(), self.generator))
+        return self._group(self._observer(self.state(), self._draws))
 
     def state_dict(self) -> dict[str, Any]:
         """Everything that later steps depend on, as tensors and plain numbers, in dicts by part.

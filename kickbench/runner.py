@@ -23,7 +23,7 @@ from kickbench.physics.devices import check_device
 from kickbench.results.asymmetry import EquivarianceError
 from kickbench.results.episodes import EpisodeSides, EpisodeTable, write_episodes
 from kickbench.results.history import RunHistory, earlier_parts
-from kickbench.results.metrics import Metrics, load_metrics, summarise_sides, write_metrics
+from kickbench.results.metrics import Evaluation, Metrics, load_metrics, summarise_sides, write_metrics
 from kickbench.results.specs import write_specs
 from kickbench.results.store import RunDirectory
 from kickbench.train.checkpoint import Checkpoints, load_policy, save_policy
@@ -203,9 +203,17 @@ def _metrics(
         env_steps=training.env_steps,
         training_seconds=round(training.seconds, 3),
         schedule_iterations=training.horizon if extended else None,
-        evaluation=summarise_sides(sides, experiment.task.spec.evaluation.success_radius, equivariance),
+        evaluation=_summary(experiment, sides, equivariance),
         provenance=history.provenance(training.env_steps),
     )
+
+
+def _summary(
+    experiment: Experiment, sides: EpisodeSides, equivariance: EquivarianceError | None
+) -> Evaluation:
+    spec = experiment.task.spec
+    radius, interval = spec.evaluation.success_radius, spec.simulation.control_interval
+    return summarise_sides(sides, radius, interval, equivariance)
 
 
 def make_trainer(
@@ -293,7 +301,7 @@ def reevaluate(
     recorded = load_metrics(RunDirectory(path).metrics)
     experiment, policy = load_run(path, task)
     sides, equivariance = evaluate(experiment, policy, episodes=episodes, seed=seed, threads=threads)
-    evaluation = summarise_sides(sides, experiment.task.spec.evaluation.success_radius, equivariance)
+    evaluation = _summary(experiment, sides, equivariance)
     # Where a run keeps its task, the file's name is not the task's.
     name = experiment.task.name if task else recorded.task
     return recorded.model_copy(update={"task": name, "evaluation": evaluation}), sides

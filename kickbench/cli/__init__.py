@@ -178,6 +178,7 @@ def _add_inspection(verbs: argparse._SubParsersAction) -> None:
     verb.add_argument(
         "roots", type=Path, nargs="+", metavar="DIR", help="run directories, or folders of them"
     )
+    verb.add_argument("--columns", choices=("success", "kick"), default="success", help="figures to print")
     verb = _add_verb(
         verbs, "compare", f"{module}:compare", "compare methods over their seeds and on the same starts"
     )

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from kickbench.errors import KickbenchError, Problem, SpecError
+from kickbench.results.kick_table import kick_block
 from kickbench.results.metrics import load_metrics
 from kickbench.results.store import RunDirectory, find_results
 from kickbench.results.table import render_table
@@ -118,7 +119,12 @@ def _specs(root: Path) -> Iterator[tuple[str, Path, str]]:
 
 def table(arguments: argparse.Namespace) -> int:
     """`kickbench table DIR...`: the table of finished runs."""
-    print(render_table([load_metrics(run.metrics) for run in _finished_runs(arguments.roots)]))
+    runs = [load_metrics(run.metrics) for run in _finished_runs(arguments.roots)]
+    if arguments.columns == "kick":
+        tasks = dict.fromkeys(run.task for run in runs)
+        print("\n\n".join(kick_block(task, [run for run in runs if run.task == task]) for task in tasks))
+    else:
+        print(render_table(runs))
     return 0
 
 

@@ -1,8 +1,8 @@
 """Runs exactly the episodes asked for, none counted twice, none preferred for being short.
 
-All starts are drawn before the first step. Every world is given its share of them beforehand and runs them
-one after the other; what it does after its last one is not recorded. (Recording the first N episodes to
-*finish* would prefer short ones.)
+All starts are drawn before the first step, and every one of them is run to its end. (Recording the first N episodes to
+*finish* would prefer short ones.) An env that finishes an episode begins the next start that no env has begun. What
+happens in an episode does not depend on when or where it runs.
 """
 
 from __future__ import annotations
@@ -16,20 +16,23 @@ from torch import Tensor
 
 from kickbench.env import KickEnv
 from kickbench.evaluate.equivariance import EquivarianceProbe
+from kickbench.evaluate.kick import KickRecord
 from kickbench.experiment import Experiment
 from kickbench.mdp.compile import CompiledTask
+from kickbench.mdp.draws import EpisodeDraws
 from kickbench.mdp.engines import make_engine
 from kickbench.mdp.episode import FOOT_NAMES
 from kickbench.mdp.starts import Starts, StartSampler
 from kickbench.nets.threads import torch_threads
 from kickbench.results.episodes import EpisodeTable
+from kickbench.results.kick import NON_FINITE
 from kickbench.symmetry.torch_ops import Mirror
 
 Policy = Callable[[TensorDict], Tensor]
 """Observations {group: [B, width]} -> actions [B, nu]."""
 
-FAILED = "non_finite"
-"""Termination of an episode whose numbers were not finite."""
+_BUSY_SHARE, _FEWEST_ENVS = 0.75, 8
+"""Share of envs with an episode below which the others are dropped, and how few envs are not worth that."""
 
 
 def draw_starts(task: CompiledTask, episodes: int, seed: int) -> Starts:
@@ -46,24 +49,86 @@ def mirror_starts(experiment: Experiment, starts: Starts) -> Starts:
 
 
 class _Schedule:
-    """Which episode each world runs: world w runs w, w + B, w + 2 B, ..."""
+    """Which episode every env runs: one that is finished gets the next that has not begun.
 
-    def __init__(self, starts: Starts, num_worlds: int) -> None:
-        self.starts, self.num_worlds, self.count = starts, num_worlds, len(starts)
-        self.next = torch.arange(num_worlds)
-        self.running = torch.full((num_worlds,), -1)
+    Attributes:
+        running: Episode of every env, -1: none is left for it [B].
+        draws: Random numbers of the running episodes.
+    """
+
+    def __init__(self, starts: Starts, seed: int, num_envs: int, begun: int = 0) -> None:
+        self.starts, self._seed, self._begun = starts, seed, begun
+        self.running = torch.full((num_envs,), -1)
+        self.draws = EpisodeDraws(num_envs)
 
     def __call__(self, mask: Tensor) -> Starts:
-        """Hands the next start to every world in `mask`; one that has none left repeats its last."""
-        rows = mask.cpu()
-        has_more = rows & (self.next < self.count)
-        self.running = torch.where(has_more, self.next, torch.where(rows, -1, self.running))
-        self.next = torch.where(rows, self.next + self.num_worlds, self.next)
+        """Hands the next starts to the envs in `mask`; one that gets none repeats some start, uncounted."""
+        envs = mask.nonzero().squeeze(1)
+        given = torch.arange(self._begun, self._begun + len(envs))
+        given[given >= len(self.starts)] = -1
+        self._begun = min(self._begun + len(envs), len(self.starts))
+        self.running = self.running.index_put((envs,), given)
+        for env, episode in zip(envs.tolist(), given.tolist(), strict=True):
+            if episode >= 0:
+                self.draws.begin(env, (self._seed, episode))
         return self.starts.take(self.running.clamp(min=0))
 
     @property
     def finished(self) -> bool:
         return bool((self.running < 0).all())
+
+    def busy(self) -> Tensor | None:
+        """Envs to go on with, where idle ones cost more than a smaller engine; None: all of them."""
+        idle = self.running < 0
+        count = max(len(idle) - int(idle.sum()), _FEWEST_ENVS)
+        if count > _BUSY_SHARE * len(idle):
+            return None
+        return idle.int().argsort(stable=True)[:count]
+
+
+class _Evaluation:
+    """Running episodes: envs, their schedule and records, and the observations they wait with."""
+
+    def __init__(
+        self, task: CompiledTask, starts: Starts, seed: int, num_envs: int, num_threads: int | None
+    ) -> None:
+        self.task, self.starts, self.seed, self.num_threads = task, starts, seed, num_threads
+        self.schedule = _Schedule(self.starts, self.seed, num_envs)
+        self.env, self.kick = self._make_env(self.schedule), KickRecord.empty(num_envs)
+        self.observations = self.env.get_observations()
+
+    def _make_env(self, schedule: _Schedule) -> KickEnv:
+        engine = make_engine(self.task, len(schedule.running), num_threads=self.num_threads)
+        protocol, draws = self.task.spec.evaluation, schedule.draws
+        noise, pushes = protocol.observation_noise, protocol.pushes
+        return KickEnv(self.task, engine, self.seed, noise=noise, pushes=pushes, starts=schedule, draws=draws)
+
+    def shrink(self) -> None:
+        """Goes on with fewer envs where many are idle: engines step all of them."""
+        rows = self.schedule.busy()
+        if rows is None:
+            return
+        old, schedule = self.schedule, _Schedule(self.starts, self.seed, len(rows), begun=len(self.starts))
+        smaller = self._make_env(schedule)
+        smaller.restore(self.env.snapshot().take(rows))
+        self.env.engine.close()
+        # Last: making and restoring the envs has drawn numbers and asked for starts.
+        schedule.running = old.running[rows]
+        schedule.draws.streams[:] = [old.draws.streams[row] for row in rows.tolist()]
+        self.env, self.schedule, self.kick = smaller, schedule, self.kick.take(rows)
+        self.observations = self.observations[rows]
+
+    def step(self, actions: Tensor) -> dict[str, np.ndarray]:
+        """Advances all envs by one control step, and returns the columns of the episodes that it has ended."""
+        env, running, before = self.env, self.schedule.running, self.env.state()
+        state = env.advance(actions)
+        self.kick.note(before, state, env.engine.failed, self.task.spec.simulation.control_interval)
+        self.observations = env.finish(state)[0]
+        columns = self.kick.columns(self.task.spec.episode.stop_speed)
+        ended = _ended(env, running, before.ball_pos[:, :2], columns)
+        assert env.outcome is not None
+        self.kick.clear(env.outcome.done)
+        return ended
 
 
 def run_episodes(
@@ -72,59 +137,55 @@ def run_episodes(
     starts: Starts,
     seed: int,
     num_envs: int = 512,
-    device: str = "cpu",
     num_threads: int | None = None,
     probe: EquivarianceProbe | None = None,
 ) -> EpisodeTable:
-    """Runs one episode from each start with a deterministic policy.
+    """Runs one episode from each start with a deterministic policy, on the CPU.
+
+    An episode depends on its start, the seed and its number alone, not on `num_envs` or `num_threads`; but a policy may
+    answer up to three observations at a time with other last bits than more (BLAS).
 
     Args:
         task: Compiled task.
-        policy: Maps observations to actions; called without gradients.
+        policy: Maps observations to actions, row by row; called without gradients.
         starts: Starts, one an episode.
-        seed: Seed of the observation noise, where the task's evaluation has any.
-        num_envs: Worlds at most.
-        device: Device of the physics.
+        seed: Seed of observation noise, delays and pushes, where the task's evaluation has any.
+        num_envs: Envs at most.
         num_threads: Physics threads.
         probe: Shown every observation of the recorded episodes and the policy's answer.
+
+    Returns:
+        Row i is the episode from start i.
     """
-    worlds = min(num_envs, len(starts))
-    schedule = _Schedule(starts, worlds)
-    engine = make_engine(task, worlds, device, num_threads)
-    protocol = task.spec.evaluation
-    env = KickEnv(
-        task, engine, seed, noise=protocol.observation_noise, pushes=protocol.pushes, starts=schedule
-    )
     ended: list[dict[str, np.ndarray]] = []
     with torch.inference_mode(), torch_threads(1):
-        while not schedule.finished:
-            running, before = schedule.running.clone(), env.state().ball_pos[:, :2].clone()
-            observations = env.get_observations()
-            actions = policy(observations)
+        running = _Evaluation(task, starts, seed, min(num_envs, len(starts)), num_threads)
+        while not running.schedule.finished:
+            running.shrink()
+            actions = policy(running.observations)
             if probe is not None:
-                probe(observations, actions, env.episode.step, running.to(actions.device) >= 0)
-            env.step(actions)
-            ended.append(_ended(env, running, before))
-    return _table(task, starts, worlds, ended)
+                probe(running.observations, actions, running.env.episode.step, running.schedule.running >= 0)
+            ended.append(running.step(actions))
+    return _table(task, starts, ended)
 
 
-def _ended(env: KickEnv, running: Tensor, before: Tensor) -> dict[str, np.ndarray]:
+def _ended(env: KickEnv, running: Tensor, before: Tensor, kick: dict[str, Tensor]) -> dict[str, np.ndarray]:
     """Columns of the recorded episodes that ended in the last step.
 
     Args:
         env: The environments.
-        running: Episode that each world ran in that step, -1: none [B].
-        before: Ball positions before the step [B, 2], kept for worlds whose numbers went bad.
+        running: Episode that each env ran in that step, -1: none [B].
+        before: Ball positions before the step [B, 2], kept for envs whose state is not finite.
+        kick: Columns of the kick.
     """
     outcome = env.outcome
     assert outcome is not None
-    record, worlds = outcome.record, torch.nonzero(outcome.done.cpu() & (running >= 0)).squeeze(1)
+    record, envs = outcome.record, torch.nonzero(outcome.done & (running >= 0)).squeeze(1)
     ball = torch.where(outcome.failed.unsqueeze(1), before, outcome.ball)
-    # The first termination in the task's order names the ending; a world that failed has a name of its own.
+    # The first termination in the task's order names the ending; an env that failed has a name of its own.
     ending = torch.where(outcome.failed, outcome.terminated.shape[1], outcome.terminated.int().argmax(dim=1))
     columns = {
         "running": running,
-        "world": torch.arange(env.num_envs),
         "ball_x": ball[:, 0],
         "ball_y": ball[:, 1],
         "success": outcome.success,
@@ -134,24 +195,21 @@ def _ended(env: KickEnv, running: Tensor, before: Tensor) -> dict[str, np.ndarra
         "kick_foot": record.kick_foot,
         "kick_step": record.kick_step,
         "peak_ball_speed": record.peak_ball_speed,
+        **kick,
     }
-    return {name: column.cpu()[worlds].numpy() for name, column in columns.items()}
+    return {name: column[envs].numpy() for name, column in columns.items()}
 
 
-def _table(
-    task: CompiledTask, starts: Starts, worlds: int, ended: list[dict[str, np.ndarray]]
-) -> EpisodeTable:
+def _table(task: CompiledTask, starts: Starts, ended: list[dict[str, np.ndarray]]) -> EpisodeTable:
     merged = {name: np.concatenate([chunk[name] for chunk in ended]) for name in ended[0]}
     order = np.argsort(merged["running"])
     rows = {name: column[order] for name, column in merged.items()}
     assert (rows["running"] == np.arange(len(starts))).all(), "every episode is counted exactly once"
     place = task.scene.layout.ball_qpos
     start_ball, target = starts.qpos[:, place : place + 2].numpy(), starts.target.numpy()
-    endings = np.array([*(bound.name for bound in task.terminations), FAILED])
+    endings = np.array([*(bound.name for bound in task.terminations), NON_FINITE])
     final = np.stack([rows["ball_x"], rows["ball_y"]], axis=1).astype(np.float64)
     return EpisodeTable(
-        world=rows["world"],
-        episode=rows["running"] // worlds,
         start_ball_x=start_ball[:, 0],
         start_ball_y=start_ball[:, 1],
         target_x=target[:, 0],
@@ -166,4 +224,8 @@ def _table(
         kick_foot=np.array(FOOT_NAMES)[rows["kick_foot"]],
         kick_step=rows["kick_step"],
         peak_ball_speed=rows["peak_ball_speed"],
+        touches=rows["touches"],
+        walked_after_touch=rows["walked_after_touch"],
+        launch_speed=rows["launch_speed"],
+        direction_error=rows["direction_error"],
     )

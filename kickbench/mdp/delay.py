@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from kickbench.mdp.draws import Draws, uniform
 from kickbench.mdp.stateful import Stateful
 from kickbench.symmetry.torch_ops import Mirror
 
@@ -58,7 +59,7 @@ class ActionDelay(Stateful):
         decimation: int,
         default_target: Tensor,
         num_worlds: int,
-        generator: torch.Generator,
+        generator: Draws,
     ) -> None:
         """Fills the buffer with the default target.
 
@@ -119,8 +120,7 @@ class ActionDelay(Stateful):
         return self._history.flatten(0, 1).index_select(0, rows).view(*age.shape, -1)
 
     def _draw_lags(self) -> Tensor:
-        worlds, device = len(self._newest), self._newest.device
         span = self._high - self._low + 1
-        unit = torch.rand(2, worlds, generator=self._generator, device=device)
+        unit = uniform(self._generator, (2, len(self._newest)), env_axis=1)
         lag = self._low + (unit[0] * span).floor().long().clamp(max=span - 1)
         return lag + (unit[1] < self._hold)

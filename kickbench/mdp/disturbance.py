@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from kickbench.mdp.compile import Field
+from kickbench.mdp.draws import Draws, uniform
 
 
 class Disturbance:
@@ -30,10 +31,10 @@ class Disturbance:
         self._noisy = any(half_widths)
         self._clips = any(clip != unclipped for clip in clips)
 
-    def __call__(self, value: Tensor, generator: torch.Generator) -> Tensor:
+    def __call__(self, value: Tensor, generator: Draws) -> Tensor:
         """The observation as the network gets it [B, width]."""
         if self._noisy:
             # In place: the tensors are large enough for their memory to cost more than the sums.
-            noise = torch.rand(value.shape, generator=generator, device=value.device)
+            noise = uniform(generator, value.shape, env_axis=0)
             value = noise.mul_(2.0).sub_(1.0).mul_(self._half_width).add_(value)
         return value.clamp(self._low, self._high) if self._clips else value

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from kickbench.mdp.compile import Field
 from kickbench.mdp.disturbance import Disturbance
+from kickbench.mdp.draws import Draws
 from kickbench.mdp.state import State
 
 
@@ -43,7 +44,7 @@ class Observer:
         keys = self._keys[name]
         return next(other for other in longest_first if self._keys[other][: len(keys)] == keys)
 
-    def __call__(self, state: State, generator: torch.Generator) -> dict[str, Tensor]:
+    def __call__(self, state: State, generator: Draws) -> dict[str, Tensor]:
         """Observations by group, {group: [B, width]}; not to be written to.
 
         Args:

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from kickbench.mdp.delay import whole_steps
+from kickbench.mdp.draws import Draws, uniform
 from kickbench.mdp.stateful import Stateful
 
 
@@ -50,7 +51,7 @@ class Pushes(Stateful):
         force: tuple[float, float],
         control_interval: float,
         num_worlds: int,
-        generator: torch.Generator,
+        generator: Draws,
     ) -> None:
         """Draws the first intervals.
 
@@ -104,8 +105,7 @@ class Pushes(Stateful):
 
     def _draw(self, *ranges: tuple[float, float]) -> Iterator[Tensor]:
         """Uniform numbers, one row of [B] a range."""
-        device = self._wait.device
-        unit = torch.rand(len(ranges), len(self._wait), generator=self._generator, device=device)
+        unit = uniform(self._generator, (len(ranges), len(self._wait)), env_axis=1)
         return (low + (high - low) * row for (low, high), row in zip(ranges, unit.unbind(), strict=True))
 
 

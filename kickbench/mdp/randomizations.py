@@ -15,6 +15,7 @@ from torch import Tensor
 
 from kickbench.mdp.delay import ActionDelay as DelayBuffer
 from kickbench.mdp.delay import whole_steps
+from kickbench.mdp.draws import Draws
 from kickbench.mdp.pushes import Pushes as PushSchedule
 from kickbench.mdp.starts import Draw, Starts
 from kickbench.mdp.term import randomization
@@ -39,7 +40,7 @@ class Setting:
     decimation: int
     default_target: Tensor
     num_worlds: int
-    generator: torch.Generator
+    generator: Draws
 
 
 class FootFriction(RandomizationParams):

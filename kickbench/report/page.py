@@ -26,6 +26,7 @@ from kickbench.report.tables import (
     asymmetry_table,
     comparison_table,
     further_table,
+    kick_table,
     origins_table,
     provenance_table,
     reported_of,
@@ -83,6 +84,7 @@ class Part:
     notes: tuple[Note, ...]
     problems: tuple[str, ...]
     further: Table | None = None
+    kick: Table | None = None
 
 
 def part_of(study: Study, claims: Sequence[Claimed], anchor: str, commit: str | None = None) -> Part:
@@ -108,6 +110,7 @@ def part_of(study: Study, claims: Sequence[Claimed], anchor: str, commit: str | 
         study.notes,
         study.problems,
         further_table(study),
+        kick_table(study),
     )
 
 

@@ -128,6 +128,17 @@ def asymmetry_table(study: Study) -> Table | None:
     return Table("Left and right, a row a run", columns, rows) if told else None
 
 
+def kick_table(study: Study) -> Table | None:
+    """Launch of the ball and what came before and after it, a row a run; None if no run has the figures."""
+    columns = (
+        "Run", "Launch [m/s]", "Direction error [rad]", "Its bias [rad]", "First touch after [s]", "Touches",
+        "Walked after it [m]", "Falls [%]", "Not finite [%]",
+    )  # fmt: skip
+    rows = tuple(_kick_row(run) for run in study.runs if run.metrics is not None)
+    measured = any(run.metrics and run.metrics.evaluation.in_distribution.kick for run in study.runs)
+    return Table("The kick in distribution, a row a run", columns, rows) if measured else None
+
+
 def further_table(study: Study) -> Table | None:
     """Results of the same policies on further tasks, a row a run and task; None if there are none."""
     rows = []
@@ -231,6 +242,30 @@ def _asymmetry_row(run: RunData) -> tuple[Cell, ...]:
         _percent(success and success.right_rate, None),
         _percent(pairs and pairs.agreement, pairs and pairs.agreement_ci),
     )
+
+
+def _kick_row(run: RunData) -> tuple[Cell, ...]:
+    kick = run.metrics and run.metrics.evaluation.in_distribution.kick
+    if not kick:
+        return (_name(run), *[Cell(NOT_MEASURED, faint=True)] * 8)
+    error, median = kick.mean_direction_error, kick.median_direction_error
+    return (
+        _name(run),
+        _figure(kick.mean_launch_speed, kick.mean_launch_speed_ci),
+        _figure(error, note="" if median is None else f"median {median:.2f}"),
+        _figure(kick.direction_bias),
+        _figure(kick.mean_time_to_touch),
+        _figure(kick.mean_touches),
+        _figure(kick.mean_walked_after_touch),
+        _percent(kick.falls, None),
+        _percent(kick.non_finite, None),
+    )
+
+
+def _figure(value: float | None, interval: Interval | None = None, note: str = "") -> Cell:
+    if value is None:
+        return Cell(NOT_MEASURED, faint=True)
+    return Cell(f"{value:z.2f}", f"[{interval.low:.2f}, {interval.high:.2f}]" if interval else note)
 
 
 def _percent(value: float | None, interval: Interval | None, digits: int = 1) -> Cell:

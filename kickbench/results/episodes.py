@@ -15,6 +15,11 @@ from kickbench.errors import KickbenchError
 from kickbench.results.atomic import atomic_write_text
 
 KICK_FEET = ("left", "right", "other", "none")
+KICK_COLUMNS = ("touches", "walked_after_touch", "launch_speed", "direction_error")
+"""Columns that tables of older versions lack."""
+_MAY_BE_NAN = ("launch_speed", "direction_error")
+_FORMER_COLUMNS = ("world", "episode")
+"""Columns of older versions that are not read: where an episode was run."""
 _SIDES = ("in_distribution", "mirrored")
 _DECIMALS = 6
 
@@ -24,11 +29,10 @@ class EpisodeTable:
     """One row an episode; every column is an array [episodes].
 
     Positions are horizontal, in metres, in the robot's frame at the start of the episode: x forward, y left.
-    Floats must be finite: an episode whose state diverged is given its last finite ball position.
+    Floats must be finite but for those of the launch: an episode whose state diverged is given its last finite ball
+    position. Row i of an evaluation is the episode from its start i.
 
     Attributes:
-        world: index of the world that ran the episode.
-        episode: how many episodes that world had finished before, 0, 1, ...
         start_ball_x: ball at the start [m].
         start_ball_y: ball at the start [m]; >= 0 is the robot's left side.
         target_x: target [m].
@@ -43,10 +47,14 @@ class EpisodeTable:
         kick_foot: what touched the ball first: left, right, other (not a foot) or none.
         kick_step: control step of that first touch, -1 if none.
         peak_ball_speed: highest horizontal speed of the ball [m/s].
+        touches: separate touches of the ball: control steps with contact after one without. As all that follow,
+            defined in `evaluate.kick`, and None in tables of older versions.
+        walked_after_touch: how far the robot's base moved towards the ball after its first touch [m].
+        launch_speed: horizontal speed of the ball as it was first kicked [m/s]; NaN if it was never touched.
+        direction_error: angle from the direction of the target to the ball's velocity at the launch, positive to the
+            left [rad]; NaN if the ball never moved faster than the task's stop speed then.
     """
 
-    world: NDArray[np.int64]
-    episode: NDArray[np.int64]
     start_ball_x: NDArray[np.float64]
     start_ball_y: NDArray[np.float64]
     target_x: NDArray[np.float64]
@@ -61,21 +69,27 @@ class EpisodeTable:
     kick_foot: NDArray[np.str_]
     kick_step: NDArray[np.int64]
     peak_ball_speed: NDArray[np.float64]
+    touches: NDArray[np.int64] | None = None
+    walked_after_touch: NDArray[np.float64] | None = None
+    launch_speed: NDArray[np.float64] | None = None
+    direction_error: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
-        for name, kind in _KINDS.items():
-            object.__setattr__(self, name, _checked_column(name, getattr(self, name), kind, len(self.world)))
+        if len({getattr(self, name) is None for name in KICK_COLUMNS}) > 1:
+            raise ValueError(f"expected all or none of the columns {', '.join(KICK_COLUMNS)}")
+        for name, column in self.columns().items():
+            object.__setattr__(self, name, _checked_column(name, column, _KINDS[name], len(self)))
         strangers = set(self.kick_foot.tolist()) - set(KICK_FEET)
         if strangers:
             raise ValueError(f"kick_foot: expected one of {', '.join(KICK_FEET)}, found {sorted(strangers)}")
 
     def __len__(self) -> int:
         """Number of episodes."""
-        return len(self.world)
+        return len(self.start_ball_x)
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """The columns by name, in the order of the file."""
-        return {name: getattr(self, name) for name in _KINDS}
+        """The columns that are there by name, in the order of the file."""
+        return {name: column for name in _KINDS if (column := getattr(self, name)) is not None}
 
 
 class EpisodeSides(NamedTuple):
@@ -88,7 +102,9 @@ class EpisodeSides(NamedTuple):
 # Kind of each column, from its annotation: say it once.
 _BY_ANNOTATION = {"np.int64": np.int64, "np.float64": np.float64, "np.bool_": np.bool_, "np.str_": np.str_}
 _KINDS: dict[str, type[np.generic]] = {
-    field.name: _BY_ANNOTATION[str(field.type).removeprefix("NDArray[").removesuffix("]")]
+    field.name: _BY_ANNOTATION[
+        str(field.type).removesuffix(" | None").removeprefix("NDArray[").removesuffix("]")
+    ]
     for field in fields(EpisodeTable)
 }
 
@@ -105,7 +121,7 @@ def write_episodes(path: Path, sides: EpisodeSides) -> None:
     """
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
-    writer.writerow(["side", *_KINDS])
+    writer.writerow(["side", *sides.in_distribution.columns()])
     for side, table in zip(_SIDES, sides, strict=True):
         if table is not None:
             texts = [_format_column(column) for column in table.columns().values()]
@@ -132,31 +148,32 @@ def read_episodes(path: Path) -> EpisodeSides:
         raise KickbenchError(f"{path}: cannot read the episode table: {error}") from error
     _check_rows(path, rows)
     try:
-        home, mirrored = (_parse_side(rows[1:], side) for side in _SIDES)
+        home, mirrored = (_parse_side(rows[0], rows[1:], side) for side in _SIDES)
     except (ValueError, OverflowError) as error:
         raise KickbenchError(f"{path}: {error}") from error
     return EpisodeSides(home, mirrored if len(mirrored) else None)
 
 
 def _check_rows(path: Path, rows: list[list[str]]) -> None:
-    header = ["side", *_KINDS]
-    if not rows or rows[0] != header:
-        raise KickbenchError(f"{path}:1: expected the columns {', '.join(header)}")
+    header, known = rows[0] if rows else [], ["side", *_KINDS]
+    missing = set(known) - set(KICK_COLUMNS) - set(header)
+    unknown = set(header) - set(known) - set(_FORMER_COLUMNS)
+    if missing or unknown or len(set(header)) < len(header):
+        raise KickbenchError(f"{path}:1: expected the columns {', '.join(known)}")
     for line, row in enumerate(rows[1:], start=2):
         if len(row) != len(header):
             raise KickbenchError(f"{path}:{line}: expected {len(header)} values, found {len(row)}")
-        if row[0] not in _SIDES:
-            raise KickbenchError(f"{path}:{line}: side: expected {' or '.join(_SIDES)}, found {row[0]!r}")
+        side = row[header.index("side")]
+        if side not in _SIDES:
+            raise KickbenchError(f"{path}:{line}: side: expected {' or '.join(_SIDES)}, found {side!r}")
 
 
-def _parse_side(rows: list[list[str]], side: str) -> EpisodeTable:
-    cells = [row[1:] for row in rows if row[0] == side]
-    texts = list(zip(*cells, strict=True)) if cells else [()] * len(_KINDS)
+def _parse_side(header: list[str], rows: list[list[str]], side: str) -> EpisodeTable:
+    place = header.index("side")
+    cells = [row for row in rows if row[place] == side]
+    texts = dict(zip(header, zip(*cells, strict=True) if cells else [()] * len(header), strict=True))
     return EpisodeTable(
-        **{
-            name: _parse_column(name, column, kind)
-            for (name, kind), column in zip(_KINDS.items(), texts, strict=True)
-        }
+        **{name: _parse_column(name, texts[name], kind) for name, kind in _KINDS.items() if name in texts}
     )
 
 
@@ -190,8 +207,11 @@ def _checked_column(name: str, column: Any, kind: type[np.generic], episodes: in
     checked = source.astype(kind)
     if checked.shape != (episodes,):
         raise ValueError(f"{name}: expected shape ({episodes},), found {checked.shape}")
-    if kind is np.float64 and not np.isfinite(checked).all():
-        row = int(np.flatnonzero(~np.isfinite(checked))[0])
+    wrong = np.zeros(episodes, dtype=np.bool_)
+    if kind is np.float64:
+        wrong = np.isinf(checked) if name in _MAY_BE_NAN else ~np.isfinite(checked)
+    if wrong.any():
+        row = int(np.flatnonzero(wrong)[0])
         raise ValueError(f"{name}: expected finite values, found {checked[row]} in row {row}")
     checked.flags.writeable = False
     return checked

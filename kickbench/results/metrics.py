@@ -17,6 +17,7 @@ from kickbench.errors import KickbenchError
 from kickbench.results.asymmetry import Asymmetry, EquivarianceError, measure_asymmetry
 from kickbench.results.atomic import atomic_write_text
 from kickbench.results.episodes import EpisodeSides, EpisodeTable
+from kickbench.results.kick import KickFigures, measure_kick
 from kickbench.results.provenance import Provenance
 from kickbench.results.record import Fraction, Record
 from kickbench.results.statistics import Interval, bootstrap_mean, bootstrap_median, wilson
@@ -61,6 +62,9 @@ class EvaluationMetrics(Record):
     kicks: Kicks
     mean_episode_steps: NonNegativeFloat = Field(description="mean number of control steps of an episode")
     kicked_fraction: Fraction = Field(description="share of episodes in which the robot touched the ball")
+    kick: KickFigures | None = Field(
+        default=None, description="speed and direction of the kick; null in older files"
+    )
 
 
 class Evaluation(Record):
@@ -101,13 +105,14 @@ class Metrics(Record):
     provenance: Provenance
 
 
-def summarise(episodes: EpisodeTable, success_radius: float) -> EvaluationMetrics:
+def summarise(episodes: EpisodeTable, success_radius: float, control_interval: float) -> EvaluationMetrics:
     """Metrics of one set of episodes.
 
     Args:
         episodes: the table, at least one row.
         success_radius: the task's success radius [m]. Success is what the table says; a row that claims
             success beyond the radius is an error, since one of the two must be wrong.
+        control_interval: length of a control step [s].
 
     Returns:
         The metrics; the same table always gives the same ones.
@@ -130,22 +135,31 @@ def summarise(episodes: EpisodeTable, success_radius: float) -> EvaluationMetric
         kicks=_kicks(episodes),
         mean_episode_steps=float(episodes.steps.mean()),
         kicked_fraction=float((episodes.kick_foot != "none").mean()),
+        kick=measure_kick(episodes, control_interval),
     )
 
 
 def summarise_sides(
-    sides: EpisodeSides, success_radius: float, equivariance: EquivarianceError | None = None
+    sides: EpisodeSides,
+    success_radius: float,
+    control_interval: float,
+    equivariance: EquivarianceError | None = None,
 ) -> Evaluation:
     """Metrics of both sides of an evaluation.
 
     Args:
         sides: the episodes of both sides.
         success_radius: as for `summarise`.
+        control_interval: as for `summarise`.
         equivariance: the policy's equivariance error over the states visited in these episodes, if measured.
     """
+
+    def summary(side: EpisodeTable) -> EvaluationMetrics:
+        return summarise(side, success_radius, control_interval)
+
     return Evaluation(
-        in_distribution=summarise(sides.in_distribution, success_radius),
-        mirrored=None if sides.mirrored is None else summarise(sides.mirrored, success_radius),
+        in_distribution=summary(sides.in_distribution),
+        mirrored=None if sides.mirrored is None else summary(sides.mirrored),
         asymmetry=measure_asymmetry(sides, equivariance),
     )
 

@@ -263,7 +263,20 @@ def test_a_run_counts_once_however_often_it_is_named(runs, printed):
     assert printed("table", "a", "a/seed0", "./a") == printed("table", "a")
 
 
-@pytest.mark.parametrize("argv", [["table", "a"], ["compare", "a", "b"], ["list"]], ids=" ".join)
+def test_the_columns_of_a_table_can_be_those_of_the_kick(runs, printed):
+    assert printed("table", "a", "--columns", "success") == printed("table", "a")
+    text = printed("table", "a", "--columns", "kick")
+    assert text.startswith("kick: mini_home_field\n")
+    assert [line.split()[:3] for line in text.splitlines()[4:]] == [
+        ["baseline", "0", side] for side in ("in-dist.", "mirrored")
+    ]
+
+
+@pytest.mark.parametrize(
+    "argv",
+    [["table", "a"], ["table", "a", "--columns", "kick"], ["compare", "a", "b"], ["list"]],
+    ids=" ".join,
+)
 def test_a_damaged_result_is_told_and_left_out(runs, capsys, argv):
     assert main(argv) == 0
     printed = capsys.readouterr()

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from kickbench.env import KickEnv
 from kickbench.evaluate.episodes import draw_starts, mirror_starts, run_episodes
 from kickbench.nets.build import build_actor
 
@@ -30,26 +31,70 @@ def test_exactly_the_episodes_asked_for_are_counted_each_once(short, episodes, w
     place = short.task.scene.layout.ball_qpos
     np.testing.assert_array_equal(table.start_ball_x, starts.qpos[:, place])
     np.testing.assert_array_equal(table.target_y, starts.target[:, 1])
-    assert len({(w, e) for w, e in zip(table.world, table.episode, strict=True)}) == episodes
 
 
-def test_every_world_contributes_a_number_of_episodes_fixed_beforehand(short):
-    table = run_episodes(short.task, kicker(short), draw_starts(short.task, 45, 0), 0, num_envs=10)
-    counts = np.bincount(table.world, minlength=10)
-    assert counts.tolist() == [5] * 5 + [4] * 5
-    assert len(set(table.steps.tolist())) > 3, "episodes of different lengths"
+def assert_equal(table, other):
+    for name, column in table.columns().items():
+        np.testing.assert_array_equal(column, other.columns()[name], err_msg=name)
 
 
-def test_the_result_of_an_episode_does_not_depend_on_the_number_of_worlds(short):
-    starts = draw_starts(short.task, 24, 0)
+@pytest.fixture(scope="module")
+def disturbed(experiment):
+    """The same with everything that an evaluation may draw: noise, delays and pushes."""
+    return experiment(
+        "mini_home_field",
+        "equivariant",
+        "episode.max_steps=60",
+        "observations.actor.base_lin_vel.noise=0.2",
+        "randomization.action_delay={delay: [0.0, 0.04], hold_probability: 0.3}",
+        "randomization.pushes={interval: [0.1, 0.4], duration: 0.1, force: [0.0, 30.0]}",
+        "evaluation.observation_noise=true",
+        "evaluation.pushes=true",
+    )
 
-    def still(observations):
-        return torch.full((len(observations["actor"]), short.symmetry.actions.dim), 0.5)
 
-    one, many = (run_episodes(short.task, still, starts, 0, num_envs=n) for n in (3, 24))
-    np.testing.assert_array_equal(one.distance, many.distance)
-    np.testing.assert_array_equal(one.termination, many.termination)
-    np.testing.assert_array_equal(one.steps, many.steps)
+@pytest.mark.parametrize("name", ["short", "disturbed"])
+def test_an_episode_does_not_depend_on_the_number_of_envs_and_threads(name, request):
+    chosen = request.getfixturevalue(name)
+    starts = draw_starts(chosen.task, 90, 0)
+    one, few, many = (
+        run_episodes(chosen.task, kicker(chosen), starts, 0, num_envs=envs, num_threads=threads)
+        for envs, threads in ((90, 1), (17, 2), (40, 1))
+    )
+    assert (one.kick_foot != "none").any()
+    assert len(set(one.steps.tolist())) > 3, "episodes of different lengths"
+    assert_equal(one, few)
+    assert_equal(one, many)
+
+
+def test_what_is_drawn_differs_from_episode_to_episode_and_from_seed_to_seed(disturbed):
+    starts = draw_starts(disturbed.task, 1, 0).take(torch.zeros(12, dtype=torch.int64))
+    first, again, other = (
+        run_episodes(disturbed.task, kicker(disturbed), starts, seed, num_envs=6).episode_return
+        for seed in (0, 0, 1)
+    )
+    np.testing.assert_array_equal(first, again)
+    assert len(set(first.tolist())) == 12
+    assert not set(first.tolist()) & set(other.tolist())
+
+
+def test_an_episode_is_the_same_among_others_and_alone(short):
+    starts = draw_starts(short.task, 48, 0)
+    table = run_episodes(short.task, kicker(short), starts, 0, num_envs=16)
+    alone = run_episodes(short.task, kicker(short), starts.take(torch.arange(20, 28)), 0)
+    for name, column in alone.columns().items():
+        np.testing.assert_array_equal(column, table.columns()[name][20:28], err_msg=name)
+
+
+def test_few_steps_are_spent_on_envs_without_an_episode(short, monkeypatch):
+    stepped = []
+    advance = KickEnv.advance
+    monkeypatch.setattr(
+        KickEnv, "advance", lambda env, actions: (stepped.append(env.num_envs), advance(env, actions))[1]
+    )
+    table = run_episodes(short.task, kicker(short), draw_starts(short.task, 400, 0), 0, num_envs=100)
+    assert len(set(table.steps.tolist())) > 10
+    assert table.steps.sum() <= sum(stepped) < 1.1 * table.steps.sum()
 
 
 def test_a_seed_names_the_starts(short):
@@ -82,6 +127,25 @@ def test_an_equivariant_policy_fares_alike_on_both_sides(short):
     np.testing.assert_allclose(home.final_ball_y[same], -away.final_ball_y[same], atol=0.02)
     swap = {"left": "right", "right": "left", "none": "none", "other": "other"}
     assert np.mean([swap[a] == b for a, b in zip(home.kick_foot, away.kick_foot, strict=True)]) > 0.97
+    assert (home.touches == away.touches).mean() > 0.97
+    here, there = home.columns(), away.columns()
+    np.testing.assert_allclose(here["launch_speed"][same], there["launch_speed"][same], atol=0.05)
+    error = np.abs(here["direction_error"] + there["direction_error"])[same]
+    assert np.nanquantile(error, 0.97) < 0.02
+    assert np.nanmean(np.abs(here["direction_error"])) > 0.05, "the errors are no zeros"
+
+
+def test_the_figures_of_the_kick_agree_with_the_record_of_the_episode(short):
+    table = run_episodes(short.task, kicker(short), draw_starts(short.task, 100, 0), 0, num_envs=40)
+    columns, touched = table.columns(), table.kick_foot != "none"
+    assert touched.any()
+    assert not touched.all()
+    np.testing.assert_array_equal(columns["touches"] > 0, touched)
+    np.testing.assert_array_equal(np.isnan(columns["launch_speed"]), ~touched)
+    assert (columns["launch_speed"][touched] <= table.peak_ball_speed[touched] + 1e-6).all()
+    assert (columns["walked_after_touch"][~touched] == 0).all()
+    slow = ~(columns["launch_speed"] >= short.task.spec.episode.stop_speed)
+    np.testing.assert_array_equal(np.isnan(columns["direction_error"]), slow)
 
 
 def test_success_needs_a_kicked_ball_at_rest_within_the_radius(short):

@@ -112,6 +112,10 @@ def test_figures_stand_beside_what_they_rest_on(whole):
     assert "equivariant: success 66.7 % in distribution, 66.7 % mirrored (1 seed)." in page.text
     assert "A Processor, 2 threads" in page.text
     assert "2,764,800" in page.text
+    assert "The kick in figures" in page.text
+    assert "1.75" in page.text
+    assert "[1.75, 1.75]" in page.text
+    assert "-0.24" in page.text, "the bias: a third of the balls is launched 0.75 rad to the right"
     assert "run by other code than this page's, commit 0123456789".lower() in page.text.lower()
 
 

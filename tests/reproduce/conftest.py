@@ -22,8 +22,6 @@ def episodes(successes: int, count: int = 10) -> EpisodeTable:
     numbers, zeros = np.arange(count), np.zeros(count)
     success = numbers < successes
     return EpisodeTable(
-        world=numbers,
-        episode=0 * numbers,
         start_ball_x=zeros + 0.3,
         start_ball_y=np.where(numbers % 2, 0.1, -0.1),
         target_x=zeros + 1.5,
@@ -63,7 +61,7 @@ def make_metrics(iterations: int, seconds: float = 100.0, **values) -> Metrics:
         iterations=iterations,
         env_steps=1000,
         training_seconds=seconds,
-        evaluation=summarise_sides(EpisodeSides(episodes(4), None), 0.35),
+        evaluation=summarise_sides(EpisodeSides(episodes(4), None), 0.35, 0.02),
         provenance=provenance,
     )
 

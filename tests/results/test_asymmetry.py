@@ -17,8 +17,6 @@ def table_of(ball_y, feet, success, terminations=None) -> EpisodeTable:
     n = len(ball_y)
     success = np.array(success, dtype=bool)
     return EpisodeTable(
-        world=np.arange(n),
-        episode=np.zeros(n, int),
         start_ball_x=np.full(n, 0.3),
         start_ball_y=np.array(ball_y),
         target_x=np.full(n, 1.5),

@@ -22,8 +22,6 @@ def episodes(rate: float, seed: int) -> EpisodeTable:
     success = own.random(STARTS) < rate
     count, zeros = np.arange(STARTS), np.zeros(STARTS)
     return EpisodeTable(
-        world=count,
-        episode=0 * count,
         start_ball_x=fixed.uniform(0.2, 0.4, STARTS),
         start_ball_y=fixed.uniform(0.01, 0.3, STARTS),
         target_x=fixed.uniform(1, 2, STARTS),
@@ -76,7 +74,7 @@ def write_run(folder: Path, method: str, seed: int, rate: float, *, table: bool 
         iterations=450,
         env_steps=0,
         training_seconds=0,
-        evaluation=summarise_sides(sides, RADIUS),
+        evaluation=summarise_sides(sides, RADIUS, 0.02),
         provenance=provenance,
     )
     write_metrics(path / "metrics.json", metrics)

@@ -15,8 +15,6 @@ def make_table(episodes: int = 5, seed: int = 0) -> EpisodeTable:
     kicked = rng.random(episodes) < 0.8
     distance = rng.gamma(2.0, 0.2, episodes)
     return EpisodeTable(
-        world=np.arange(episodes) % 3,
-        episode=np.arange(episodes) // 3,
         start_ball_x=rng.uniform(0.2, 0.4, episodes),
         start_ball_y=rng.uniform(-0.2, 0.2, episodes),
         target_x=rng.uniform(1, 2, episodes),
@@ -31,7 +29,15 @@ def make_table(episodes: int = 5, seed: int = 0) -> EpisodeTable:
         kick_foot=np.where(kicked, rng.choice(["left", "right", "other"], episodes), "none"),
         kick_step=np.where(kicked, rng.integers(0, 50, episodes), -1),
         peak_ball_speed=rng.uniform(0, 3, episodes),
+        touches=np.where(kicked, rng.integers(1, 4, episodes), 0),
+        walked_after_touch=np.where(kicked, rng.uniform(0, 1, episodes), 0.0),
+        launch_speed=np.where(kicked, rng.uniform(0, 3, episodes), np.nan),
+        direction_error=np.where(kicked, rng.uniform(-3, 3, episodes), np.nan),
     )
+
+
+OLDER = dict.fromkeys(("touches", "walked_after_touch", "launch_speed", "direction_error"))
+"""Columns that tables of older versions lack."""
 
 
 def assert_same(found: EpisodeTable, expected: EpisodeTable) -> None:
@@ -75,6 +81,27 @@ def test_the_file_is_plain_csv_with_a_side_column(tmp_path: Path) -> None:
     assert cells["success"] == "1"
 
 
+def test_a_file_of_an_older_version_is_read_without_the_kick_and_columns_may_be_in_any_order(
+    tmp_path: Path,
+) -> None:
+    older = replace(make_table(4), **OLDER)
+    path = tmp_path / "episodes.csv"
+    write_episodes(path, EpisodeSides(older))
+    header, *rows = [line.split(",") for line in path.read_text().splitlines()]
+    assert not set(OLDER) & set(header)
+    added = [[*header[:1], "world", "episode", *header[1:]]]
+    added += [[row[0], str(index), "0", *row[1:]] for index, row in enumerate(rows)]
+    path.write_text("".join(",".join(reversed(line)) + "\n" for line in added))
+    found = read_episodes(path).in_distribution
+    assert found.touches is found.direction_error is None
+    assert_same(found, older)
+
+
+def test_the_figures_of_the_kick_come_together() -> None:
+    with pytest.raises(ValueError, match="all or none of the columns touches, walked_after_touch"):
+        replace(make_table(2), launch_speed=None)
+
+
 def test_float32_columns_become_doubles() -> None:
     table = replace(make_table(2), distance=np.array([0.1, 0.2], dtype=np.float32))
     assert table.distance.dtype == np.float64
@@ -93,6 +120,8 @@ def test_the_table_does_not_change_with_the_arrays_it_was_made_from() -> None:
     ("column", "values", "message"),
     [
         ("distance", [0.1, np.nan], "distance: expected finite values, found nan in row 1"),
+        ("launch_speed", [np.nan, np.inf], "launch_speed: expected finite values, found inf in row 1"),
+        ("walked_after_touch", [np.nan, 0], "walked_after_touch: expected finite values"),
         ("distance", [0.1], r"distance: expected shape \(2,\)"),
         ("steps", [1.5, 2.0], "steps: expected whole numbers"),
         ("success", ["yes", "no"], "success: expected whole numbers or truth values"),
@@ -107,10 +136,11 @@ def test_a_wrong_column_is_named(column: str, values: list, message: str) -> Non
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("side,world", "side,mundus", ":1: expected the columns side, world"),
+        ("side,start_ball_x", "side,ball_x", ":1: expected the columns side, start_ball_x"),
+        ("side,start_ball_x", "side,start_ball_y", ":1: expected the columns side, start_ball_x"),
         ("\nin_distribution", "\nhome", ":2: side: expected in_distribution or mirrored, found 'home'"),
-        ("\nin_distribution,0,", "\nin_distribution,", ":2: expected 17 values, found 16"),
-        ("\nin_distribution,0,", "\nin_distribution,zero,", "world: invalid literal"),
+        ("\nin_distribution,0.", "\nin_distribution,1,0.", ":2: expected 19 values, found 20"),
+        ("\nin_distribution,0.", "\nin_distribution,zero", "start_ball_x: could not convert"),
     ],
 )
 def test_a_damaged_file_is_an_error_that_names_the_place(

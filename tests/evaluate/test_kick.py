@@ -1,0 +1,148 @@
+"""Figures of the kick, computed by hand for a scripted ball; env 1 is always the mirror image of env 0."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import atan2, degrees, hypot, nan
+from types import SimpleNamespace
+
+import pytest
+import torch
+
+from kickbench.evaluate.kick import LAUNCH_WINDOW, KickRecord
+
+DT = 0.02
+TARGET = (2.0, 0.5)
+STOP_SPEED = 0.2
+
+
+@dataclass
+class Instant:
+    """The end of a control step: where base and ball are, how fast the ball is, whether they touched in it."""
+
+    base: tuple[float, float] = (0.0, 0.0)
+    ball: tuple[float, float] = (0.3, 0.1)
+    velocity: tuple[float, float] = (0.0, 0.0)
+    touch: bool = False
+    failed: bool = False
+
+
+def pair(x: float, y: float) -> torch.Tensor:
+    return torch.tensor([[x, y, 0.0], [x, -y, 0.0]])
+
+
+def state_of(instant: Instant, count: int) -> SimpleNamespace:
+    ball, velocity = pair(*instant.ball), pair(*instant.velocity)
+    return SimpleNamespace(
+        base_pos=pair(*instant.base),
+        ball_pos=ball,
+        ball_lin_vel=velocity,
+        ball_ground_speed=velocity.norm(dim=1),
+        ball_to_target=pair(*TARGET)[:, :2] - ball[:, :2],
+        ball_contact=torch.tensor([instant.touch] * 2),
+        episode=SimpleNamespace(contact_count=torch.tensor([count] * 2)),
+    )
+
+
+def record_of(*instants: Instant) -> KickRecord:
+    """The record after an episode from the first instant on."""
+    record, count = KickRecord.empty(2), 0
+    before = state_of(instants[0], 0)
+    for instant in instants[1:]:
+        count += count > 0 or instant.touch
+        state = state_of(instant, count)
+        record.note(before, state, torch.tensor([instant.failed] * 2), DT)  # type: ignore[arg-type]
+        before = state
+    return record
+
+
+def figures(*instants: Instant) -> tuple[float, float, float, float]:
+    """Touches, walked after touch, launch speed and direction error of env 0."""
+    columns = record_of(*instants).columns(STOP_SPEED)
+    names = ("touches", "walked_after_touch", "launch_speed", "direction_error")
+    touches, walked, speed, error = (float(columns[name][0]) for name in names)
+    return touches, walked, speed, error
+
+
+def test_touches_are_counted_when_contact_begins():
+    still, touch = Instant(), Instant(touch=True)
+    assert record_of(still, still, still).touches.tolist() == [0, 0]
+    assert record_of(still, touch, touch, touch).touches.tolist() == [1, 1]
+    assert record_of(still, touch, still, touch, touch, still, still, touch).touches.tolist() == [3, 3]
+
+
+def test_walking_counts_towards_the_ball_and_after_the_step_of_the_first_touch_only():
+    # The ball lies at (0.3, 0) from the base: u = (1, 0) until the base has moved.
+    path = [
+        Instant((0.0, 0.0), (1.0, 0.0)),
+        Instant((0.2, 0.0), (1.0, 0.0)),  # before the touch
+        Instant((0.3, 0.0), (1.0, 0.0), touch=True),  # in the step of the touch
+        Instant((0.5, 0.3), (0.5, 1.3)),  # from (0.3, 0) towards (1, 0): 0.2
+        Instant((0.4, 0.1), (0.5, 1.3)),  # from (0.5, 0.3), away from (0.5, 1.3): nothing
+        Instant((0.7, 0.5), (0.5, 1.3)),  # from (0.4, 0.1) with u = (0.1, 1.2) / |.|
+    ]
+    _, walked, _, _ = figures(*path)
+    assert walked == pytest.approx(0.2 + (0.3 * 0.1 + 0.4 * 1.2) / hypot(0.1, 1.2), abs=1e-6)
+
+
+def test_the_launch_is_the_fastest_moment_soon_after_the_first_touch():
+    late = round(LAUNCH_WINDOW / DT)
+    rolling = [Instant(velocity=(0.4, 0.0))] * (late - 1)
+    path = [
+        Instant(),
+        Instant(velocity=(9.0, 0.0)),  # before the touch
+        Instant(ball=(0.3, 0.1), velocity=(0.5, 0.5), touch=True),
+        Instant(ball=(0.4, 0.1), velocity=(1.5, 0.8)),
+    ]
+    _, _, speed, error = figures(*path, *rolling, Instant(velocity=(5.0, 0.0), touch=True))
+    assert speed == pytest.approx(1.7)
+    assert error == pytest.approx(atan2(0.8, 1.5) - atan2(0.4, 1.6), abs=1e-6)
+    assert error > 0, "to the left of the target"
+    _, _, speed, _ = figures(*path, *rolling[:-2], Instant(velocity=(5.0, 0.0), touch=True))
+    assert speed == pytest.approx(5.0), "within the window it is still the kick"
+
+
+def test_without_a_touch_nothing_is_launched_and_a_slow_ball_has_no_direction():
+    touches, walked, speed, error = figures(Instant(), Instant(velocity=(1.0, 0.0)))
+    assert (touches, walked) == (0, 0)
+    assert (speed, error) == pytest.approx((nan, nan), nan_ok=True)
+    slow = Instant(velocity=(0.9 * STOP_SPEED, 0.0), touch=True)
+    touches, _, speed, error = figures(Instant(), slow)
+    assert touches == 1
+    assert (speed, error) == pytest.approx((0.9 * STOP_SPEED, nan), nan_ok=True)
+    assert figures(Instant(), Instant(touch=True))[2] == 0.0
+
+
+def test_the_mirror_image_has_the_same_figures_and_the_opposite_direction_error():
+    kick = Instant((0.1, 0.05), (0.5, 0.2), (2.0, 1.1), touch=True)
+    record = record_of(Instant(), kick, Instant((0.3, 0.1), (0.6, 0.2), (1.9, 1.0)))
+    columns = record.columns(STOP_SPEED)
+    assert columns["direction_error"][0] == -columns["direction_error"][1] != 0
+    for name in ("touches", "walked_after_touch", "launch_speed"):
+        assert columns[name][0] == columns[name][1] != 0, name
+
+
+def test_a_state_that_is_not_finite_changes_nothing():
+    kick = Instant(velocity=(1.0, 0.5), touch=True)
+    bad = Instant((nan, nan), (nan, nan), (nan, nan), touch=True, failed=True)
+    good = figures(Instant(), kick, Instant((0.1, 0.0)))
+    assert figures(Instant(), kick, Instant((0.1, 0.0)), bad) == pytest.approx(good)
+
+
+def test_records_are_cleared_and_taken_env_by_env():
+    record = record_of(Instant(), Instant(velocity=(1.0, 0.5), touch=True), Instant((0.1, 0.0)))
+    other = record.take(torch.tensor([1, 0, 1]))
+    assert other.launch.tolist() == [record.launch[row].tolist() for row in (1, 0, 1)]
+    other.clear(torch.tensor([True, False, False]))
+    assert other.touches.tolist() == [0, 1, 1]
+    assert other.walked_after_touch[0] == other.launch_speed[0] == 0
+    assert (other.launch != 0).all(dim=1).tolist() == [False, True, True]
+
+
+@pytest.mark.parametrize(
+    ("velocity", "angle"),
+    [((0, 2), 90), ((0, -3), -90), ((2, 0), 0), ((-1, 1e-3), 179.943), ((-1, -1), -135)],
+)
+def test_directions_are_positive_to_the_left_of_the_target(velocity, angle):
+    before_target = Instant(ball=(0.3, TARGET[1]), velocity=velocity, touch=True)
+    assert degrees(figures(Instant(), before_target)[3]) == pytest.approx(angle, abs=1e-3)
