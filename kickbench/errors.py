@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import os
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,6 +33,8 @@ class Mark:
     @property
     def place(self) -> str:
         """The mark without its column: `file:line`."""
+        if self.is_override:
+            return printable(self.file)
         return f"{shown(self.file)}:{self.line}" if self._has_position else shown(self.file)
 
     @property
@@ -105,12 +108,24 @@ def dotted(path: KeyPath) -> str:
     return ".".join(str(key) for key in path)
 
 
+_UNPRINTABLE = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
+"""Controls, marks that change the direction of text, and halves of characters (bytes of a name that are not UTF-8)."""
+
+
+def printable(text: str) -> str:
+    """A text in which nothing acts on a terminal or breaks a page: such characters are written as escapes.
+
+    Line breaks and tabs stay.
+    """
+    return _UNPRINTABLE.sub(lambda found: found[0].encode("unicode_escape").decode("ascii"), text)
+
+
 def shown(file: str | Path) -> str:
-    """Writes a path for people: relative to the working directory if it lies below it."""
+    """Writes a path for people, in one line: relative to the working directory if it lies below it."""
     text, here = str(file), os.getcwd()
-    if not os.path.isabs(text):
-        return text
-    return os.path.relpath(text, here) if os.path.commonpath([text, here]) == here else text
+    if os.path.isabs(text) and os.path.commonpath([text, here]) == here:
+        text = os.path.relpath(text, here)
+    return printable(text).replace("\n", "\\n").replace("\t", "\\t")
 
 
 def nearest(name: str, choices: Iterable[str]) -> str | None:

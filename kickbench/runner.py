@@ -103,7 +103,11 @@ def run(request: RunRequest) -> RunOutcome:
     check_device(request.device)
     ranks = read_ranks(request.device)
     experiment = load_experiment(request.task, request.method, request.all_overrides(), request.scale)
-    ranks.share(experiment.method.spec.algorithm.num_envs)
+    settings = experiment.method.spec.algorithm
+    if ranks.share(settings.num_envs) * settings.steps_per_env < 2:
+        raise KickbenchError(
+            "one sample an iteration and process: advantages are standardised in each of them"
+        )
     _check_matmul(experiment, ranks.device.type)
     threads = request.threads or max(1, usable_cores() // ranks.local_size)
     default = Path("runs", experiment.task.name, experiment.method.name, f"seed{request.seed}")

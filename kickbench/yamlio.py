@@ -7,7 +7,9 @@ last, by the same rules.
 
 from __future__ import annotations
 
+import errno
 import os
+import stat
 from codecs import BOM_UTF8
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -184,7 +186,7 @@ class _Reading:
     def _text(self, file: Path, naming: Problem | None) -> str | None:
         mark, path = (naming.mark, naming.path) if naming else (Mark(str(file), 0, 0), ())
         try:
-            data = file.read_bytes()
+            data = read_regular(file)
         except (OSError, ValueError) as error:  # ValueError: a null byte in the path
             self.problems.append(Problem(mark, path, *unreadable(file, error)))
             return None
@@ -200,6 +202,31 @@ class _Reading:
 
     def _report(self, mark: Mark, path: KeyPath, message: str, hint: str | None = None) -> None:
         self.problems.append(Problem(mark, path, message, hint))
+
+
+_LARGEST_FILE = 2**24
+"""Bytes of a YAML file at most."""
+
+
+def read_regular(file: Path) -> bytes:
+    """Reads a regular file of sensible size: a device or a pipe might never end.
+
+    Raises:
+        OSError: It cannot be read, or is no such file.
+    """
+    check_regular(file)
+    if file.stat().st_size > _LARGEST_FILE:
+        raise OSError(errno.EFBIG, f"larger than {_LARGEST_FILE // 2**20} MiB")
+    return file.read_bytes()
+
+
+def check_regular(file: Path) -> None:
+    """Raises an `OSError` for what is there but is no regular file; a folder is `IsADirectoryError`."""
+    mode = file.stat().st_mode
+    if stat.S_ISDIR(mode):
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(file))
+    if not stat.S_ISREG(mode):
+        raise OSError(errno.EINVAL, "it is no regular file, but a pipe, socket or device")
 
 
 def unreadable(file: Path, error: Exception) -> tuple[str, str | None]:

@@ -253,6 +253,7 @@ def test_a_file_that_may_not_be_read_says_why(monkeypatch):
     def refuse(self):
         raise PermissionError(13, "Permission denied")
 
+    write("x: 1\n")
     monkeypatch.setattr(Path, "read_bytes", refuse)
     assert problems() == [("a.yaml", (), "'a.yaml' cannot be read: Permission denied", None)]
 

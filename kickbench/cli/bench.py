@@ -6,7 +6,6 @@ import argparse
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
-from datetime import UTC, datetime
 from pathlib import Path
 
 from rich.console import Console
@@ -25,7 +24,7 @@ from kickbench.nets.threads import torch_threads
 from kickbench.physics.cpu import usable_cores
 from kickbench.physics.devices import check_device
 from kickbench.results.atomic import check_writable
-from kickbench.results.provenance import collect_provenance
+from kickbench.results.provenance import Moment, collect_provenance
 from kickbench.spec.load import load_method, load_task, split_overrides
 
 _METHODS = ("baseline", "augmentation", "equivariant")
@@ -38,7 +37,7 @@ _PROFILED_ITERATIONS = 3
 def bench(arguments: argparse.Namespace) -> int:
     """`kickbench bench`."""
     check_device(arguments.device)
-    started = datetime.now(UTC)
+    started = Moment.now()
     setting = Setting(arguments.device, arguments.threads or usable_cores(), arguments.rounds)
     # All at first: a wrong file is an error before anything is measured.
     folder = arguments.methods or _fitting_methods(arguments)

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from kickbench.errors import KickbenchError, Problem, SpecError
+from kickbench.errors import KickbenchError, Problem, SpecError, printable, shown
 from kickbench.results.kick_table import kick_block
 from kickbench.results.metrics import load_metrics
 from kickbench.results.store import RunDirectory, find_results
@@ -22,9 +22,9 @@ def validate(arguments: argparse.Namespace) -> int:
     for report in check_files(arguments.files, arguments.overrides):
         problems += report.problems
         if report.kind and not report.problems:
-            print(f"{report.name}: fine ({report.kind})")
+            print(f"{shown(report.name)}: fine ({report.kind})")
         for note in report.notes:
-            print(f"{report.name}: note: {note}")
+            print(f"{shown(report.name)}: note: {printable(note)}")
     if problems:
         raise SpecError(problems)
     return 0
@@ -88,12 +88,14 @@ def list_files(arguments: argparse.Namespace) -> int:
     for kind in KINDS:
         entries = [(path, text) for found_kind, path, text in found if found_kind == kind]
         if entries:
-            width = max(len(str(path)) for path, _ in entries)
+            width = max(len(shown(path)) for path, _ in entries)
             print(f"{kind}:")
-            print("\n".join(f"  {path!s:<{width}}  {text}".rstrip() for path, text in entries))
+            print(
+                "\n".join(f"  {shown(path):<{width}}  {printable(text)}".rstrip() for path, text in entries)
+            )
     runs = _undamaged(find_results(root))
     if runs:
-        print("finished runs:\n" + "\n".join(f"  {run.path}" for run in runs))
+        print("finished runs:\n" + "\n".join(f"  {shown(run.path)}" for run in runs))
     return 0
 
 
@@ -157,5 +159,5 @@ def _undamaged(results: Sequence[RunDirectory]) -> list[RunDirectory]:
     """The runs whose result can be read; the others are told, as they are not counted."""
     damage = {run: run.damage for run in results}
     for told in filter(None, damage.values()):
-        print(f"left out: {told}", file=sys.stderr)
+        print(f"left out: {printable(told)}", file=sys.stderr)
     return [run for run in results if damage[run] is None]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from kickbench.errors import KickbenchError
+from kickbench.errors import KickbenchError, shown
 
 
 def report(arguments: argparse.Namespace) -> int:
@@ -25,5 +25,5 @@ def report(arguments: argparse.Namespace) -> int:
     experiment = load_reported(arguments.experiment) if arguments.experiment else None
     out = arguments.out or arguments.folder / "report.html"
     write_report(arguments.folder, out, experiment)
-    print(out)
+    print(shown(out))
     return 0

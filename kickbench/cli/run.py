@@ -6,7 +6,7 @@ import argparse
 import sys
 
 from kickbench.cli.flags import refuse_contradiction
-from kickbench.errors import KickbenchError
+from kickbench.errors import KickbenchError, shown
 from kickbench.results.metrics import write_metrics
 from kickbench.results.store import RunDirectory
 from kickbench.results.table import render_table
@@ -42,10 +42,12 @@ def run(arguments: argparse.Namespace) -> int:
         return 130 if training is not None and training.interrupted else 0
     if outcome.metrics is None:
         done = f"after {training.iterations} iterations" if training else ""
-        print(f"interrupted {done}; the same command with --resume goes on from {where}", file=sys.stderr)
+        print(
+            f"interrupted {done}; the same command with --resume goes on from {shown(where)}", file=sys.stderr
+        )
         return 130
     effort = f"trained {training.seconds:.0f} s" if training else "nothing left to do"
-    print(f"\n{render_table([outcome.metrics])}\n\n{effort}; results: {where}")
+    print(f"\n{render_table([outcome.metrics])}\n\n{effort}; results: {shown(where)}")
     return 0
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from kickbench.errors import KickbenchError
+from kickbench.errors import KickbenchError, shown
 from kickbench.view.backend import check_mujoco
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ def render(arguments: argparse.Namespace) -> int:
     out = arguments.out or Path(f"{task.name}.png")
     seed = task.spec.evaluation.seed if arguments.seed is None else arguments.seed
     draw(task, out, seed, arguments)
-    print(out)
+    print(shown(out))
     return 0
 
 
@@ -48,7 +48,7 @@ def plot(arguments: argparse.Namespace) -> int:
             f"--plot draws the sampling regions of a task; {arguments.file} is a {kind} file"
         )
     plot_regions(compile_task(load_task(task_model(), arguments.file, arguments.overrides)), arguments.plot)
-    print(arguments.plot)
+    print(shown(arguments.plot))
     return 0
 
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from kickbench import __version__
-from kickbench.errors import KickbenchError
+from kickbench.errors import KickbenchError, printable
 from kickbench.report.collect import collect
 from kickbench.report.headline import Claimed, claimed
 from kickbench.report.page import anchors, part_of, render
@@ -38,7 +38,7 @@ def write_report(root: Path, out: Path, experiment: LoadedReported | None = None
         for study, anchor in zip(studies, anchors(studies), strict=True)
     ]
     title = f"kickbench: {studies[0].name if len(studies) == 1 else root.resolve().name}"
-    atomic_write_text(out, render(title, parts, _made_by()))
+    atomic_write_text(out, printable(render(title, parts, _made_by())))
 
 
 def judged(root: Path, experiment: LoadedReported) -> tuple[tuple[Claimed, ...], tuple[str, ...]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from kickbench.errors import printable
 from kickbench.results.statistics import mean_std_over_seeds
 
 NOTHING = "-"
@@ -21,6 +22,8 @@ def render_block(title: str, groups: Row, header: Row, blocks: Sequence[Sequence
         header: for each column its heading.
         blocks: rows with a cell a column. A block of several rows is set off from the next.
     """
+    title = printable(title)
+    blocks = [[tuple(map(_one_line, row)) for row in block] for block in blocks]
     body = [row for block in blocks for row in block]
     widths = [max(map(len, column)) for column in zip(header, *body, strict=True)]
     lines = [title, _group_line(groups, widths), _line(header, widths), "-" * len(_line(header, widths))]
@@ -29,6 +32,11 @@ def render_block(title: str, groups: Row, header: Row, blocks: Sequence[Sequence
         if len(block) > 1 and index < len(blocks) - 1:
             lines.append("")
     return "\n".join(lines)
+
+
+def _one_line(cell: str) -> str:
+    """A cell as a terminal can show it, whatever the names in it."""
+    return " ".join(printable(cell).split("\n"))
 
 
 def mean_and_spread(values: Sequence[float], decimals: int) -> tuple[str, str]:

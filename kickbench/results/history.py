@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from datetime import UTC, datetime
 from typing import Any
 
-from kickbench.results.provenance import Provenance, code_state, collect_provenance
+from kickbench.results.provenance import Moment, Provenance, code_state, collect_provenance
 
 
 def run_identity(task: str, method: str, seed: int, scale: float | None) -> dict[str, Any]:
@@ -51,7 +50,7 @@ class RunHistory:
         self._seed, self._threads, self._device, self._argv = seed, num_threads, device, tuple(argv)
         self._earlier = tuple(earlier)
         self._processes = num_processes
-        self._started, self._code = datetime.now(UTC), code_state()
+        self._started, self._code = Moment.now(), code_state()
 
     def provenance(self, env_steps: int) -> Provenance:
         """Provenance of the run as of now: this part's, with start, seconds and steps of all parts.

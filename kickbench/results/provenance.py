@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import platform
 import subprocess
+import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
 
 from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveInt
 
+from kickbench.errors import printable
 from kickbench.results.record import Record
 
 # Distribution names; the ones that are not installed are left out of a record.
@@ -54,16 +57,34 @@ class Provenance(Record):
     )
 
 
+@dataclass(frozen=True)
+class Moment:
+    """A point in time.
+
+    Attributes:
+        utc: By the wall clock, which may be set; must know its time zone.
+        seconds: By a clock that never goes back: durations are differences of it, s.
+    """
+
+    utc: datetime
+    seconds: float
+
+    @staticmethod
+    def now() -> Moment:
+        """This moment."""
+        return Moment(datetime.now(UTC), time.monotonic())
+
+
 def collect_provenance(
     *,
     seed: int,
     env_steps: int,
-    started: datetime,
+    started: Moment,
     num_threads: int,
     num_processes: int = 1,
     device: str = "cpu",
     argv: Sequence[str] = (),
-    finished: datetime | None = None,
+    finished: Moment | None = None,
     code: tuple[str | None, bool | None] | None = None,
 ) -> Provenance:
     """Look at this process and its machine.
@@ -71,7 +92,7 @@ def collect_provenance(
     Args:
         seed: seed of the run.
         env_steps: control steps of training, summed over worlds.
-        started: start of the run; must know its time zone.
+        started: start of the run.
         num_threads: threads that stepped the physics, of each process.
         num_processes: processes that trained together.
         device: torch device, `cpu` or `cuda[:k]`.
@@ -82,7 +103,7 @@ def collect_provenance(
     Returns:
         The record.
     """
-    finished = finished or datetime.now(UTC)
+    finished = finished or Moment.now()
     commit, dirty = code or code_state()
     return Provenance(
         versions=package_versions(),
@@ -93,9 +114,9 @@ def collect_provenance(
         seed=seed,
         commit=commit,
         dirty=dirty,
-        started=_utc(started),
-        finished=_utc(finished),
-        seconds=round((finished - started).total_seconds(), 3),
+        started=_utc(started.utc),
+        finished=_utc(finished.utc),
+        seconds=round(finished.seconds - started.seconds, 3),
         env_steps=env_steps,
         command=portable_command(argv),
     )
@@ -162,7 +183,7 @@ def portable_command(argv: Sequence[str]) -> list[str]:
 
 def _portable_argument(argument: str) -> str:
     key, equals, value = argument.rpartition("=")
-    return f"{key}{equals}{_portable_path(value)}"
+    return printable(f"{key}{equals}{_portable_path(value)}")
 
 
 def _portable_path(text: str) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import os
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -23,7 +24,7 @@ from kickbench.errors import KeyPath, Mark, Problem, SpecError
 from kickbench.spec.annotations import FileMarker, file_paths
 from kickbench.spec.json_schema import json_schema
 from kickbench.spec.problems import problems_of
-from kickbench.yamlio import Document, unreadable
+from kickbench.yamlio import Document, check_regular, unreadable
 
 __all__ = [
     "Bounds",
@@ -180,14 +181,33 @@ def validate(model: type[S], document: Document) -> S:
         SpecError: With every problem of the document, in the order of its lines.
     """
     data, problems = _resolve_files(model, document)
+    spec = None
     try:
         spec = model.model_validate(data)
     except ValidationError as error:
         problems += problems_of(error, model, document)
-    else:
-        if not problems:
-            return spec
+    # Where a bound of its own is exceeded, that is said already.
+    told = {problem.path for problem in problems}
+    problems += [found for found in _absurd_numbers(document.data, (), document) if found.path not in told]
+    if spec is not None and not problems:
+        return spec
     raise SpecError(sorted(problems, key=lambda problem: _order(problem.mark, document)))
+
+
+_SMALLEST, _GREATEST = 1e-12, 1e12
+"""Magnitudes of numbers other than 0: their squares and products are still numbers in single precision."""
+
+
+def _absurd_numbers(value: Any, path: KeyPath, document: Document) -> Iterator[Problem]:
+    """Numbers that are legal, and that nothing can be computed with; seeds may be large."""
+    if isinstance(value, dict | list):
+        items = value.items() if isinstance(value, dict) else enumerate(value)
+        for key, item in items:
+            if key not in ("seed", "seeds"):
+                yield from _absurd_numbers(item, (*path, key), document)
+    elif isinstance(value, int | float) and value and not _SMALLEST <= abs(value) <= _GREATEST:
+        what = f"expected 0, or a number from {_SMALLEST:g} to {_GREATEST:g} in magnitude, found {value:g}"
+        yield Problem(document.value_mark(path), path, what)
 
 
 def _resolve_files(model: type[BaseModel], document: Document) -> tuple[Any, list[Problem]]:
@@ -210,6 +230,7 @@ def _absolute(name: str, origin: Path | None) -> Path:
 
 def _file_problems(file: Path, path: KeyPath, document: Document) -> list[Problem]:
     try:
+        check_regular(file)
         with file.open("rb"):
             return []
     except (OSError, ValueError) as error:

@@ -71,6 +71,8 @@ class AlgorithmSpec(Spec):
         if not low <= self.learning_rate <= high:
             raise ValueError(f"learning_rate {self.learning_rate} is outside its range [{low}, {high}]")
         samples = self.num_envs * self.steps_per_env
+        if samples < 2:
+            raise ValueError("one sample an iteration: advantages are standardised, and one has no deviation")
         if samples < self.mini_batches:
             raise ValueError(f"{samples} samples cannot be split into {self.mini_batches} mini-batches")
         return self

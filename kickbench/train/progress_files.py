@@ -6,12 +6,13 @@ import csv
 import io
 import math
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from numbers import Integral
 from pathlib import Path
 from typing import IO, Any
 
-from kickbench.errors import KickbenchError
+from kickbench.errors import KickbenchError, printable
 from kickbench.results.atomic import atomic_write_text
 from kickbench.train.progress import IterationRecord
 
@@ -92,7 +93,7 @@ class CsvProgress:
 
 
 class TensorBoardProgress:
-    """TensorBoard events, the step being the iteration. Without tensorboard: says so once and does nothing.
+    """TensorBoard events, the step being the iteration: a convenience, whose failure is reported once and ends nothing.
 
     Args:
         folder: folder of the event files.
@@ -104,29 +105,40 @@ class TensorBoardProgress:
 
     def start(self, total_iterations: int, first_iteration: int) -> None:
         """Open an event file; events from `first_iteration` on that a killed run has left are purged."""
-        try:
+        with self._or_without():
             # Slow to import, and not needed by anything else.
             from torch.utils.tensorboard.writer import SummaryWriter
-        except ImportError:
-            print("tensorboard is not installed: no event files are written", file=sys.stderr)
-            return
-        self._writer = SummaryWriter(str(self._folder), purge_step=first_iteration)
+
+            self._writer = SummaryWriter(str(self._folder), purge_step=first_iteration)
 
     def update(self, record: IterationRecord) -> None:
         """Write one scalar for each figure that is a number; a rate that is not known yet is left out."""
         if self._writer is None:
             return
-        for name, value in flatten(record).items():
-            if name != "iteration" and not math.isnan(value):
-                self._writer.add_scalar(name if "/" in name else f"train/{name}", value, record.iteration)
-        # A process that is killed later leaves what it has told, as in the table.
-        self._writer.flush()
+        with self._or_without():
+            for name, value in flatten(record).items():
+                if name != "iteration" and not math.isnan(value):
+                    self._writer.add_scalar(name if "/" in name else f"train/{name}", value, record.iteration)
+            # A process that is killed later leaves what it has written, as in the table.
+            self._writer.flush()
 
     def close(self) -> None:
         """Write out what is buffered and close the event file."""
-        if self._writer is not None:
-            self._writer.close()
+        writer, self._writer = self._writer, None
+        if writer is not None:
+            with self._or_without():
+                writer.close()
+
+    @contextmanager
+    def _or_without(self) -> Iterator[None]:
+        """Whatever the writer fails with (a full disk, a name that is no text), training goes on without it."""
+        try:
+            yield
+        except ImportError:
+            print("tensorboard is not installed: no event files are written", file=sys.stderr)
+        except Exception as error:
             self._writer = None
+            print(f"no more TensorBoard events: {printable(str(error))}", file=sys.stderr)
 
 
 def _rows_before(path: Path, first_iteration: int) -> list[list[str]]:

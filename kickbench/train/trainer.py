@@ -20,6 +20,7 @@ from kickbench.nets.relaxed import residual_share
 from kickbench.nets.threads import torch_threads
 from kickbench.results.history import RunHistory
 from kickbench.train.checkpoint import Checkpoints
+from kickbench.train.guard import check_samples, checked_update
 from kickbench.train.ppo import BoundedPPO, build_ppo
 from kickbench.train.progress import IterationRecord, Progress
 from kickbench.train.ranks import ALONE, Ranks, fingerprint
@@ -238,11 +239,8 @@ class Trainer:
         with torch_threads(1):
             self._collect()
         collected = self._now()
-        if not self.ppo.storage.returns.isfinite().all():
-            raise KickbenchError(
-                f"iteration {self.iteration}: observations, rewards or values are not finite"
-            )
-        with torch_threads(self._update_threads):
+        check_samples(self.ppo, self.env, self.iteration)
+        with torch_threads(self._update_threads), checked_update(self.ppo, self.iteration):
             losses = self.ppo.update()
         updated = self._now()
         self.iteration += 1

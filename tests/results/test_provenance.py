@@ -1,7 +1,7 @@
 """Provenance: right about versions and commits, silent about the machine's paths."""
 
 import subprocess
-from datetime import UTC, datetime, timedelta, timezone
+from datetime import datetime, timedelta, timezone
 from pathlib import Path
 
 import numpy
@@ -9,6 +9,7 @@ import pytest
 
 from kickbench.results import provenance
 from kickbench.results.provenance import (
+    Moment,
     collect_provenance,
     cpu_name,
     git_state,
@@ -39,7 +40,11 @@ def checkout(tmp_path: Path) -> Path:
 
 def test_the_record_has_the_times_in_utc_and_what_it_was_told() -> None:
     record = collect_provenance(
-        seed=7, env_steps=99, started=STARTED, finished=STARTED + timedelta(seconds=61.5), num_threads=2
+        seed=7,
+        env_steps=99,
+        started=Moment(STARTED, 100.0),
+        finished=Moment(STARTED + timedelta(seconds=61.5), 161.5),
+        num_threads=2,
     )
     assert record.started == "2026-01-02T01:04:05+00:00"
     assert record.finished == "2026-01-02T01:05:06+00:00"
@@ -48,13 +53,33 @@ def test_the_record_has_the_times_in_utc_and_what_it_was_told() -> None:
     assert record.device == cpu_name() != ""
 
 
+def test_a_wall_clock_that_is_set_back_changes_no_duration() -> None:
+    finished = Moment(STARTED - timedelta(hours=3), 161.5)
+    record = collect_provenance(
+        seed=0, env_steps=0, started=Moment(STARTED, 100.0), finished=finished, num_threads=1
+    )
+    assert record.seconds == 61.5
+
+
+def test_a_command_of_bytes_that_are_no_text_can_be_written_down() -> None:
+    record = collect_provenance(
+        seed=0,
+        env_steps=0,
+        started=Moment.now(),
+        num_threads=1,
+        argv=["kickbench", "run", "l\udcfc", "a\x1b[2J"],
+    )
+    assert record.command == ["kickbench", "run", r"l\udcfc", r"a\x1b[2J"]
+    assert record.model_dump_json()
+
+
 def test_a_time_without_a_zone_is_refused() -> None:
     with pytest.raises(ValueError, match="zone"):
         collect_provenance(
             seed=0,
             env_steps=0,
-            started=datetime(2026, 1, 1),
-            finished=datetime(2026, 1, 2),
+            started=Moment(datetime(2026, 1, 1), 0.0),
+            finished=Moment(datetime(2026, 1, 2), 1.0),
             num_threads=1,
         )
 
@@ -130,7 +155,7 @@ def test_the_command_has_no_paths_of_this_machine(tmp_path: Path, monkeypatch: p
 
 def test_no_field_of_a_record_names_a_folder_of_this_machine() -> None:
     text = collect_provenance(
-        seed=0, env_steps=0, started=datetime.now(UTC), num_threads=1, argv=[__file__, "run", __file__]
+        seed=0, env_steps=0, started=Moment.now(), num_threads=1, argv=[__file__, "run", __file__]
     ).model_dump_json()
     for folder in (Path.home(), Path.cwd(), Path(__file__).parent):
         assert str(folder) + "/" not in text
