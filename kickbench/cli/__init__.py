@@ -5,16 +5,14 @@ from __future__ import annotations
 import argparse
 import io
 import math
-import os
 import sys
 from collections.abc import Sequence
-from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
-from typing import TextIO
 
 from kickbench import __version__
-from kickbench.errors import KickbenchError, printable, shown
+from kickbench.cli.faults import fault_message, mute, report_fault
+from kickbench.errors import KickbenchError
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -38,53 +36,19 @@ def main(argv: Sequence[str] | None = None) -> int:
             sys.stdout.flush()  # while there is still someone to handle a full disk
         return code
     except KeyboardInterrupt:
-        _report("interrupted")
+        report_fault("interrupted")
         return 130
     except BrokenPipeError:
         # The reader of our output has gone (`kickbench show ... | head`): nobody is left to be told.
-        _mute(sys.stdout, sys.stderr)
+        mute(sys.stdout, sys.stderr)
         return 1
     except Exception as error:
         message = fault_message(error)
         if message is None:
             raise
-        _mute(sys.stdout)
-        _report(message)
+        mute(sys.stdout)
+        report_fault(message)
         return 2 if isinstance(error, KickbenchError) else 1
-
-
-def fault_message(error: Exception) -> str | None:
-    """One line for what the user or the system did wrong; None for a defect of kickbench, whose traceback is wanted."""
-    if isinstance(error, KickbenchError):
-        return printable(str(error))
-    if isinstance(error, OSError):
-        where = f"{shown(os.fsdecode(error.filename))}: " if isinstance(error.filename, str | bytes) else ""
-        return f"{where}{error.strerror or error}"
-    if isinstance(error, RecursionError):
-        return "the input is nested too deeply"
-    # torch's and MuJoCo's own errors, told by their names: importing them takes seconds.
-    kind, text = type(error).__name__, " ".join(str(error).split())
-    if isinstance(error, MemoryError) or kind == "OutOfMemoryError" or any(t in text for t in _NO_MEMORY):
-        return f"not enough memory: {text[:200] or 'the system gives no more'}; --num-envs takes fewer environments"
-    return f"MuJoCo: {text}" if kind == "FatalError" else None
-
-
-_NO_MEMORY = ("DefaultCPUAllocator", "can't allocate memory", "CUDA out of memory", "Cannot allocate memory")
-
-
-def _report(text: str) -> None:
-    with suppress(OSError, ValueError, AttributeError):  # standard error may be closed, full or missing
-        print(text, file=sys.stderr, flush=True)
-
-
-def _mute(*streams: TextIO | None) -> None:
-    """What is still buffered goes nowhere: the interpreter would fail on it once more when it ends."""
-    for stream in streams:
-        with suppress(OSError, ValueError, AttributeError):
-            assert stream is not None
-            nowhere = os.open(os.devnull, os.O_WRONLY)
-            os.dup2(nowhere, stream.fileno())
-            os.close(nowhere)
 
 
 def _parser() -> argparse.ArgumentParser:
