@@ -67,21 +67,18 @@ class LoadedReported:
         spec: What the file says.
         document: Where it says it.
         arms: The arms by name, in the order of the file.
+        claims: The claims by name: those of other experiments first, then its own, in the order of the files.
     """
 
     spec: ReportedSpec
     document: Document
     arms: Mapping[str, Arm]
+    claims: Mapping[str, AnyClaim]
 
     @property
     def name(self) -> str:
         """The file's stem, and the name of the experiment's folder."""
         return self.document.file.stem
-
-    @property
-    def claims(self) -> Mapping[str, AnyClaim]:
-        """The claims by name, in the order of the file."""
-        return self.spec.claims
 
 
 def load_reported(path: str | Path, overrides: Sequence[str] = ()) -> LoadedReported:
@@ -94,14 +91,15 @@ def load_reported(path: str | Path, overrides: Sequence[str] = ()) -> LoadedRepo
     spec, document = loaded.spec, loaded.document
     files = _Files()
     also = _also(spec, document, files)
+    claims = _all_claims(spec, document, files)
     arms = {name: _arm(name, spec, document, files, also) for name in spec.arms}
     if files.problems:
         raise SpecError(files.problems)
     complete = {name: arm for name, arm in arms.items() if arm is not None}
-    problems = [*_figure_problems(complete, document), *_claim_problems(spec, complete, document)]
+    problems = [*_figure_problems(complete, document), *_claim_problems(claims, complete, document)]
     if problems:
         raise SpecError(problems)
-    return LoadedReported(spec, document, complete)
+    return LoadedReported(spec, document, complete, claims)
 
 
 class _Files:
@@ -113,6 +111,9 @@ class _Files:
 
     def task(self, file: str, document: Document, path: KeyPath) -> LoadedTask[TaskSpec] | None:
         return self._once("task", file, document, path, lambda: load_task(task_model(), file))
+
+    def experiment(self, file: str, document: Document, path: KeyPath) -> ReportedSpec | None:
+        return self._once("experiment", file, document, path, lambda: load(ReportedSpec, file).spec)
 
     def method(self, file: str, document: Document, path: KeyPath) -> LoadedMethod | None:
         return self._once("method", file, document, path, lambda: load_method(file))
@@ -178,10 +179,34 @@ def _figure_problems(arms: Mapping[str, Arm], document: Document) -> Iterator[Pr
             yield document.problem(path, f"the task {arm.task.name} has no mirrored evaluation")
 
 
-def _claim_problems(spec: ReportedSpec, arms: Mapping[str, Arm], document: Document) -> Iterator[Problem]:
-    for name, claim in spec.claims.items():
-        if claim.seeds == "each" and len({operand.arm for operand in claim.operands().values()}) > 1:
-            what = "each seed of two arms cannot be compared: seeds of the same number share nothing but it"
+def _all_claims(spec: ReportedSpec, document: Document, files: _Files) -> dict[str, AnyClaim]:
+    """The claims of the experiments that are named, and those of the file itself."""
+    claims: dict[str, AnyClaim] = {}
+    for index, file in enumerate(spec.claims_of):
+        path = ("claims_of", index)
+        other = files.experiment(file, document, path)
+        if other is not None and other.claims_of:
+            files.problems.append(
+                document.problem(path, "its own claims are those of others: name them here")
+            )
+        elif other is not None:
+            kept = {n: claim for n, claim in other.claims.items() if not isinstance(claim, NearReported)}
+            files.problems += [
+                document.problem(path, f"the claim {name} stands in two of the files")
+                for name in kept
+                if name in claims and claims[name] != kept[name]
+            ]
+            claims |= kept
+    return claims | spec.claims
+
+
+def _claim_problems(
+    claims: Mapping[str, AnyClaim], arms: Mapping[str, Arm], document: Document
+) -> Iterator[Problem]:
+    for name, claim in claims.items():
+        seeds = {arms[operand.arm].seeds for operand in claim.operands().values() if operand.arm in arms}
+        if claim.seeds == "each" and len(seeds) > 1:
+            what = "each seed of two arms is compared with that of the same number: their seeds differ"
             yield document.problem(("claims", name, "seeds"), what)
         for key, operand in claim.operands().items():
             path = ("claims", name, key)

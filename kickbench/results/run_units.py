@@ -57,6 +57,12 @@ _UNITS: dict[Metric, Unit] = {
     "pair_agreement": _PERCENT,
     "return_length_correlation": Unit("", 1.0, 3),
     "raw_reward": Unit("a step", 1.0, 4),
+    "touches": Unit("touches", 1.0, 2),
+    "walked_after_touch": Unit("m", 1.0, 3),
+    "steps_to_kick": Unit("M steps", 1e-6, 2),
+    "steps_to_half_success": Unit("M steps", 1e-6, 2),
+    "success_area": _PERCENT,
+    "return_trough": Unit("", 1.0, 2),
 }
 _POINTS = Unit("points", 100.0, 1)
 _RATIO = Unit("", 1.0, 2)

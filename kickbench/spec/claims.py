@@ -28,11 +28,26 @@ Metric = Literal[
     "pair_agreement",
     "return_length_correlation",
     "raw_reward",
+    "touches",
+    "walked_after_touch",
+    "steps_to_kick",
+    "steps_to_half_success",
+    "success_area",
+    "return_trough",
 ]
 """What a claim may be about; `kickbench.results.run_figures` says how each follows from a run."""
 
 OF_A_RUN: frozenset[Metric] = frozenset(
-    {"equivariance_error", "pair_agreement", "return_length_correlation", "raw_reward"}
+    {
+        "equivariance_error",
+        "pair_agreement",
+        "return_length_correlation",
+        "raw_reward",
+        "steps_to_kick",
+        "steps_to_half_success",
+        "success_area",
+        "return_trough",
+    }
 )
 """Metrics of a run as a whole: they have no sides and no further tasks."""
 
@@ -61,6 +76,9 @@ class _Claim(Spec):
     """Of `raw_reward`: the reward term whose mean value per control step in training, without its weight, is meant."""
     seeds: Literal["mean", "each"] = "mean"
     """Whether the mean over the seeds is meant, or every single one."""
+    decidable: bool = True
+    """False: at the experiment's number of seeds even an exact replication would rarely meet it, or its opposite would
+    meet it too often; results/README.md has the rates."""
     value: Operand
     """Whose figure is claimed to be so."""
 

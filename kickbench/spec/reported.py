@@ -96,6 +96,9 @@ class ReportedSpec(Spec):
     """Training iterations; default: each method's."""
     evaluation: ReportedEvaluationSpec = ReportedEvaluationSpec()
     """How the trained policies are measured."""
+    claims_of: tuple[FileRef, ...] = Field(default=(), strict=False)
+    """Paths of experiments whose claims are made of this one too, all of them but those that compare with what was
+    reported there (`near_reported`). A claim of this experiment replaces one of the same name."""
     claims: dict[Name, Claim] = Field(default_factory=dict)
     """What is claimed of the figures, by name."""
 
