@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 # pyright: reportAttributeAccessIssue=false
 import mujoco
@@ -239,13 +238,3 @@ def _add_actuators(scene: mujoco.MjSpec, robot: RobotSpec) -> None:
             actuator.trntype, actuator.target = mujoco.mjtTrn.mjTRN_SITE, ROBOT + _BASE_SITE
             actuator.gear = [float(i == _AXES[spec.base_axis]) for i in range(6)]
         set_servo(actuator, spec)
-
-
-def has_external_assets(path: str | Path) -> bool:
-    """Whether an MJCF reads other files: meshes, textures, height fields or skins."""
-    spec = mujoco.MjSpec.from_file(str(path))
-    if b"<include" in Path(path).read_bytes():
-        return True
-    return any(
-        item.file for items in (spec.meshes, spec.textures, spec.hfields, spec.skins) for item in items
-    )
