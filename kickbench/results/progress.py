@@ -50,9 +50,9 @@ def read_progress(path: Path) -> Progress:
     table = np.array([_numbers(path, line, row, len(names)) for line, row in enumerate(rows[1:], start=2)])
     table = table.reshape(-1, len(names))
     iteration = table[:, 0].astype(np.int64)
-    if (np.diff(iteration) <= 0).any():
-        line = int(np.flatnonzero(np.diff(iteration) <= 0)[0]) + 3
-        raise KickbenchError(f"{path}:{line}: expected iterations in ascending order")
+    wrong = np.flatnonzero(table[:, 0] != np.arange(len(table)))
+    if wrong.size:
+        raise KickbenchError(f"{path}:{wrong[0] + 2}: expected the row of iteration {wrong[0]}")
     return Progress(iteration, {name: table[:, index] for index, name in enumerate(names) if index})
 
 

@@ -423,12 +423,13 @@ def test_another_order_of_terms_and_another_robot_are_other_experiments(copy, tm
     content["rewards"] = dict(reversed(content["rewards"].items()))
     task.write_text(yaml.safe_dump(content, sort_keys=False))
     model = tmp_path / "assets/mini_kicker/mini_kicker.xml"
-    model.write_text(model.read_text().replace("<mujoco", "<!-- changed --><mujoco", 1))
+    model.write_text(model.read_text().replace('mass="4.0"', 'mass="4.5"', 1))
     arguments = [str(task) if argument == TASK else argument for argument in command(copy, "--resume")]
     assert main(arguments) == 2
     error = capsys.readouterr().err
     assert "rewards: the run has them in another order" in error
-    assert "model: the run has another MJCF" in error
+    assert "model: not the model of the run" in error
+    assert "body_inertia, body_mass" in error
 
 
 def test_a_run_in_the_way_is_an_error_that_names_both_ways_on(copy, capsys):
