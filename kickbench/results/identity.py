@@ -114,9 +114,9 @@ def read_identity(directory: PathLike[str] | str) -> Identity:
         identity = Identity.model_validate_json(path.read_bytes())
     except (OSError, ValidationError):
         raise KickbenchError(f"{shown(path)}: damaged or of another version") from None
-    if identity.fingerprint != _digest(identity.parts) or _digest(identity.model_arrays) != identity.parts.get(
-        "model"
-    ):
+    if identity.fingerprint != _digest(identity.parts) or _digest(
+        identity.model_arrays
+    ) != identity.parts.get("model"):
         raise KickbenchError(f"{shown(path)}: damaged: its fingerprint is not that of its parts")
     return identity
 

@@ -32,7 +32,10 @@ ALSO_FOLDER = "also/"
 """Where a run keeps what its policy does on further tasks."""
 RESULTS = ("metrics.json", "episodes.csv", "policy.pt")
 """What a run makes again from its last checkpoint."""
-SPECS = tuple(f"specs/{name}" for name in ("task.yaml", "method.yaml", "robot.yaml", "representations.yaml", "robot.xml"))
+SPECS = tuple(
+    f"specs/{name}"
+    for name in ("task.yaml", "method.yaml", "robot.yaml", "representations.yaml", "robot.xml")
+)
 FIXED = (*SPECS, identity.FILE, "progress.csv", *RESULTS)
 """Files that every run may have, what is kept when it goes on first."""
 
@@ -209,7 +212,9 @@ def _signature(path: Path) -> Signature:
         for name in files:
             if not name.startswith(TEMPORARY_PREFIX):
                 info = os.lstat(os.path.join(folder, name))
-                found.append((os.path.join(folder, name), info.st_size, max(info.st_mtime_ns, info.st_ctime_ns)))
+                found.append(
+                    (os.path.join(folder, name), info.st_size, max(info.st_mtime_ns, info.st_ctime_ns))
+                )
     return tuple(sorted(found))
 
 
@@ -249,7 +254,9 @@ def _sum_damage(path: Path) -> Damage | None:
     except KickbenchError as error:
         return Damage(path, FILE, _reason(error, path / FILE))
     unlisted = [name for name in FIXED if name not in sums and (path / name).exists()]
-    unlisted += [name for file in path.glob("also/*.json") if (name := f"{ALSO_FOLDER}{file.name}") not in sums]
+    unlisted += [
+        name for file in path.glob("also/*.json") if (name := f"{ALSO_FOLDER}{file.name}") not in sums
+    ]
     problems = [Damage(path, name, f"not in {FILE}") for name in unlisted]
     for name, digest in sums.items():
         file = path / name

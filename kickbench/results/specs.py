@@ -148,7 +148,9 @@ def _check_copy(
     except KickbenchError as error:
         raise robot.error(("model",), f"the copy of this model in the run cannot be used: {error}") from None
     if outside:
-        what = f"this model reads {min(outside)} by an absolute path, which a run that is moved would not find"
+        what = (
+            f"this model reads {min(outside)} by an absolute path, which a run that is moved would not find"
+        )
         raise robot.error(("model",), what, "write paths in the MJCF relative to it")
     if identity_of(stored) != identity:
         raise robot.error(("model",), "the copy of this model in the run is another model")

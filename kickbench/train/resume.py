@@ -47,8 +47,8 @@ def take_up(
 ) -> Resume:
     """Checks that the run in a directory is this one, and finds where it stands.
 
-    A run that `--force` began beside another one goes on, if it is this one. A directory without a run, or whose run was
-    killed before its first checkpoint, is made ready for the beginning; any other is left as it is.
+    A run that `--force` began beside another one goes on, if it is this one. A directory without a run, or whose
+    run was killed before its first checkpoint, is made ready for the beginning; any other is left as it is.
 
     Args:
         directory: The run directory.
@@ -65,7 +65,9 @@ def take_up(
         try:
             return take_up(directory.beside, experiment, seed, scale=scale, extend=extend)
         except KickbenchError:
-            print(f"{shown(directory.beside.path)}: another run that --force began is left out", file=sys.stderr)
+            print(
+                f"{shown(directory.beside.path)}: another run that --force began is left out", file=sys.stderr
+            )
     if not directory.holds_a_run:
         return begin(directory, experiment)
     if directory.metrics.exists() and _is_intact(directory):

@@ -171,7 +171,9 @@ def test_taking_over_can_be_killed_at_any_moment(tmp_path: Path, monkeypatch, ca
         try:
             run.take_over()
         except KeyboardInterrupt:
-            assert not run.metrics.exists() or run.metrics.read_text() == "{}" and run.policy.read_text() == "x"
+            assert not run.metrics.exists() or (
+                run.metrics.read_text() == "{}" and run.policy.read_text() == "x"
+            )
     run.take_over()
     assert (run.metrics.read_text(), run.policy.read_text()) == ("new", "new")
     assert not any(name.startswith(".partial") for name in files_of(run))
