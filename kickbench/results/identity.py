@@ -17,9 +17,10 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from pydantic import BaseModel, ValidationError
 
-from kickbench.errors import KickbenchError, KeyPath, shown
+from kickbench.errors import KeyPath, KickbenchError, shown
 from kickbench.results.atomic import atomic_write_text
 from kickbench.results.record import Record
+from kickbench.scene.dynamics import dynamics_arrays
 from kickbench.spec.annotations import FileMarker
 from kickbench.spec.terms import TermParams, TermTable
 
@@ -27,7 +28,6 @@ if TYPE_CHECKING:
     from os import PathLike
 
     from kickbench.experiment import Experiment
-    from kickbench.scene.build import Scene
 
 FILE = "identity.json"
 ITERATIONS: KeyPath = ("algorithm", "iterations")
@@ -38,32 +38,6 @@ _UNCOUNTED = {
 }
 """Keys that decide how long or how fast a run computes, not what."""
 
-_ARRAYS = {
-    "": "qpos0 qpos_spring plugin plugin_attr",
-    "body": "parentid mocapid pos quat ipos mass gravcomp",
-    "jnt": "type bodyid pos axis range limited margin solref solimp stiffness stiffnesspoly springyield "
-    "actfrclimited actfrcrange actgravcomp",
-    "dof": "armature damping dampingpoly frictionloss solref solimp",
-    "geom": "type bodyid dataid contype conaffinity condim priority size pos quat friction solmix solref solimp "
-    "margin gap fluid adhesion surfacevel",
-    "pair": "geom1 geom2 dim friction solref solreffriction solimp margin gap adhesion",
-    "exclude": "signature",
-    "eq": "type objtype obj1id obj2id active0 data solref solimp",
-    "tendon": "num limited range margin stiffness stiffnesspoly damping dampingpoly frictionloss armature "
-    "lengthspring springyield actfrclimited actfrcrange solref_lim solimp_lim solref_fri solimp_fri",
-    "wrap": "type objid prm",
-    "actuator": "trntype dyntype gaintype biastype ctrllimited ctrlrange forcelimited forcerange actlimited actrange "
-    "actearly gear cranklength dynprm gainprm biasprm armature damping dampingpoly delay",
-    "mesh": "vertnum vert facenum face",
-    "hfield": "size nrow ncol data",
-    "flex": "contype conaffinity condim priority solmix solref solimp friction margin gap internal selfcollide dim "
-    "vertbodyid nodebodyid vert elem radius stiffness bending damping edgestiffness edgedamping rigid passive",
-    "opt": "timestep gravity wind magnetic density viscosity impratio integrator cone solver iterations tolerance "
-    "ls_iterations ls_tolerance noslip_iterations noslip_tolerance ccd_iterations ccd_tolerance disableflags "
-    "enableflags disableactuator",
-}
-"""Arrays of a compiled model that its motion depends on, by what they belong to; those that follow from them are not
-listed, such as `body_invweight0`."""
 _TINY = 1e-13
 """Smaller numbers count as 0."""
 
@@ -76,7 +50,7 @@ class Identity(Record):
     """SHA-256 of the parts."""
     parts: dict[str, str]
     """SHA-256 of each: `task`, `method`, `representations`, `robot`, `model`, `terms`."""
-    model_arrays: dict[str, str] = {}
+    model_arrays: dict[str, str]
     """What the part `model` is made of: the beginning of the SHA-256 of each array of the compiled model."""
 
 
@@ -89,7 +63,8 @@ def identity_of(experiment: Experiment) -> Identity:
         "representations": method.representations.spec,
         "robot": task.robot.spec,
     }
-    arrays = model_arrays(experiment.task.scene)
+    dynamics = dynamics_arrays(experiment.task.scene)
+    arrays = {name: _digest(_plain(value))[:16] for name, value in dynamics if np.size(value)}
     parts = {name: _digest(_canonical(spec, ())) for name, spec in specs.items()}
     # No term comes from a user's own file yet.
     parts |= {"model": _digest(arrays), "terms": _digest([])}
@@ -127,42 +102,6 @@ def counted_fields(spec: BaseModel, path: KeyPath) -> Iterator[tuple[str, Any]]:
         is_file = any(isinstance(item, FileMarker) for item in info.metadata)
         if not is_file and name != "description" and (*path, name) not in _UNCOUNTED:
             yield name, getattr(spec, name)
-
-
-def model_arrays(scene: Scene) -> dict[str, str]:
-    """Digests of what the motion of a compiled scene depends on; empty arrays are left out."""
-    return {name: _digest(_plain(value))[:16] for name, value in _arrays(scene) if np.size(value)}
-
-
-def _arrays(scene: Scene) -> Iterator[tuple[str, Any]]:
-    # pyright: reportAttributeAccessIssue=false
-    import mujoco
-
-    model, layout = scene.model, scene.layout
-    for group, names in _ARRAYS.items():
-        for name in names.split():
-            if group == "opt":
-                yield f"opt_{name}", getattr(model.opt, name)
-            else:
-                name = f"{group}_{name}" if group else name
-                yield name, getattr(model, name, ())
-    # Principal axes are not unique where two moments are equal; the tensor is.
-    axes = np.empty((model.nbody, 9))
-    for axis, quat in zip(axes, model.body_iquat, strict=True):
-        mujoco.mju_quat2Mat(axis, quat)
-    axes = axes.reshape(-1, 3, 3)
-    yield "body_inertia", (axes * model.body_inertia[:, None, :]) @ axes.transpose(0, 2, 1)
-    # Sites are markers, unless something is fixed to one.
-    site = mujoco.mjtObj.mjOBJ_SITE
-    if (model.wrap_type == mujoco.mjtWrap.mjWRAP_SITE).any() or (model.eq_objtype == site).any():
-        yield from ((name, getattr(model, name)) for name in ("site_bodyid", "site_pos", "site_quat"))
-    driven = model.actuator_trnid[:, 0].copy()
-    at_site = model.actuator_trntype == mujoco.mjtTrn.mjTRN_SITE
-    driven[at_site] = model.site_bodyid[driven[at_site]]
-    yield "actuator_target", driven
-    yield "joint_names", [coordinate.name for coordinate in layout.coordinates]
-    yield "base_body", layout.base_body
-    yield "foot_geoms", [geoms.tolist() for geoms in layout.foot_geoms]
 
 
 def _plain(value: Any) -> Any:

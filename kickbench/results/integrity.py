@@ -298,9 +298,10 @@ def _disagreement(metrics: Metrics, sides: EpisodeSides) -> str | None:
         if table is not None and (figure := _other_figure(recorded, table)):
             return f"{side}.{figure}"
     asymmetry = evaluation.asymmetry
-    if asymmetry and asymmetry.pairs and sides.mirrored and mirrored_pairs(*sides) != asymmetry.pairs:
-        return "asymmetry.pairs"
-    return None
+    if asymmetry is None or asymmetry.pairs is None or sides.mirrored is None:
+        return None
+    pairs = mirrored_pairs(sides.in_distribution, sides.mirrored)
+    return None if pairs == asymmetry.pairs else "asymmetry.pairs"
 
 
 def _other_figure(recorded: EvaluationMetrics, table: EpisodeTable) -> str | None:

@@ -16,6 +16,7 @@ from kickbench.results.atomic import atomic_write_bytes, atomic_write_text
 from kickbench.results.identity import Identity, counted_fields, identity_of, read_identity, write_identity
 from kickbench.results.integrity import MODEL_FOLDER, seal
 from kickbench.results.store import RunDirectory
+from kickbench.scene.build import files_read_by
 from kickbench.spec.load import LoadedMethod, load_method, load_task
 from kickbench.spec.terms import TermParams, TermTable
 from kickbench.yamlio import Document, dump_yaml, flow_yaml
@@ -66,7 +67,7 @@ def model_files(experiment: Experiment) -> list[Path]:
         SpecError: They are too large in all.
     """
     robot = experiment.loaded_task.robot
-    files = _dependencies(Path(robot.spec.model))
+    files = files_read_by(Path(robot.spec.model))
     size = sum(file.stat().st_size for file in files)
     if size > _MODEL_SIZE:
         what = f"the model's {len(files)} files have {size / 1e6:.0f} MB; a run keeps a copy of at most"
@@ -128,14 +129,6 @@ def _model_difference(ours: Identity, theirs: Identity) -> str:
     return f"not the model of the run: the MJCF, a file it reads or the scene has changed {', '.join(names)}"
 
 
-def _dependencies(model: Path) -> list[Path]:
-    # pyright: reportAttributeAccessIssue=false
-    import mujoco
-
-    files = mujoco.mju_getXMLDependencies(str(model))
-    return sorted({model, *(Path(os.path.abspath(file)) for file in files)})
-
-
 def _check_copy(
     directory: RunDirectory, experiment: Experiment, copies: Iterable[str], identity: Identity
 ) -> None:
@@ -144,7 +137,7 @@ def _check_copy(
     try:
         stored = stored_experiment(directory)
         known = {Path(os.path.abspath(directory.path / name)) for name in copies}
-        outside = set(_dependencies(Path(stored.loaded_task.robot.spec.model))) - known
+        outside = set(files_read_by(Path(stored.loaded_task.robot.spec.model))) - known
     except KickbenchError as error:
         raise robot.error(("model",), f"the copy of this model in the run cannot be used: {error}") from None
     if outside:

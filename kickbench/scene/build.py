@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
+from pathlib import Path
 
 # pyright: reportAttributeAccessIssue=false
 import mujoco
@@ -67,6 +69,12 @@ def read_robot(robot: Loaded[RobotSpec]) -> mujoco.MjSpec:
     if problems:
         raise SpecError(problems)
     return spec
+
+
+def files_read_by(model: Path) -> list[Path]:
+    """An MJCF file and every file it reads: included and attached models, meshes, textures, height fields, skins."""
+    files = mujoco.mju_getXMLDependencies(str(model))
+    return sorted({model, *(Path(os.path.abspath(file)) for file in files)})
 
 
 def build_scene(task: TaskSpec, robot: Loaded[RobotSpec], needs: frozenset[SensorGroup]) -> Scene:
