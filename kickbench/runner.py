@@ -188,7 +188,7 @@ def _open_together(
     if ranks.any(refusal is not None):
         raise refusal or SystemExit(2)  # rank 0 says why
     found = ranks.from_main({"state": taken.state, "finished": taken.finished})
-    return Resume(found["state"], found["finished"])
+    return Resume(found["state"], found["finished"], taken.directory)
 
 
 def _metrics(

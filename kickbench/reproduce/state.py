@@ -10,6 +10,7 @@ from enum import Enum
 from pathlib import Path
 
 from kickbench.errors import KickbenchError
+from kickbench.results.atomic import read_regular
 from kickbench.results.integrity import find_damage, without_digest
 from kickbench.results.metrics import Metrics, load_metrics
 from kickbench.results.store import RunDirectory
@@ -132,6 +133,8 @@ def _unfinished(
 
 def read_tail(path: Path) -> ProgressTail | None:
     """Reads the last rows of a `progress.csv`; None if there is not one whole row."""
+    if not path.is_file():
+        return None
     try:
         with open(path, "rb") as file:
             header = file.readline()
@@ -181,6 +184,6 @@ def _iteration(file: Path) -> int:
 
 def _is_whole(file: Path) -> bool:
     try:
-        return without_digest(file.read_bytes()) is not None
+        return without_digest(read_regular(file)) is not None
     except (OSError, ValueError):
         return False

@@ -81,6 +81,18 @@ def _make_parents(path: Path) -> None:
         raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR)) from None
 
 
+def read_regular(path: Path) -> bytes:
+    """Reads a file, and no pipe or device: that would wait for someone to write.
+
+    Raises:
+        OSError: It cannot be read.
+    """
+    path = Path(path)
+    if path.exists() and not path.is_file():
+        raise OSError(errno.EINVAL, "expected a regular file")
+    return path.read_bytes()
+
+
 def atomic_write_bytes(path: Path, data: bytes) -> None:
     """Replace the content of `path` with `data`, all or nothing; missing parents are made."""
     with atomic_file(path) as file:

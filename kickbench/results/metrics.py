@@ -15,7 +15,7 @@ from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveInt, Valid
 
 from kickbench.errors import KickbenchError
 from kickbench.results.asymmetry import Asymmetry, EquivarianceError, measure_asymmetry
-from kickbench.results.atomic import atomic_write_bytes
+from kickbench.results.atomic import atomic_write_bytes, read_regular
 from kickbench.results.episodes import EpisodeSides, EpisodeTable
 from kickbench.results.provenance import Provenance
 from kickbench.results.record import Fraction, Record
@@ -163,7 +163,7 @@ def load_metrics(path: Path) -> Metrics:
         KickbenchError: the file is missing or not valid; the message names the file and every wrong key.
     """
     try:
-        return Metrics.model_validate_json(Path(path).read_bytes())
+        return Metrics.model_validate_json(read_regular(path))
     except OSError as error:
         raise KickbenchError(f"{path}: cannot read metrics: {error.strerror}") from error
     except ValidationError as error:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kickbench.errors import KickbenchError
+from kickbench.results.atomic import read_regular
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +41,7 @@ def read_progress(path: Path) -> Progress:
         KickbenchError: The file cannot be read or is no such table; the message names file and line.
     """
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_regular(path).decode("utf-8")
         rows = list(csv.reader(io.StringIO(text[: text.rfind("\n") + 1], newline="")))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise KickbenchError(f"{path}: cannot read the progress table: {error}") from error

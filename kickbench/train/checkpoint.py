@@ -12,7 +12,7 @@ import torch
 from rsl_rl.models import MLPModel
 
 from kickbench.errors import KickbenchError, shown
-from kickbench.results.atomic import atomic_write_bytes
+from kickbench.results.atomic import atomic_write_bytes, read_regular
 from kickbench.results.integrity import with_digest, without_digest
 
 FORMAT = 4
@@ -104,7 +104,7 @@ def _write(path: Path, content: dict[str, Any]) -> None:
 
 def _read(path: Path, digest_from: int) -> dict[str, Any]:
     """Reads a file whose digest, if it has one, is right; from a format on it must have one."""
-    data = path.read_bytes()
+    data = read_regular(path)
     body = without_digest(data)
     content = torch.load(io.BytesIO(data if body is None else body), weights_only=True, map_location="cpu")
     if body is None and content["format"] >= digest_from:

@@ -69,7 +69,7 @@ class CsvProgress:
         Raises:
             KickbenchError: They are not one row of each iteration, in order.
         """
-        kept = _rows_before(self._path, first_iteration)
+        kept = rows_before(self._path, first_iteration)
         self._columns = kept[0] if kept else None
         atomic_write_text(self._path, _to_csv(kept))
         self._file = open(self._path, "a", encoding="utf-8", newline="")  # noqa: SIM115 (open until close())
@@ -136,13 +136,17 @@ class TensorBoardProgress:
             self._writer = None
 
 
-def _rows_before(path: Path, first_iteration: int) -> list[list[str]]:
-    """Header and rows of the iterations below `first_iteration`; nothing if it is the first."""
+def rows_before(path: Path, first_iteration: int) -> list[list[str]]:
+    """Reads header and rows of the iterations below `first_iteration`; nothing if it is the first.
+
+    Raises:
+        KickbenchError: They are not one row of each iteration, in order.
+    """
     if first_iteration == 0:
         return []
     if not path.is_file():
         raise KickbenchError(f"{path}: missing; {_START_AGAIN}")
-    text = path.read_text(encoding="utf-8")
+    text = path.read_text(encoding="utf-8", errors="replace")
     # A row without its newline was cut short by a kill, even if it looks whole.
     rows = list(csv.reader(io.StringIO(text[: text.rfind("\n") + 1], newline="")))
     if not rows or rows[0][:1] != ["iteration"]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,6 +16,7 @@ from kickbench.results.metrics import load_metrics
 from kickbench.results.specs import spec_differences, stored_method, write_specs
 from kickbench.results.store import RunDirectory
 from kickbench.train.checkpoint import Checkpoints
+from kickbench.train.progress_files import rows_before
 
 
 @dataclass(frozen=True)
@@ -38,6 +40,8 @@ def begin(directory: RunDirectory, experiment: Experiment) -> Resume:
         write_specs(directory, experiment)
     except BaseException:
         directory.clear()
+        with suppress(OSError):  # of a folder in which something is left
+            directory.path.rmdir()
         raise
     return Resume(directory=directory)
 
@@ -59,7 +63,7 @@ def take_up(
 
     Raises:
         SpecError: The run is another one; every key that differs is a problem.
-        KickbenchError: No checkpoint can be read, or a file that the run needs to go on is damaged.
+        KickbenchError: No checkpoint can be read, or a file that the run needs to go on is damaged or has gaps.
     """
     if directory.beside.holds_a_run:
         try:
@@ -84,6 +88,7 @@ def take_up(
         directory.clear()
         return begin(directory, experiment)
     _check_same(directory, experiment, seed, scale, state["run"], extend)
+    rows_before(directory.progress, state["iteration"])  # before anything is removed
     return Resume(state, directory=directory)
 
 

@@ -144,9 +144,28 @@ def test_what_is_no_regular_file_is_not_read(run):
         (run / name).unlink()
         os.mkfifo(run / name)
         assert name in (damage(run) or "")
+        assert main(["status", str(run)]) == 0
         (run / name).unlink()
         (run / name).write_bytes(whole)
     check(run)
+
+
+def test_a_pipe_in_an_unfinished_run_is_not_read(run, capsys):
+    (run / "metrics.json").unlink()
+    command = ["run", TASK, METHOD, "--out", str(run), *QUICK, "--resume"]
+    for name, told in (
+        ("progress.csv", "progress.csv: missing"),
+        ("iteration_000002.pt", "000002.pt: damaged"),
+    ):
+        (file,) = run.rglob(name)
+        whole = file.read_bytes()
+        file.unlink()
+        os.mkfifo(file)
+        assert main(["status", str(run)]) == 0
+        assert main(command) == (2 if name == "progress.csv" else 0)
+        assert told in capsys.readouterr().err
+        file.unlink()
+        file.write_bytes(whole)
 
 
 @pytest.mark.parametrize("key", ["success_rate", "kicked_fraction", "mean_distance", "terminations"])

@@ -517,10 +517,11 @@ def swap(lines: list[str]) -> list[str]:
 
 
 @pytest.mark.parametrize("change", [cut_short, leave_out, double, swap])
-def test_a_gap_in_the_progress_of_a_run_is_an_error(copy, capsys, change):
+@pytest.mark.parametrize("trained", [True, False])
+def test_a_gap_in_the_progress_of_a_run_is_an_error(copy, capsys, change, trained):
     (copy / "metrics.json").unlink()
-    for file in Checkpoints(copy / "checkpoints").files()[1:]:
-        file.unlink()
+    if not trained:
+        (copy / "checkpoints/iteration_000053.pt").unlink()
     lines = (copy / "progress.csv").read_text().splitlines(keepends=True)
     (copy / "progress.csv").write_text("".join(change(lines)))
     assert main(command(copy, "--resume")) == 2
