@@ -20,16 +20,17 @@ from kickbench.nets.build import build_actor
 from kickbench.nets.threads import update_threads
 from kickbench.physics.cpu import usable_cores
 from kickbench.physics.devices import check_device
+from kickbench.results import integrity
 from kickbench.results.asymmetry import EquivarianceError
 from kickbench.results.episodes import EpisodeSides, EpisodeTable, write_episodes
 from kickbench.results.history import RunHistory, earlier_parts
-from kickbench.results.metrics import Evaluation, Metrics, load_metrics, summarise_sides, write_metrics
-from kickbench.results.specs import write_specs
+from kickbench.results.metrics import Evaluation, Metrics, load_metrics, summarise_sides
+from kickbench.results.specs import update_specs
 from kickbench.results.store import RunDirectory
 from kickbench.train.checkpoint import Checkpoints, load_policy, save_policy
 from kickbench.train.progress import ProgressGroup, standard_progress
 from kickbench.train.ranks import ALONE, Ranks, joined, read_ranks
-from kickbench.train.resume import Resume, take_up
+from kickbench.train.resume import Resume, begin, take_up
 from kickbench.train.trainer import Trainer, TrainingResult
 
 
@@ -127,6 +128,7 @@ def _run_in(
     directory: RunDirectory, experiment: Experiment, request: RunRequest, threads: int, ranks: Ranks
 ) -> RunOutcome:
     taken = _open_together(request, directory, experiment, ranks)
+    made = taken.directory or directory
     if taken.finished:
         metrics = load_metrics(directory.metrics) if ranks.is_main else None
         return RunOutcome(directory, None, metrics, ranks.is_main)
@@ -143,36 +145,36 @@ def _run_in(
     )
     device = str(ranks.device)
     trainer = make_trainer(
-        experiment, directory, request.seed, threads, history, ranks, device=device, graph=request.graph
+        experiment, made, request.seed, threads, history, ranks, device=device, graph=request.graph
     )
     if taken.state:
         trainer.load_state_dict(taken.state)
         if ranks.is_main:
-            directory.reopen()
-            write_specs(directory, experiment)  # the same, but for iterations that were added
+            made.reopen()
+            update_specs(made, experiment)
     training = trainer.train(experiment.method.spec.algorithm.iterations)
     if training.interrupted or not ranks.is_main:
         return RunOutcome(directory, training, None, ranks.is_main)
     # Wherever a policy was trained, the CPU's engine evaluates it: figures compare, and `eval` gives them again.
     policy = trainer.ppo.get_policy().eval().cpu()
-    save_policy(directory.policy, policy)
+    save_policy(made.policy, policy)
     try:
         sides, equivariance = evaluate(experiment, policy, threads=threads)
     except KeyboardInterrupt:
         return RunOutcome(directory, training, None)
-    write_episodes(directory.episodes, sides)
+    write_episodes(made.episodes, sides)
     metrics = _metrics(experiment, history, training, sides, equivariance)
-    write_metrics(directory.metrics, metrics)
+    made.finish(metrics)
+    directory.take_over()
     return RunOutcome(directory, training, metrics)
 
 
 def _open(request: RunRequest, directory: RunDirectory, experiment: Experiment) -> Resume:
+    directory.take_over()  # in case the process that was to do it has been killed
     if request.resume:
         extend = request.iterations is not None
         return take_up(directory, experiment, request.seed, scale=request.scale, extend=extend)
-    directory.prepare(request.force)
-    write_specs(directory, experiment)
-    return Resume()
+    return begin(directory.prepare(request.force), experiment)
 
 
 def _open_together(
@@ -190,7 +192,7 @@ def _open_together(
     if ranks.any(refusal is not None):
         raise refusal or SystemExit(2)  # rank 0 says why
     found = ranks.from_main({"state": taken.state, "finished": taken.finished})
-    return Resume(found["state"], found["finished"])
+    return Resume(found["state"], found["finished"], taken.directory)
 
 
 def _metrics(
@@ -202,7 +204,7 @@ def _metrics(
 ) -> Metrics:
     extended = training.iterations > training.horizon
     return Metrics(
-        **history.identity,
+        **history.labels,
         iterations=training.iterations,
         env_steps=training.env_steps,
         training_seconds=round(training.seconds, 3),
@@ -286,11 +288,12 @@ def load_run(path: Path, task: Path | None = None) -> tuple[Experiment, Policy]:
         task: Another task for the policy; default: the one it was trained on.
 
     Raises:
-        KickbenchError: The directory holds no run with a policy.
+        KickbenchError: The directory holds no run with a policy, or one of its files is damaged.
     """
     directory = RunDirectory(path)
     if not directory.task_spec.is_file():
         raise KickbenchError(f"{os.fspath(path)}: not a run directory (it has no {directory.task_spec.name})")
+    integrity.check(directory)
     experiment = load_experiment(task or directory.task_spec, directory.method_spec)
     symmetry = experiment.symmetry
     policy = build_actor(experiment.method.spec, symmetry.groups["actor"], symmetry.actions)
@@ -302,8 +305,8 @@ def reevaluate(
     path: Path, episodes: int | None, seed: int | None, threads: int | None, task: Path | None = None
 ) -> tuple[Metrics, EpisodeSides]:
     """Evaluates the policy of a finished run again, on another task if there is one; the run is left as it is."""
-    recorded = load_metrics(RunDirectory(path).metrics)
     experiment, policy = load_run(path, task)
+    recorded = load_metrics(RunDirectory(path).metrics)
     sides, equivariance = evaluate(experiment, policy, episodes=episodes, seed=seed, threads=threads)
     evaluation = _summary(experiment, sides, equivariance)
     # Where a run keeps its task, the file's name is not the task's.

@@ -39,10 +39,13 @@ def finished(tmp_path_factory):
 def test_a_run_directory_holds_everything(finished):
     names = {str(p.relative_to(finished)) for p in finished.rglob("*") if p.is_file()}
     checkpoints = {"checkpoints/iteration_000000.pt", "checkpoints/iteration_000002.pt"}
-    expected = {"metrics.json", "episodes.csv", "progress.csv", "policy.pt"} | checkpoints
+    expected = {"metrics.json", "episodes.csv", "progress.csv", "policy.pt", "identity.json"} | checkpoints
     specs = {
         f"specs/{name}"
-        for name in ("task.yaml", "method.yaml", "robot.yaml", "representations.yaml", "robot.xml")
+        for name in (
+            *("task.yaml", "method.yaml", "robot.yaml", "representations.yaml"),
+            "model/mini_kicker.xml",
+        )
     }
     assert expected | specs <= names
     assert any(name.startswith("tensorboard/") for name in names)

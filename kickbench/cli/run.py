@@ -7,7 +7,8 @@ import sys
 
 from kickbench.cli.flags import refuse_contradiction
 from kickbench.errors import KickbenchError, shown
-from kickbench.results.metrics import write_metrics
+from kickbench.results.integrity import write_also
+from kickbench.results.metrics import metrics_bytes
 from kickbench.results.store import RunDirectory
 from kickbench.results.table import render_table
 from kickbench.runner import RunRequest, reevaluate
@@ -59,6 +60,8 @@ def evaluate(arguments: argparse.Namespace) -> int:
         arguments.run, arguments.episodes, arguments.seed, arguments.threads, arguments.task
     )
     if arguments.save:
-        write_metrics(RunDirectory(arguments.run).also(metrics.task), metrics)
+        directory = RunDirectory(arguments.run)
+        with directory.occupied():
+            write_also(directory, f"also/{metrics.task}.json", metrics_bytes(metrics))
     print(metrics.model_dump_json(indent=2) if arguments.json else render_table([metrics]))
     return 0

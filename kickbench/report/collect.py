@@ -16,7 +16,7 @@ from kickbench.results.measured import run_path
 from kickbench.results.metrics import load_metrics
 from kickbench.results.progress import read_progress
 from kickbench.results.specs import stored_method
-from kickbench.results.store import RunDirectory
+from kickbench.results.store import RunDirectory, find_begun_runs
 
 T = TypeVar("T")
 _NOTES = "README.md"
@@ -55,8 +55,7 @@ def collect(root: Path, experiment: LoadedReported | None = None) -> tuple[Study
 
 def _run_folders(root: Path) -> list[Path]:
     """Folders with a result, a training or specs of a run, in the order of their paths."""
-    names = ("metrics.json", "progress.csv", "specs/task.yaml")
-    return sorted({file.parents[name.count("/")] for name in names for file in root.rglob(name)})
+    return [directory.path for directory in find_begun_runs(root)]
 
 
 def _identify(root: Path, folder: Path) -> _Found:
@@ -142,6 +141,9 @@ def read_run(folder: Path, place: str, arm: str, seed: int) -> RunData:
         seed: Its seed, unless its result says another.
     """
     directory, notes = RunDirectory(folder), []
+    if (damage := directory.damage) is not None:
+        notes.append(damage)
+        return RunData(arm, seed, place, notes=(damage.replace(str(folder), place),), started=True)
     metrics = _try(load_metrics, directory.metrics, notes)
     planned = None
     if directory.method_spec.is_file():

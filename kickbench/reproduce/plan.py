@@ -11,10 +11,9 @@ from kickbench.experiment import Experiment, load_experiment
 from kickbench.reported import Arm, LoadedReported
 from kickbench.reproduce.record import PlanRecord, RunRecord
 from kickbench.reproduce.state import RunState, State, read_state
-from kickbench.results.history import run_identity
 from kickbench.results.metrics import load_metrics
 from kickbench.results.store import RunDirectory
-from kickbench.train.resume import identity_differences, run_differences
+from kickbench.train.resume import run_differences
 
 
 @dataclass(frozen=True)
@@ -177,16 +176,13 @@ def _differences(
     state = read_state(directory, compiled.method.spec.algorithm.iterations).state
     if state in (State.NEW, State.DAMAGED):  # a damaged one fails by itself, and keeps no other from running
         return []
-    problems = []
-    if directory.is_finished:
-        identity = run_identity(compiled.task.name, compiled.method.name, seed, scale)
-        recorded = load_metrics(directory.metrics).model_dump(include=set(identity))
-        problems += identity_differences(identity, recorded)
+    recorded = load_metrics(directory.metrics).model_dump() if directory.is_finished else None
     try:
-        problems += run_differences(directory, compiled)
-    except SpecError as error:
-        if state is not State.RUNNING:  # one that has just begun writes its specs at this moment
-            problems += error.problems
+        problems = run_differences(directory, compiled, seed, scale, recorded)
+    except KickbenchError as error:
+        # One that has just begun writes its specs at this moment.
+        running, own = state is State.RUNNING, [Problem(None, (), str(error))]
+        problems = [] if running else error.problems if isinstance(error, SpecError) else own
     hint = "--out takes another folder"
     found = Problem(None, (), f"{shown(directory.path)} holds another run", hint)
     return [found, *problems] if problems else []

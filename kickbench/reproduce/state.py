@@ -5,12 +5,13 @@ from __future__ import annotations
 import csv
 import io
 import math
-import zipfile
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
 
 from kickbench.errors import KickbenchError
+from kickbench.results.atomic import read_regular
+from kickbench.results.integrity import find_damage, without_digest
 from kickbench.results.metrics import Metrics, load_metrics
 from kickbench.results.store import RunDirectory
 from kickbench.spec.load import load_method
@@ -95,17 +96,18 @@ def read_state(directory: RunDirectory, total: int | None = None) -> RunState:
         total: Iterations wanted; default: what its stored method says.
     """
     total = stored_iterations(directory) if total is None else total
-    progress = read_tail(directory.progress)
     if directory.is_occupied:
+        # What runs with --force is made beside the run that it replaces.
+        made = directory.beside if directory.beside.path.is_dir() else directory
+        progress = read_tail(made.progress)
         done = progress.done if progress else 0
         note = "evaluating" if total is not None and done >= total else ""
         return RunState(State.RUNNING, done, total, progress, note=note)
-    metrics, note = None, ""
-    if directory.metrics.exists():
-        try:
-            metrics = load_metrics(directory.metrics)
-        except KickbenchError:
-            note = "metrics.json is damaged or of another version"
+    progress, damage = read_tail(directory.progress), find_damage(directory)
+    note = f"{damage.file} is damaged" if damage else ""
+    if damage and not damage.can_be_mended:
+        return RunState(State.DAMAGED, 0, total, progress, note=note)
+    metrics = load_metrics(directory.metrics) if directory.metrics.exists() and not damage else None
     if metrics and (total is None or metrics.iterations >= total):
         return RunState(State.FINISHED, metrics.iterations, total, progress, metrics)
     return _unfinished(directory, total, progress, note)
@@ -131,6 +133,8 @@ def _unfinished(
 
 def read_tail(path: Path) -> ProgressTail | None:
     """Reads the last rows of a `progress.csv`; None if there is not one whole row."""
+    if not path.is_file():
+        return None
     try:
         with open(path, "rb") as file:
             header = file.readline()
@@ -180,7 +184,6 @@ def _iteration(file: Path) -> int:
 
 def _is_whole(file: Path) -> bool:
     try:
-        with zipfile.ZipFile(file) as archive:
-            return archive.testzip() is None
-    except Exception:  # damage takes every shape
+        return without_digest(read_regular(file)) is not None
+    except (OSError, ValueError):
         return False

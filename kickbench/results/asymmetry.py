@@ -114,7 +114,7 @@ def measure_asymmetry(sides: EpisodeSides, equivariance: EquivarianceError | Non
         equivariance=equivariance,
         legs=_legs(home, mirrored),
         success=_side_success(home, mirrored),
-        pairs=None if mirrored is None else _pairs(home, mirrored),
+        pairs=None if mirrored is None else mirrored_pairs(home, mirrored),
     )
 
 
@@ -180,7 +180,8 @@ def _side_success(home: EpisodeTable, mirrored: EpisodeTable | None) -> SideSucc
     )
 
 
-def _pairs(home: EpisodeTable, mirrored: EpisodeTable) -> MirroredPairs:
+def mirrored_pairs(home: EpisodeTable, mirrored: EpisodeTable) -> MirroredPairs:
+    """Compares each episode with the one from the mirror image of its start, row by row."""
     alike = int(((home.termination == mirrored.termination) & (home.success == mirrored.success)).sum())
     feet = np.array([_MIRRORED_FOOT[foot] for foot in home.kick_foot.tolist()])
     only_original = int((home.success & ~mirrored.success).sum())

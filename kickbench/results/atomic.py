@@ -49,7 +49,7 @@ def atomic_file(path: Path) -> Iterator[IO[bytes]]:
             with suppress(OSError):
                 temporary.unlink()
             raise
-        _sync_folder(path.parent)
+        sync_folder(path.parent)
 
 
 def check_writable(path: Path) -> None:
@@ -81,6 +81,18 @@ def _make_parents(path: Path) -> None:
         raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR)) from None
 
 
+def read_regular(path: Path) -> bytes:
+    """Reads a file, and no pipe or device: that would wait for someone to write.
+
+    Raises:
+        OSError: It cannot be read.
+    """
+    path = Path(path)
+    if path.exists() and not path.is_file():
+        raise OSError(errno.EINVAL, "expected a regular file")
+    return path.read_bytes()
+
+
 def atomic_write_bytes(path: Path, data: bytes) -> None:
     """Replace the content of `path` with `data`, all or nothing; missing parents are made."""
     with atomic_file(path) as file:
@@ -92,7 +104,7 @@ def atomic_write_text(path: Path, text: str) -> None:
     atomic_write_bytes(path, text.encode("utf-8"))
 
 
-def _sync_folder(folder: Path) -> None:
+def sync_folder(folder: Path) -> None:
     """Make the new name survive a power cut too."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:

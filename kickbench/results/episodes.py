@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kickbench.errors import KickbenchError
-from kickbench.results.atomic import atomic_write_text
+from kickbench.results.atomic import atomic_write_text, read_regular
 
 KICK_FEET = ("left", "right", "other", "none")
 KICK_COLUMNS = ("touches", "walked_after_touch", "launch_speed", "direction_error")
@@ -142,8 +142,7 @@ def read_episodes(path: Path) -> EpisodeSides:
         KickbenchError: the file is missing or is no episode table; the message names the file and the line.
     """
     try:
-        with open(path, encoding="utf-8", newline="") as file:
-            rows = list(csv.reader(file))
+        rows = list(csv.reader(io.StringIO(read_regular(path).decode("utf-8"), newline="")))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise KickbenchError(f"{path}: cannot read the episode table: {error}") from error
     _check_rows(path, rows)

@@ -8,13 +8,8 @@ from typing import Any
 from kickbench.results.provenance import Moment, Provenance, code_state, collect_provenance
 
 
-def run_identity(task: str, method: str, seed: int, scale: float | None) -> dict[str, Any]:
-    """What tells a run from others beside its specs, named as in `metrics.json`."""
-    return {"task": task, "method": method, "seed": seed, "scale": scale}
-
-
 class RunHistory:
-    """The identity of a run and the parts it was made in, one a process; the last part is this process.
+    """What `metrics.json` calls a run, and the parts it was made in, one a process; the last part is this process.
 
     A process that is killed leaves the part that its last checkpoint tells of: what it did after that is done
     again, and counts only then.
@@ -46,7 +41,7 @@ class RunHistory:
             argv: The command as `sys.argv` has it.
             earlier: The parts before this one.
         """
-        self.identity = run_identity(task, method, seed, scale)
+        self.labels: dict[str, Any] = {"task": task, "method": method, "seed": seed, "scale": scale}
         self._seed, self._threads, self._device, self._argv = seed, num_threads, device, tuple(argv)
         self._earlier = tuple(earlier)
         self._processes = num_processes
@@ -70,9 +65,9 @@ class RunHistory:
         return part.model_copy(update=whole)
 
     def state_dict(self, env_steps: int) -> dict[str, Any]:
-        """Identity and all parts as of now, in plain values."""
+        """Labels and all parts as of now, in plain values."""
         parts = (*self._earlier, self._part(env_steps))
-        return {**self.identity, "parts": [part.model_dump(mode="json") for part in parts]}
+        return {**self.labels, "parts": [part.model_dump(mode="json") for part in parts]}
 
     def _part(self, env_steps: int) -> Provenance:
         return collect_provenance(

@@ -9,6 +9,7 @@ from typing import Literal
 
 from kickbench.errors import KickbenchError
 from kickbench.reported import Arm, LoadedReported
+from kickbench.results.integrity import check
 from kickbench.results.metrics import Metrics, load_metrics
 from kickbench.results.store import RunDirectory, find_runs
 
@@ -88,6 +89,7 @@ def _read_run(root: Path, arm: Arm, seed: int) -> MeasuredRun:
     if not directory.metrics.exists():
         state = "unfinished" if directory.holds_a_run else "missing"
         return MeasuredRun(arm.name, seed, directory.path, state)
+    check(directory)
     metrics = _checked(directory.metrics, arm, arm.task.name, seed)
     also = {
         name: _checked(path, arm, name, seed) for name in arm.also if (path := directory.also(name)).exists()

@@ -15,7 +15,7 @@ from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveInt, Valid
 
 from kickbench.errors import KickbenchError
 from kickbench.results.asymmetry import Asymmetry, EquivarianceError, measure_asymmetry
-from kickbench.results.atomic import atomic_write_text
+from kickbench.results.atomic import atomic_write_bytes, read_regular
 from kickbench.results.episodes import EpisodeSides, EpisodeTable
 from kickbench.results.kick import KickFigures, measure_kick
 from kickbench.results.provenance import Provenance
@@ -121,22 +121,28 @@ def summarise(episodes: EpisodeTable, success_radius: float, control_interval: f
     if count == 0:
         raise ValueError("expected at least one episode, found none")
     _check_success(episodes, success_radius)
-    successes = int(episodes.success.sum())
     rng = np.random.default_rng(_BOOTSTRAP_SEED)
     return EvaluationMetrics(
-        episodes=count,
-        success_rate=successes / count,
-        success_ci=wilson(successes, count),
-        mean_distance=float(episodes.distance.mean()),
+        **figures_of(episodes),
+        success_ci=wilson(int(episodes.success.sum()), count),
         mean_distance_ci=bootstrap_mean(episodes.distance, rng),
-        median_distance=float(np.median(episodes.distance)),
         median_distance_ci=bootstrap_median(episodes.distance, rng),
-        terminations=_shares(episodes.termination),
-        kicks=_kicks(episodes),
-        mean_episode_steps=float(episodes.steps.mean()),
-        kicked_fraction=float((episodes.kick_foot != "none").mean()),
         kick=measure_kick(episodes, control_interval),
     )
+
+
+def figures_of(episodes: EpisodeTable) -> dict[str, Any]:
+    """The figures of `EvaluationMetrics` without their intervals, of at least one episode."""
+    return {
+        "episodes": len(episodes),
+        "success_rate": int(episodes.success.sum()) / len(episodes),
+        "mean_distance": float(episodes.distance.mean()),
+        "median_distance": float(np.median(episodes.distance)),
+        "terminations": _shares(episodes.termination),
+        "kicks": _kicks(episodes),
+        "mean_episode_steps": float(episodes.steps.mean()),
+        "kicked_fraction": float((episodes.kick_foot != "none").mean()),
+    }
 
 
 def summarise_sides(
@@ -171,7 +177,7 @@ def load_metrics(path: Path) -> Metrics:
         KickbenchError: the file is missing or not valid; the message names the file and every wrong key.
     """
     try:
-        return Metrics.model_validate_json(Path(path).read_bytes())
+        return Metrics.model_validate_json(read_regular(path))
     except OSError as error:
         raise KickbenchError(f"{path}: cannot read metrics: {error.strerror}") from error
     except ValidationError as error:
@@ -183,7 +189,12 @@ def load_metrics(path: Path) -> Metrics:
 
 def write_metrics(path: Path, metrics: Metrics) -> None:
     """Write a `metrics.json`, atomically. It is the last file of a run: with it the run is finished."""
-    atomic_write_text(path, metrics.model_dump_json(indent=2) + "\n")
+    atomic_write_bytes(path, metrics_bytes(metrics))
+
+
+def metrics_bytes(metrics: Metrics) -> bytes:
+    """The content of a `metrics.json`."""
+    return (metrics.model_dump_json(indent=2) + "\n").encode()
 
 
 def metrics_json_schema() -> dict[str, Any]:

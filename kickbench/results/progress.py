@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kickbench.errors import KickbenchError
+from kickbench.results.atomic import read_regular
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +41,7 @@ def read_progress(path: Path) -> Progress:
         KickbenchError: The file cannot be read or is no such table; the message names file and line.
     """
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_regular(path).decode("utf-8")
         rows = list(csv.reader(io.StringIO(text[: text.rfind("\n") + 1], newline="")))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise KickbenchError(f"{path}: cannot read the progress table: {error}") from error
@@ -50,9 +51,9 @@ def read_progress(path: Path) -> Progress:
     table = np.array([_numbers(path, line, row, len(names)) for line, row in enumerate(rows[1:], start=2)])
     table = table.reshape(-1, len(names))
     iteration = table[:, 0].astype(np.int64)
-    if (np.diff(iteration) <= 0).any():
-        line = int(np.flatnonzero(np.diff(iteration) <= 0)[0]) + 3
-        raise KickbenchError(f"{path}:{line}: expected iterations in ascending order")
+    wrong = np.flatnonzero(table[:, 0] != np.arange(len(table)))
+    if wrong.size:
+        raise KickbenchError(f"{path}:{wrong[0] + 2}: expected the row of iteration {wrong[0]}")
     return Progress(iteration, {name: table[:, index] for index, name in enumerate(names) if index})
 
 

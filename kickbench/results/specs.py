@@ -3,44 +3,76 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel
 
-from kickbench.errors import KeyPath, Problem
-from kickbench.experiment import Experiment
+from kickbench.errors import KeyPath, KickbenchError, Problem
+from kickbench.experiment import Experiment, load_experiment
 from kickbench.mdp.catalog import task_model
-from kickbench.results.atomic import atomic_write_text
+from kickbench.results.atomic import atomic_write_bytes, atomic_write_text
+from kickbench.results.identity import Identity, counted_fields, identity_of, read_identity, write_identity
+from kickbench.results.integrity import MODEL_FOLDER, seal
 from kickbench.results.store import RunDirectory
-from kickbench.scene.build import has_external_assets
-from kickbench.spec.annotations import FileMarker
+from kickbench.scene.build import files_read_by
 from kickbench.spec.load import LoadedMethod, load_method, load_task
 from kickbench.spec.terms import TermParams, TermTable
 from kickbench.yamlio import Document, dump_yaml, flow_yaml
 
-ITERATIONS: KeyPath = ("algorithm", "iterations")
-"""The one key of a method that a run may have more of later."""
+_MODEL_SIZE = 200_000_000
+"""Largest size of a model's files in all, bytes: every run has a copy of them."""
 
 
 def write_specs(directory: RunDirectory, experiment: Experiment) -> None:
-    """Writes task, method, robot, representation table and MJCF.
+    """Writes task, method, robot, representation table and the robot's model, then the identity and the sums.
 
-    What `extends` and `--set` contributed is merged in. The MJCF is copied if it stands alone; one that needs
-    mesh or texture files is named by a path relative to the copy.
+    What `extends` and `--set` contributed is merged in. The MJCF and every file it reads, however deep, are copied byte
+    by byte, and lie to each other as the originals do.
+
+    Raises:
+        SpecError: The model cannot be copied: it is too large, names a file by an absolute path, or the copy is another
+            model.
     """
     task, method = experiment.loaded_task, experiment.method
-    model = Path(task.robot.spec.model)
-    if has_external_assets(model):
-        model_name = os.path.relpath(model, directory.specs)
-    else:
-        model_name = directory.robot_xml.name
-        atomic_write_text(directory.robot_xml, model.read_text(encoding="utf-8"))
-    _write(directory.task_spec, task.document, {"robot": directory.robot_spec.name})
-    _write(directory.robot_spec, task.robot.document, {"model": model_name})
-    _write(directory.method_spec, method.document, {"representations": directory.representations_spec.name})
+    sources = model_files(experiment)
+    root = Path(os.path.commonpath([source.parent for source in sources]))
+    names = {source: f"{MODEL_FOLDER}{source.relative_to(root).as_posix()}" for source in sources}
+    contents = {names[source]: source.read_bytes() for source in sources}
+    seal(directory, upcoming=contents)  # first, so that the files are known as the run's, whatever ends it
+    for name, content in contents.items():
+        atomic_write_bytes(directory.path / name, content)
+    model = os.path.relpath(names[Path(task.robot.spec.model)], directory.specs.name)
+    _write(directory.robot_spec, task.robot.document, {"model": model})
     _write(directory.representations_spec, method.representations.document, {})
+    update_specs(directory, experiment)
+    identity = identity_of(experiment)
+    _check_copy(directory, experiment, contents, identity)
+    write_identity(directory, identity)
+    seal(directory)
+
+
+def update_specs(directory: RunDirectory, experiment: Experiment) -> None:
+    """Writes task and method of a run that goes on: its length may be another."""
+    task, method = experiment.loaded_task, experiment.method
+    _write(directory.task_spec, task.document, {"robot": directory.robot_spec.name})
+    _write(directory.method_spec, method.document, {"representations": directory.representations_spec.name})
+
+
+def model_files(experiment: Experiment) -> list[Path]:
+    """The robot's MJCF and every file it reads: included and attached models, meshes, textures, height fields, skins.
+
+    Raises:
+        SpecError: They are too large in all.
+    """
+    robot = experiment.loaded_task.robot
+    files = files_read_by(Path(robot.spec.model))
+    size = sum(file.stat().st_size for file in files)
+    if size > _MODEL_SIZE:
+        what = f"the model's {len(files)} files have {size / 1e6:.0f} MB; a run keeps a copy of at most"
+        raise robot.document.error(("model",), f"{what} {_MODEL_SIZE / 1e6:.0f} MB")
+    return files
 
 
 def stored_method(directory: RunDirectory) -> LoadedMethod:
@@ -52,14 +84,28 @@ def stored_method(directory: RunDirectory) -> LoadedMethod:
     return load_method(directory.method_spec)
 
 
+def stored_experiment(directory: RunDirectory) -> Experiment:
+    """The experiment as `write_specs` has left it.
+
+    Raises:
+        SpecError: A file is missing or not valid.
+    """
+    return load_experiment(directory.task_spec, directory.method_spec)
+
+
 def spec_differences(directory: RunDirectory, experiment: Experiment) -> list[Problem]:
-    """Every key in which an experiment differs from the stored one, iterations and descriptions excepted.
+    """Every key in which an experiment differs from the stored one by its identity, and whether its model does.
 
     Defaults count as if they were written out. The order of terms counts too: it is the order of the vectors.
 
     Raises:
         SpecError: A stored file is missing or not valid.
+        KickbenchError: The run has no identity.
     """
+    ours, theirs = identity_of(experiment), read_identity(directory)
+    changed = [part for part in ours.parts if ours.parts[part] != theirs.parts.get(part)]
+    if not changed:
+        return []
     task, method = experiment.loaded_task, experiment.method
     old_task, old_method = load_task(task_model(), directory.task_spec), stored_method(directory)
     pairs = (
@@ -72,20 +118,42 @@ def spec_differences(directory: RunDirectory, experiment: Experiment) -> list[Pr
         new.document.problem(path, message)
         for new, old in pairs
         for path, message in _differences(new.spec, old.spec, ())
-        if path != ITERATIONS
     ]
-    if Path(task.robot.spec.model).read_bytes() != Path(old_task.robot.spec.model).read_bytes():
-        problems.append(task.robot.document.problem(("model",), "the run has another MJCF"))
-    return problems
+    if "model" in changed:
+        problems.append(task.robot.document.problem(("model",), _model_difference(ours, theirs)))
+    return problems or [Problem(None, (part,), "not that of the run") for part in changed]
+
+
+def _model_difference(ours: Identity, theirs: Identity) -> str:
+    names = sorted(dict(ours.model_arrays.items() ^ theirs.model_arrays.items()))
+    return f"not the model of the run: the MJCF, a file it reads or the scene has changed {', '.join(names)}"
+
+
+def _check_copy(
+    directory: RunDirectory, experiment: Experiment, copies: Iterable[str], identity: Identity
+) -> None:
+    """Compiles what has been stored: it must be the same experiment, and need no file elsewhere."""
+    robot = experiment.loaded_task.robot.document
+    try:
+        stored = stored_experiment(directory)
+        known = {Path(os.path.abspath(directory.path / name)) for name in copies}
+        outside = set(files_read_by(Path(stored.loaded_task.robot.spec.model))) - known
+    except KickbenchError as error:
+        raise robot.error(("model",), f"the copy of this model in the run cannot be used: {error}") from None
+    if outside:
+        what = (
+            f"this model reads {min(outside)} by an absolute path, which a run that is moved would not find"
+        )
+        raise robot.error(("model",), what, "write paths in the MJCF relative to it")
+    if identity_of(stored) != identity:
+        raise robot.error(("model",), "the copy of this model in the run is another model")
 
 
 def _differences(new: Any, old: Any, path: KeyPath) -> Iterator[tuple[KeyPath, str]]:
     if isinstance(new, BaseModel) and type(new) is type(old):
         yield from _order_of_terms(new, old, path)
-        for name, info in type(new).model_fields.items():
-            is_file = any(isinstance(item, FileMarker) for item in info.metadata)
-            if not is_file and name != "description":
-                yield from _differences(getattr(new, name), getattr(old, name), (*path, name))
+        for name, value in counted_fields(new, path):
+            yield from _differences(value, getattr(old, name), (*path, name))
     elif isinstance(new, Mapping) and isinstance(old, Mapping):
         if set(new) == set(old) and list(new) != list(old):
             yield path, f"the run has them in another order: {', '.join(old)}"

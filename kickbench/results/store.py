@@ -4,14 +4,22 @@ from __future__ import annotations
 
 import fcntl
 import os
+import shutil
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from kickbench.errors import KickbenchError
-from kickbench.results.atomic import TEMPORARY_PREFIX, atomic_file, atomic_write_bytes, atomic_write_text
-from kickbench.results.metrics import load_metrics
+from kickbench.results import integrity
+from kickbench.results.atomic import (
+    TEMPORARY_PREFIX,
+    atomic_file,
+    atomic_write_bytes,
+    atomic_write_text,
+    sync_folder,
+)
+from kickbench.results.metrics import Metrics, metrics_bytes
 
 __all__ = [
     "RunDirectory",
@@ -23,8 +31,9 @@ __all__ = [
     "find_runs",
 ]
 
-_SPEC_FILES = ("task.yaml", "method.yaml", "robot.yaml", "representations.yaml", "robot.xml")
-_TOP_FILES = ("metrics.json", "episodes.csv", "progress.csv", "policy.pt")
+_BESIDE, _READY = f"{TEMPORARY_PREFIX}force", f"{TEMPORARY_PREFIX}finished"
+"""Where a run is made while an older one holds the folder, and where it lies when the older one has made room."""
+_FOLDERS = ("specs", "checkpoints", "tensorboard", "also")
 _EVENT_FILES = "events.out.tfevents.*"
 _CHECKPOINT_FILES = "iteration_*.pt"
 
@@ -41,6 +50,9 @@ class RunDirectory:
 
     def __init__(self, path: Path | str) -> None:
         self.path = Path(path)
+
+    def __fspath__(self) -> str:
+        return str(self.path)
 
     def __repr__(self) -> str:
         return f"RunDirectory({str(self.path)!r})"
@@ -71,9 +83,14 @@ class RunDirectory:
         return self.specs / "representations.yaml"
 
     @property
-    def robot_xml(self) -> Path:
-        """The robot's MJCF as the run used it."""
-        return self.specs / "robot.xml"
+    def model(self) -> Path:
+        """Folder of the robot's MJCF and of every file it reads, as the run used them."""
+        return self.path / integrity.MODEL_FOLDER
+
+    @property
+    def beside(self) -> RunDirectory:
+        """Where a run is made that is to replace the one in this folder: `--force` erases nothing before it ends."""
+        return RunDirectory(self.path / _BESIDE)
 
     @property
     def metrics(self) -> Path:
@@ -131,17 +148,13 @@ class RunDirectory:
 
     @property
     def is_finished(self) -> bool:
-        """Whether a valid metrics.json exists. A damaged one counts as none."""
+        """Whether metrics.json exists and no file of the run is damaged."""
         return self.metrics.is_file() and self.damage is None
 
     @property
     def damage(self) -> str | None:
-        """Why metrics.json does not count, with its path; None if it does."""
-        try:
-            load_metrics(self.metrics)
-        except KickbenchError as error:
-            return str(error)
-        return None
+        """Why the run does not count, with the path of the file; None if it does."""
+        return integrity.damage(self.path)
 
     @property
     def holds_a_run(self) -> bool:
@@ -169,30 +182,58 @@ class RunDirectory:
         for file in (self.metrics, self.episodes, self.policy, *self._also_files(), *self._half_written()):
             file.unlink(missing_ok=True)
 
-    def prepare(self, force: bool = False) -> None:
-        """Make the folder ready for a run.
-
-        Files that kickbench did not write stay.
+    def prepare(self, force: bool = False) -> RunDirectory:
+        """Make room for a run.
 
         Args:
-            force: whether a run that is there, finished or not, is removed.
+            force: whether a run that is there, finished or not, is to be replaced.
+
+        Returns:
+            Where the run is made: this directory, or `beside` if a run is there, which stays as it is until
+            `take_over`.
 
         Raises:
             KickbenchError: a run is there and `force` is not set, or the path is not a folder.
         """
         self._make(self.path)
-        if self.metrics.exists() and not force:
-            state = (
-                "a finished run"
-                if self.is_finished
-                else "a run whose metrics.json is damaged or of another version"
-            )
-            raise KickbenchError(f"{self.path}: holds {state}; --force runs it again and overwrites it")
-        if self.holds_a_run and not force:
-            choice = "--resume goes on with it, --force starts again"
-            raise KickbenchError(f"{self.path}: holds an unfinished run; {choice}")
-        self._remove_own_files()
-        self._make(self.specs)
+        if not self.holds_a_run:
+            return self
+        if not force:
+            raise KickbenchError(f"{self.path}: holds {self._state_and_choice()}")
+        self.beside.clear()
+        return self.beside
+
+    def finish(self, metrics: Metrics) -> None:
+        """Write the result, the last file of a run, after the sums of all files."""
+        data = metrics_bytes(metrics)
+        integrity.seal(self.path, upcoming={self.metrics.name: data})
+        atomic_write_bytes(self.metrics, data)
+
+    def take_over(self) -> None:
+        """Put the finished run of `beside` in the place of the one that is here, or finish doing so.
+
+        A kill in between leaves a folder without a result, and the next call goes on. Files that kickbench did not
+        write stay.
+        """
+        ready = self.path / _READY
+        if not ready.is_dir():
+            if not self.beside.metrics.is_file():
+                return
+            self.clear()
+            self.beside.path.rename(ready)
+            sync_folder(self.path)
+        files = [file for file in ready.rglob("*") if not file.is_dir()]
+        for file in sorted(files, key=lambda file: file == ready / self.metrics.name):
+            place = self.path / file.relative_to(ready)
+            place.parent.mkdir(parents=True, exist_ok=True)
+            file.replace(place)
+        shutil.rmtree(ready)
+
+    def _state_and_choice(self) -> str:
+        if not self.metrics.exists():
+            return "an unfinished run; --resume goes on with it, --force starts again"
+        state = "a damaged run" if self.damage else "a finished run"
+        return f"{state}; --force runs it again and overwrites it"
 
     def _make(self, folder: Path) -> None:
         if self.path.exists() and not self.path.is_dir():
@@ -202,17 +243,19 @@ class RunDirectory:
         except OSError as error:
             raise KickbenchError(f"{self.path}: cannot make the run's folder: {error.strerror}") from None
 
-    def _remove_own_files(self) -> None:
+    def clear(self) -> None:
+        """Remove the run that is here; files that kickbench did not write stay."""
         # metrics.json goes first: a run that is half removed must not look finished.
-        for file in self._own_files():
+        for file in (self.metrics, *self._own_files()):
             file.unlink(missing_ok=True)
-        for folder in (self.tensorboard, self.checkpoints, self.specs, self.path / "also"):
-            if folder.is_dir() and not any(folder.iterdir()):
-                folder.rmdir()
+        for folder, _, _ in os.walk(self.path, topdown=False):
+            own = Path(folder).relative_to(self.path).parts[:1]
+            if own and own[0] in _FOLDERS and not os.listdir(folder):
+                os.rmdir(folder)
 
     def _own_files(self) -> Iterator[Path]:
-        yield from (self.path / name for name in _TOP_FILES)
-        yield from (self.specs / name for name in _SPEC_FILES)
+        models = integrity.written_model_files(self.path)
+        yield from (self.path / name for name in (*integrity.FIXED, *models, integrity.FILE))
         yield from self.tensorboard.glob(_EVENT_FILES)
         yield from self.checkpoints.glob(_CHECKPOINT_FILES)
         yield from self._also_files()
@@ -223,7 +266,7 @@ class RunDirectory:
 
     def _half_written(self) -> Iterator[Path]:
         for folder in (self.path, self.specs, self.checkpoints, self.path / "also"):
-            yield from folder.glob(f"{TEMPORARY_PREFIX}*")
+            yield from (file for file in folder.glob(f"{TEMPORARY_PREFIX}*") if not file.is_dir())
 
 
 def _locked(descriptor: int) -> bool:
@@ -246,7 +289,7 @@ def find_runs(root: Path | str) -> list[RunDirectory]:
 
 def find_results(root: Path | str) -> list[RunDirectory]:
     """The runs in `root`, as of `find_runs`, with those whose metrics.json is damaged."""
-    return [RunDirectory(path) for path in sorted(file.parent for file in Path(root).rglob("metrics.json"))]
+    return _directories(file.parent for file in Path(root).rglob("metrics.json"))
 
 
 def find_begun_runs(root: Path | str) -> list[RunDirectory]:
@@ -254,4 +297,9 @@ def find_begun_runs(root: Path | str) -> list[RunDirectory]:
     root = Path(root)
     candidates = {file.parent for name in ("metrics.json", "progress.csv") for file in root.rglob(name)}
     candidates |= {file.parent.parent for file in root.rglob("specs/method.yaml")}
-    return [RunDirectory(path) for path in sorted(candidates)]
+    return _directories(candidates)
+
+
+def _directories(folders: Iterable[Path]) -> list[RunDirectory]:
+    """The folders in the order of their paths, without those of runs that are being made beside another."""
+    return [RunDirectory(path) for path in sorted(folders) if path.name not in (_BESIDE, _READY)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -86,6 +87,12 @@ def compile_robot(robot: Loaded[RobotSpec], body: mujoco.MjSpec) -> mujoco.MjMod
     if lost := [robot.document.problem(("model",), what) for what in world_references(native)]:
         raise SpecError(lost)
     return native
+
+
+def files_read_by(model: Path) -> list[Path]:
+    """An MJCF file and every file it reads: included and attached models, meshes, textures, height fields, skins."""
+    files = mujoco.mju_getXMLDependencies(str(model))
+    return sorted({model, *(Path(os.path.abspath(file)) for file in files)})
 
 
 def build_scene(task: TaskSpec, robot: Loaded[RobotSpec], needs: frozenset[SensorGroup]) -> Scene:
@@ -268,13 +275,3 @@ def _add_actuators(scene: mujoco.MjSpec, robot: RobotSpec) -> None:
             actuator.trntype, actuator.target = mujoco.mjtTrn.mjTRN_SITE, ROBOT + _BASE_SITE
             actuator.gear = [float(i == _AXES[spec.base_axis]) for i in range(6)]
         set_servo(actuator, spec)
-
-
-def has_external_assets(path: str | Path) -> bool:
-    """Whether an MJCF reads other files: meshes, textures, height fields or skins."""
-    spec = mujoco.MjSpec.from_file(str(path))
-    if b"<include" in Path(path).read_bytes():
-        return True
-    return any(
-        item.file for items in (spec.meshes, spec.textures, spec.hfields, spec.skins) for item in items
-    )

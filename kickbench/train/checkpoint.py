@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import sys
-import zipfile
 from pathlib import Path
 from pickle import UnpicklingError
 from typing import Any
@@ -13,11 +12,13 @@ import torch
 from rsl_rl.models import MLPModel
 
 from kickbench.errors import KickbenchError, shown
-from kickbench.results.atomic import atomic_write_bytes
+from kickbench.results.atomic import atomic_write_bytes, read_regular
+from kickbench.results.integrity import with_digest, without_digest
 
-FORMAT = 3
-"""Version of a checkpoint's layout."""
-_POLICY_FORMAT = 1
+FORMAT = 4
+"""Version of a checkpoint's layout: from 4 on its SHA-256 stands behind it."""
+_POLICY_FORMAT = 2
+"""Version of a policy's layout: from 2 on its SHA-256 stands behind it."""
 
 
 class Checkpoints:
@@ -56,13 +57,13 @@ class Checkpoints:
         files = self.files()
         for file in reversed(files):
             try:
-                state = _read(file)
+                state = _read(file, digest_from=FORMAT)
             # Whatever goes wrong in reading means that the file is damaged, and damage takes every shape.
             except Exception as error:
                 print(f"{shown(file)}: damaged, it is left out: {error}", file=sys.stderr)
                 continue
-            if state.get("format") != FORMAT:
-                found = f"format {state.get('format')}"
+            if state["format"] != FORMAT:
+                found = f"format {state['format']}"
                 raise KickbenchError(f"{shown(file)}: {found}; this version of kickbench reads {FORMAT}")
             return state
         if files:
@@ -82,8 +83,7 @@ def load_policy(path: Path, policy: MLPModel) -> None:
         KickbenchError: The file is missing, damaged or of another network.
     """
     try:
-        content = torch.load(path, weights_only=True, map_location="cpu")
-        policy.load_state_dict(content["actor_state_dict"])
+        policy.load_state_dict(_read(path, digest_from=_POLICY_FORMAT)["actor_state_dict"])
     except FileNotFoundError:
         raise KickbenchError(f"{path}: no policy; did the run finish?") from None
     except (RuntimeError, LookupError, TypeError, ValueError, EOFError, OSError, UnpicklingError) as error:
@@ -99,15 +99,14 @@ def _iteration(file: Path) -> int:
 def _write(path: Path, content: dict[str, Any]) -> None:
     buffer = io.BytesIO()
     torch.save(content, buffer)
-    atomic_write_bytes(path, buffer.getvalue())
+    atomic_write_bytes(path, with_digest(buffer.getvalue()))
 
 
-def _read(path: Path) -> dict[str, Any]:
-    data = io.BytesIO(path.read_bytes())
-    # torch writes check sums, and does not look at them when it reads.
-    with zipfile.ZipFile(data) as archive:
-        wrong = archive.testzip()
-    if wrong is not None:
-        raise ValueError(f"the check sum of {wrong} is wrong")
-    data.seek(0)
-    return torch.load(data, weights_only=True, map_location="cpu")
+def _read(path: Path, digest_from: int) -> dict[str, Any]:
+    """Reads a file whose digest, if it has one, is right; from a format on it must have one."""
+    data = read_regular(path)
+    body = without_digest(data)
+    content = torch.load(io.BytesIO(data if body is None else body), weights_only=True, map_location="cpu")
+    if body is None and content["format"] >= digest_from:
+        raise ValueError("its SHA-256 is missing")
+    return content

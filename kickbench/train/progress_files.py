@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+import os
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -16,6 +17,7 @@ from kickbench.errors import KickbenchError, printable
 from kickbench.results.atomic import atomic_write_text
 from kickbench.train.progress import IterationRecord
 
+_START_AGAIN = "the table of the training cannot be completed; --force starts the run again"
 _SCALARS = (
     "iteration",
     "env_steps",
@@ -49,9 +51,10 @@ def flatten(record: IterationRecord) -> dict[str, float]:
 
 
 class CsvProgress:
-    """`progress.csv`: a header from the first record, then a row an iteration, written at once.
+    """`progress.csv`: a header from the first record, then a row an iteration, on the disk before the next begins.
 
-    On a resume the rows of iterations that will be run again, and a row that a kill cut short, are dropped.
+    On a resume the rows of iterations that will be run again, and a row that a kill cut short, are dropped; the others
+    are all there, since a checkpoint is written after the rows of its iterations.
 
     Args:
         path: the file.
@@ -63,8 +66,12 @@ class CsvProgress:
         self._columns: list[str] | None = None
 
     def start(self, total_iterations: int, first_iteration: int) -> None:
-        """Keep the rows before `first_iteration`, and open the file to append to them."""
-        kept = _rows_before(self._path, first_iteration)
+        """Keep the rows before `first_iteration`, and open the file to append to them.
+
+        Raises:
+            KickbenchError: They are not one row of each iteration, in order.
+        """
+        kept = rows_before(self._path, first_iteration)
         self._columns = kept[0] if kept else None
         atomic_write_text(self._path, _to_csv(kept))
         self._file = open(self._path, "a", encoding="utf-8", newline="")  # noqa: SIM115 (open until close())
@@ -84,6 +91,7 @@ class CsvProgress:
         rows.append([_format(flat.get(name)) for name in self._columns])
         self._file.write(_to_csv(rows))
         self._file.flush()
+        os.fsync(self._file.fileno())
 
     def close(self) -> None:
         """Close the file."""
@@ -141,23 +149,27 @@ class TensorBoardProgress:
             print(f"no more TensorBoard events: {printable(str(error))}", file=sys.stderr)
 
 
-def _rows_before(path: Path, first_iteration: int) -> list[list[str]]:
-    """Header and rows of the iterations below `first_iteration`; nothing if there is no such row."""
-    if first_iteration == 0 or not path.is_file():
+def rows_before(path: Path, first_iteration: int) -> list[list[str]]:
+    """Reads header and rows of the iterations below `first_iteration`; nothing if it is the first.
+
+    Raises:
+        KickbenchError: They are not one row of each iteration, in order.
+    """
+    if first_iteration == 0:
         return []
-    text = path.read_text(encoding="utf-8")
+    if not path.is_file():
+        raise KickbenchError(f"{path}: missing; {_START_AGAIN}")
+    text = path.read_text(encoding="utf-8", errors="replace")
     # A row without its newline was cut short by a kill, even if it looks whole.
     rows = list(csv.reader(io.StringIO(text[: text.rfind("\n") + 1], newline="")))
     if not rows or rows[0][:1] != ["iteration"]:
         raise KickbenchError(f"{path}:1: expected a progress table whose first column is iteration")
-    kept = [row for row in rows[1:] if _iteration(path, row, len(rows[0])) < first_iteration]
-    return [rows[0], *kept] if kept else []
-
-
-def _iteration(path: Path, row: list[str], width: int) -> int:
-    if len(row) != width or not row[0].isdigit():
-        raise KickbenchError(f"{path}: expected {width} values that begin with an iteration, found {row}")
-    return int(row[0])
+    kept = rows[1 : first_iteration + 1]
+    for index in range(first_iteration):
+        if index >= len(kept) or len(kept[index]) != len(rows[0]) or kept[index][0] != str(index):
+            what = f"expected the row of iteration {index}, of {first_iteration} before the checkpoint"
+            raise KickbenchError(f"{path}:{index + 2}: {what}; {_START_AGAIN}")
+    return [rows[0], *kept]
 
 
 def _to_csv(rows: list[list[str]]) -> str:

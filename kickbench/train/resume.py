@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
-from kickbench.errors import KickbenchError, Problem, SpecError
+from kickbench.errors import KickbenchError, Problem, SpecError, shown
 from kickbench.experiment import Experiment
-from kickbench.results.history import run_identity
+from kickbench.results.identity import ITERATIONS
+from kickbench.results.integrity import find_damage
 from kickbench.results.metrics import load_metrics
-from kickbench.results.specs import ITERATIONS, spec_differences, stored_method, write_specs
+from kickbench.results.specs import spec_differences, stored_method, write_specs
 from kickbench.results.store import RunDirectory
 from kickbench.train.checkpoint import Checkpoints
+from kickbench.train.progress_files import rows_before
 
 
 @dataclass(frozen=True)
@@ -22,10 +26,24 @@ class Resume:
     Attributes:
         state: Its last checkpoint, as `Trainer.state_dict` made it; None: nothing has been trained.
         finished: There is nothing left to do.
+        directory: Where it is made; None: another process knows.
     """
 
     state: Mapping[str, Any] | None = None
     finished: bool = False
+    directory: RunDirectory | None = None
+
+
+def begin(directory: RunDirectory, experiment: Experiment) -> Resume:
+    """Begins a run in a directory without one, which stays as it was if the experiment cannot be stored."""
+    try:
+        write_specs(directory, experiment)
+    except BaseException:
+        directory.clear()
+        with suppress(OSError):  # of a folder in which something is left
+            directory.path.rmdir()
+        raise
+    return Resume(directory=directory)
 
 
 def take_up(
@@ -33,8 +51,8 @@ def take_up(
 ) -> Resume:
     """Checks that the run in a directory is this one, and finds where it stands.
 
-    A directory without a run, or whose run was killed before its first checkpoint, is made ready for the
-    beginning; any other is left as it is.
+    A run that `--force` began beside another one goes on, if it is this one. A directory without a run, or whose
+    run was killed before its first checkpoint, is made ready for the beginning; any other is left as it is.
 
     Args:
         directory: The run directory.
@@ -45,47 +63,64 @@ def take_up(
 
     Raises:
         SpecError: The run is another one; every key that differs is a problem.
-        KickbenchError: No checkpoint can be read.
+        KickbenchError: No checkpoint can be read, or a file that the run needs to go on is damaged or has gaps.
     """
-    identity = run_identity(experiment.task.name, experiment.method.name, seed, scale)
+    if directory.beside.holds_a_run:
+        try:
+            return take_up(directory.beside, experiment, seed, scale=scale, extend=extend)
+        except KickbenchError:
+            print(
+                f"{shown(directory.beside.path)}: another run that --force began is left out", file=sys.stderr
+            )
     if not directory.holds_a_run:
-        return _begin(directory, experiment)
-    if directory.is_finished:
+        return begin(directory, experiment)
+    if directory.metrics.exists() and _is_intact(directory):
         recorded = load_metrics(directory.metrics)
-        _check_same(directory, experiment, identity, recorded.model_dump(include=set(identity)), extend)
+        _check_same(directory, experiment, seed, scale, recorded.model_dump(), extend)
         if recorded.iterations >= experiment.method.spec.algorithm.iterations:
-            return Resume(finished=True)
+            return Resume(finished=True, directory=directory)
     state = Checkpoints(directory.checkpoints).load()
     if state is None:
         if any(file.exists() for file in (directory.progress, directory.policy, directory.metrics)):
             raise KickbenchError(
                 f"{directory.path}: holds a run without a checkpoint; --force starts it again"
             )
-        return _begin(directory, experiment)
-    _check_same(directory, experiment, identity, state["run"], extend)
-    return Resume(state)
-
-
-def _begin(directory: RunDirectory, experiment: Experiment) -> Resume:
-    directory.prepare(force=True)
-    write_specs(directory, experiment)
-    return Resume()
+        directory.clear()
+        return begin(directory, experiment)
+    _check_same(directory, experiment, seed, scale, state["run"], extend)
+    rows_before(directory.progress, state["iteration"])  # before anything is removed
+    return Resume(state, directory=directory)
 
 
 def run_differences(
-    directory: RunDirectory, experiment: Experiment, *, extend: bool = False
+    directory: RunDirectory,
+    experiment: Experiment,
+    seed: int,
+    scale: float | None,
+    recorded: Mapping[str, Any] | None,
+    *,
+    extend: bool = False,
 ) -> list[Problem]:
-    """Every key in which an experiment differs from the one that a directory's run was begun with.
+    """Every key in which a run is another one than that which a directory's run was begun with.
 
     Args:
         directory: The run directory; it holds a run.
         experiment: The experiment as it is to be now.
-        extend: Whether it may have more iterations than the run.
+        seed: Its seed.
+        scale: What it is scaled down by.
+        recorded: Seed and scale as the run has recorded them; None: not yet.
+        extend: Whether the experiment may have more iterations than the run.
 
     Raises:
         SpecError: A stored spec is missing or not valid.
+        KickbenchError: The run has no identity, or a damaged one.
     """
-    problems = spec_differences(directory, experiment)
+    problems = [
+        Problem(None, (key,), f"{_text(value)}, but the run has {_text(recorded.get(key))}")
+        for key, value in (("seed", seed), ("scale", scale))
+        if recorded is not None and value != recorded.get(key)
+    ]
+    problems += spec_differences(directory, experiment)
     had = stored_method(directory).spec.algorithm.iterations
     wanted = experiment.method.spec.algorithm.iterations
     if wanted < had or (wanted > had and not extend):
@@ -95,26 +130,32 @@ def run_differences(
     return problems
 
 
-def identity_differences(identity: Mapping[str, Any], run: Mapping[str, Any]) -> list[Problem]:
-    """Every key of a `run_identity` in which a run differs from what it is to be; absent counts as none."""
-    return [
-        Problem(None, (key,), f"{_text(value)}, but the run has {_text(run.get(key))}")
-        for key, value in identity.items()
-        if value != run.get(key)
-    ]
-
-
 def _text(value: Any) -> str:
     return "none" if value is None else str(value)
+
+
+def _is_intact(directory: RunDirectory) -> bool:
+    """Whether a finished run is intact; one whose damage its last checkpoint mends is reported.
+
+    Raises:
+        KickbenchError: It is damaged, and going on would keep the damage.
+    """
+    damage = find_damage(directory)
+    if damage and not damage.can_be_mended:
+        raise KickbenchError(f"{damage}; --force runs it again")
+    if damage:
+        print(f"{damage}; the run is evaluated again", file=sys.stderr)
+    return damage is None
 
 
 def _check_same(
     directory: RunDirectory,
     experiment: Experiment,
-    identity: Mapping[str, Any],
-    run: Mapping[str, Any],
+    seed: int,
+    scale: float | None,
+    recorded: Mapping[str, Any],
     extend: bool,
 ) -> None:
-    problems = identity_differences(identity, run) + run_differences(directory, experiment, extend=extend)
+    problems = run_differences(directory, experiment, seed, scale, recorded, extend=extend)
     if problems:
         raise SpecError([Problem(None, (), f"{directory.path} holds another run"), *problems])

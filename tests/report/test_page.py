@@ -173,10 +173,8 @@ def test_reported_figures_stand_beside_measured_ones(tmp_path):
 def test_a_damaged_result_is_told_and_not_shown(folder):
     run = folder.add("baseline", curves=None)
     (run / "metrics.json").write_text('{"schema_version": 1}')
-    (run / "episodes.csv").write_text("nonsense\n")
     page, _ = page_of(folder.path, "--experiment", str(REPORTED))
     assert "no valid metrics" in page.text
-    assert "episodes.csv:1: expected the columns" in page.text
     assert "The claims cannot be judged" in page.text
     assert str(folder.path) not in page.text
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import io
-import zipfile
 from pathlib import Path
 
 import pytest
 
 from kickbench.results.episodes import EpisodeSides, EpisodeTable
+from kickbench.results.integrity import with_digest
 from kickbench.results.metrics import Metrics, summarise_sides, write_metrics
 from kickbench.results.provenance import Provenance
 from kickbench.results.store import RunDirectory, atomic_write_bytes, atomic_write_text
@@ -68,10 +67,7 @@ def make_metrics(iterations: int, seconds: float = 100.0, **values) -> Metrics:
 
 def checkpoint(numbers: bytes = b"numbers") -> bytes:
     """A file as whole as a checkpoint."""
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w") as archive:
-        archive.writestr("data", numbers * 100)
-    return buffer.getvalue()
+    return with_digest(numbers * 100)
 
 
 @pytest.fixture

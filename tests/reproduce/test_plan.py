@@ -41,7 +41,7 @@ def begin(planned, *, finished: bool, **changes) -> None:
     (planned.directory.checkpoints / "iteration_000050.pt").write_bytes(checkpoint())
     if finished:
         iterations = compiled.method.spec.algorithm.iterations
-        write_metrics(planned.directory.metrics, make_metrics(iterations, **changes))
+        planned.directory.finish(make_metrics(iterations, **changes))
 
 
 def test_the_plan_is_every_seed_of_every_arm_seed_by_seed(experiment, tmp_path):

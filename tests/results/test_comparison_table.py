@@ -189,6 +189,7 @@ def test_a_method_without_a_figure_is_said_to_be_left_out_and_a_scaled_one_to_be
     for seed, method in enumerate("abc"):
         write_run(tmp_path, method, seed, 0.9)
     path = tmp_path / "c/seed2/metrics.json"
+    write_episodes(path.with_name("episodes.csv"), EpisodeSides(episodes(0.9, 2)))
     metrics = load_metrics(path)
     evaluation = metrics.evaluation.model_copy(update={"mirrored": None})
     write_metrics(path, metrics.model_copy(update={"evaluation": evaluation, "scale": 0.1}))

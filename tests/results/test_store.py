@@ -5,12 +5,13 @@ from pathlib import Path
 import pytest
 
 from kickbench.errors import KickbenchError
-from kickbench.results import store
+from kickbench.results import integrity
 from kickbench.results.store import (
     RunDirectory,
     atomic_file,
     atomic_write_bytes,
     atomic_write_text,
+    find_begun_runs,
     find_runs,
 )
 
@@ -19,20 +20,19 @@ METRICS = "metrics.json"
 
 @pytest.fixture(autouse=True)
 def any_json_object_is_valid(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What valid metrics are is tested in test_metrics.py; here `{}` will do."""
+    """What an intact run is is tested in test_integrity.py; here a result of `{}` will do."""
 
-    def load(path: Path) -> None:
-        if path.read_text() != "{}":
-            raise KickbenchError("not valid")
+    def damage(path: Path) -> str | None:
+        return None if (path / METRICS).read_text() == "{}" else "not valid"
 
-    monkeypatch.setattr(store, "load_metrics", load)
+    monkeypatch.setattr(integrity, "damage", damage)
 
 
 def make_run(folder: Path, metrics: str = "{}") -> RunDirectory:
     """A run with every file that kickbench writes, and two that a person put there."""
     run = RunDirectory(folder)
     for file in (
-        *(run.task_spec, run.method_spec, run.robot_spec, run.representations_spec, run.robot_xml),
+        *(run.task_spec, run.method_spec, run.robot_spec, run.representations_spec, run.model / "robot.xml"),
         *(run.episodes, run.progress, run.policy),
         *(run.checkpoints / f"iteration_{n:06d}.pt" for n in (50, 100)),
         run.tensorboard / "events.out.tfevents.1.host.2.0",
@@ -40,6 +40,8 @@ def make_run(folder: Path, metrics: str = "{}") -> RunDirectory:
         run.specs / "mine.yaml",
     ):
         atomic_write_text(file, "x")
+    integrity.seal(run, upcoming={"specs/model/robot.xml": b"x"})
+    atomic_write_text(run.model / "mine.xml", "x")
     atomic_write_text(run.metrics, metrics)
     return run
 
@@ -112,15 +114,70 @@ def test_a_finished_run_is_not_overwritten_without_force(tmp_path: Path) -> None
     assert run.is_finished
 
 
-def test_force_removes_what_kickbench_wrote_and_nothing_else(tmp_path: Path) -> None:
+def files_of(run: RunDirectory) -> list[str]:
+    return sorted(str(file.relative_to(run.path)) for file in run.path.rglob("*") if file.is_file())
+
+
+def test_clearing_removes_what_kickbench_wrote_and_nothing_else(tmp_path: Path) -> None:
     run = make_run(tmp_path / "run")
     (run.path / ".partial-policy.pt-0123").write_text("x")
-    run.prepare(force=True)
-    left = sorted(str(file.relative_to(run.path)) for file in run.path.rglob("*") if file.is_file())
-    assert left == ["notes.txt", "specs/mine.yaml"]
+    run.clear()
+    assert files_of(run) == ["notes.txt", "specs/mine.yaml", "specs/model/mine.xml"]
     assert not run.tensorboard.exists()
     assert not run.checkpoints.exists()
-    assert run.specs.is_dir()
+
+
+def make_beside(run: RunDirectory) -> None:
+    """A finished run that is to replace the one of `run`."""
+    new = run.prepare(force=True)
+    assert new.path == run.beside.path
+    for file in (new.policy, new.checkpoints / "iteration_000007.pt", new.metrics):
+        atomic_write_text(file, "new")
+
+
+def test_a_forced_run_leaves_the_old_one_until_it_takes_its_place(tmp_path: Path) -> None:
+    run = make_run(tmp_path / "run")
+    before = files_of(run)
+    make_beside(run)
+    assert [name for name in files_of(run) if not name.startswith(".partial")] == before
+    assert [found.path for found in find_begun_runs(tmp_path)] == [run.path], "the one beside is not listed"
+    run.take_over()
+    new = {"policy.pt", "metrics.json", "checkpoints/iteration_000007.pt"}
+    assert set(files_of(run)) == {"notes.txt", "specs/mine.yaml", "specs/model/mine.xml", *new}
+    run.take_over()
+    assert run.metrics.read_text() == "new"
+
+
+@pytest.mark.parametrize("calls", range(1, 20))
+def test_taking_over_can_be_killed_at_any_moment(tmp_path: Path, monkeypatch, calls: int) -> None:
+    run = make_run(tmp_path / "run")
+    make_beside(run)
+    left = [calls]
+
+    def killing(name: str):
+        original = getattr(Path, name)
+
+        def method(self, *arguments, **named):
+            left[0] -= 1
+            if left[0] == 0:
+                raise KeyboardInterrupt
+            return original(self, *arguments, **named)
+
+        return method
+
+    with monkeypatch.context() as patch:
+        for name in ("unlink", "rename", "replace"):
+            patch.setattr(Path, name, killing(name))
+        try:
+            run.take_over()
+        except KeyboardInterrupt:
+            assert not run.metrics.exists() or (
+                run.metrics.read_text() == "{}" and run.policy.read_text() == "x"
+            )
+    run.take_over()
+    assert (run.metrics.read_text(), run.policy.read_text()) == ("new", "new")
+    assert not any(name.startswith(".partial") for name in files_of(run))
+    assert [file.name for file in run.checkpoints.iterdir()] == ["iteration_000007.pt"]
 
 
 def test_an_unfinished_run_is_not_overwritten_without_force(tmp_path: Path) -> None:
@@ -128,9 +185,8 @@ def test_an_unfinished_run_is_not_overwritten_without_force(tmp_path: Path) -> N
     run.metrics.unlink()
     with pytest.raises(KickbenchError, match=r"unfinished run.*--resume.*--force"):
         run.prepare()
+    assert run.prepare(force=True).path != run.path
     assert run.policy.exists()
-    run.prepare(force=True)
-    assert not run.policy.exists()
 
 
 def test_a_folder_with_other_files_holds_no_run(tmp_path: Path) -> None:
@@ -154,9 +210,8 @@ def test_a_run_with_damaged_metrics_is_not_overwritten_without_force(tmp_path: P
     run = make_run(tmp_path / "run", metrics="{")
     with pytest.raises(KickbenchError, match=r"damaged.*--force"):
         run.prepare()
+    assert run.prepare(force=True).path != run.path
     assert run.policy.read_text() == "x"
-    run.prepare(force=True)
-    assert not run.policy.exists()
 
 
 def test_a_folder_is_one_process_at_a_time(tmp_path: Path) -> None:
@@ -166,12 +221,6 @@ def test_a_folder_is_one_process_at_a_time(tmp_path: Path) -> None:
     with RunDirectory(path).occupied():
         pass
     assert list(path.iterdir()) == []
-
-
-def test_a_new_run_gets_its_folders(tmp_path: Path) -> None:
-    run = RunDirectory(tmp_path / "runs" / "task" / "method" / "seed0")
-    run.prepare()
-    assert run.specs.is_dir()
 
 
 def test_a_file_in_the_place_of_the_folder_is_an_error(tmp_path: Path) -> None:

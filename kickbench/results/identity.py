@@ -1,0 +1,130 @@
+"""What a run is: one fingerprint of everything that its training depends on, by what it means.
+
+It covers the specs with their defaults written out and the compiled model's dynamics. Comments, line ends, names of
+files, descriptions, colours and meshes that only look good do not change it; a mass does. Seed, scale and iterations
+are compared beside it. Version 1 of the fingerprint stays valid while a key that is added to a spec is either required
+or null by default: null counts as absent.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ValidationError
+
+from kickbench.errors import KeyPath, KickbenchError, shown
+from kickbench.results.atomic import atomic_write_text
+from kickbench.results.record import Record
+from kickbench.scene.dynamics import dynamics_arrays
+from kickbench.spec.annotations import FileMarker
+from kickbench.spec.terms import TermParams, TermTable
+
+if TYPE_CHECKING:
+    from os import PathLike
+
+    from kickbench.experiment import Experiment
+
+FILE = "identity.json"
+ITERATIONS: KeyPath = ("algorithm", "iterations")
+"""The one key of a method that a run may have more of later."""
+_UNCOUNTED = {
+    ITERATIONS,
+    *(("simulation", key) for key in ("jacobian", "max_contacts", "max_constraints", "allowed_overflow")),
+}
+"""Keys that decide how long or how fast a run computes, not what."""
+
+_TINY = 1e-13
+"""Smaller numbers count as 0."""
+
+
+class Identity(Record):
+    """The file `identity.json`: two runs with one fingerprint trained the same thing, but for seed and length."""
+
+    version: Literal[1] = 1
+    fingerprint: str
+    """SHA-256 of the parts."""
+    parts: dict[str, str]
+    """SHA-256 of each: `task`, `method`, `representations`, `robot`, `model`, `terms`."""
+    model_arrays: dict[str, str]
+    """What the part `model` is made of: the beginning of the SHA-256 of each array of the compiled model."""
+
+
+def identity_of(experiment: Experiment) -> Identity:
+    """Computes the identity of a run of an experiment."""
+    task, method = experiment.loaded_task, experiment.method
+    specs = {
+        "task": task.spec,
+        "method": method.spec,
+        "representations": method.representations.spec,
+        "robot": task.robot.spec,
+    }
+    dynamics = dynamics_arrays(experiment.task.scene)
+    arrays = {name: _digest(_plain(value))[:16] for name, value in dynamics if np.size(value)}
+    parts = {name: _digest(_canonical(spec, ())) for name, spec in specs.items()}
+    # No term comes from a user's own file yet.
+    parts |= {"model": _digest(arrays), "terms": _digest([])}
+    return Identity(fingerprint=_digest(parts), parts=parts, model_arrays=arrays)
+
+
+def write_identity(directory: PathLike[str] | str, identity: Identity) -> None:
+    """Writes a run's `identity.json`, atomically."""
+    atomic_write_text(Path(directory) / FILE, identity.model_dump_json(indent=2) + "\n")
+
+
+def read_identity(directory: PathLike[str] | str) -> Identity:
+    """Reads a run's `identity.json`.
+
+    Raises:
+        KickbenchError: It is missing, damaged or of another version.
+    """
+    path = Path(directory) / FILE
+    if not path.is_file():
+        raise KickbenchError(f"{shown(path)}: missing; a run is compared with others by it")
+    try:
+        identity = Identity.model_validate_json(path.read_bytes())
+    except (OSError, ValidationError):
+        raise KickbenchError(f"{shown(path)}: damaged or of another version") from None
+    if identity.fingerprint != _digest(identity.parts) or _digest(
+        identity.model_arrays
+    ) != identity.parts.get("model"):
+        raise KickbenchError(f"{shown(path)}: damaged: its fingerprint is not that of its parts")
+    return identity
+
+
+def counted_fields(spec: BaseModel, path: KeyPath) -> Iterator[tuple[str, Any]]:
+    """The fields of a spec at a path that belong to a run's identity, with their values."""
+    for name, info in type(spec).model_fields.items():
+        is_file = any(isinstance(item, FileMarker) for item in info.metadata)
+        if not is_file and name != "description" and (*path, name) not in _UNCOUNTED:
+            yield name, getattr(spec, name)
+
+
+def _plain(value: Any) -> Any:
+    """An array as its shape and its numbers to nine digits: more would be the processor's own."""
+    array = np.asarray(value) if isinstance(value, np.ndarray | float) else None
+    if array is None or array.dtype.kind != "f":
+        return array.tolist() if array is not None else value
+    numbers = np.where(np.abs(array) < _TINY, 0.0, array).astype(np.float64).ravel()
+    return [list(array.shape), [f"{number:.8e}" for number in numbers.tolist()]]
+
+
+def _canonical(value: Any, path: KeyPath) -> Any:
+    """A spec as plain values: fields that count, nulls left out, the order of terms and of mappings kept."""
+    if isinstance(value, BaseModel):
+        fields = {name: _canonical(item, (*path, name)) for name, item in counted_fields(value, path)}
+        order = {"order": list(value.active(TermParams))} if isinstance(value, TermTable) else {}
+        return {name: item for name, item in fields.items() if item is not None} | order
+    if isinstance(value, Mapping):
+        return [[key, _canonical(item, (*path, key))] for key, item in value.items()]
+    if isinstance(value, list | tuple):
+        return [_canonical(item, (*path, index)) for index, item in enumerate(value)]
+    return value
+
+
+def _digest(value: Any) -> str:
+    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
