@@ -181,7 +181,7 @@ def _figure_problems(arms: Mapping[str, Arm], document: Document) -> Iterator[Pr
 
 def _all_claims(spec: ReportedSpec, document: Document, files: _Files) -> dict[str, AnyClaim]:
     """The claims of the experiments that are named, and those of the file itself."""
-    claims: dict[str, AnyClaim] = {}
+    claims: dict[str, AnyClaim | None] = {}
     for index, file in enumerate(spec.claims_of):
         path = ("claims_of", index)
         other = files.experiment(file, document, path)
@@ -190,14 +190,19 @@ def _all_claims(spec: ReportedSpec, document: Document, files: _Files) -> dict[s
                 document.problem(path, "its own claims are those of others: name them here")
             )
         elif other is not None:
-            kept = {n: claim for n, claim in other.claims.items() if not isinstance(claim, NearReported)}
+            kept = {
+                n: claim for n, claim in other.claims.items() if not isinstance(claim, NearReported | None)
+            }
             files.problems += [
                 document.problem(path, f"the claim {name} stands in two of the files")
                 for name in kept
                 if name in claims and claims[name] != kept[name]
             ]
             claims |= kept
-    return claims | spec.claims
+    for name in (name for name, claim in spec.claims.items() if claim is None and name not in claims):
+        what = f"null drops a claim of `claims_of`, and they have no '{name}'"
+        files.problems.append(document.problem(("claims", name), what, did_you_mean(name, claims)))
+    return {name: claim for name, claim in (claims | spec.claims).items() if claim is not None}
 
 
 def _claim_problems(

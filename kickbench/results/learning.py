@@ -51,7 +51,7 @@ def success_area(columns: Mapping[str, Curve]) -> float | None:
 
 
 def return_trough(columns: Mapping[str, Curve]) -> float | None:
-    """Deepest fall of the smoothed return below its highest value so far, over all that it has risen by in the training.
+    """Deepest fall of the smoothed return below its highest value so far, over the range of its values.
 
     With r the smoothed return and M_t = max(r_0, ..., r_t): max_t (M_t - r_t) / (max r - min r). 0 for a return that
     only rises, 1 for one that loses all it had.

@@ -99,8 +99,8 @@ class ReportedSpec(Spec):
     claims_of: tuple[FileRef, ...] = Field(default=(), strict=False)
     """Paths of experiments whose claims are made of this one too, all of them but those that compare with what was
     reported there (`near_reported`). A claim of this experiment replaces one of the same name."""
-    claims: dict[Name, Claim] = Field(default_factory=dict)
-    """What is claimed of the figures, by name."""
+    claims: dict[Name, Claim | None] = Field(default_factory=dict)
+    """What is claimed of the figures, by name; null drops a claim of `claims_of`."""
 
     @model_validator(mode="after")
     def _every_arm_has_a_task(self) -> ReportedSpec:
