@@ -7,6 +7,7 @@ import sys
 
 from kickbench.cli.flags import refuse_contradiction
 from kickbench.errors import KickbenchError
+from kickbench.results.frame import frame_of
 from kickbench.results.metrics import write_metrics
 from kickbench.results.store import RunDirectory
 from kickbench.results.table import render_table
@@ -45,7 +46,7 @@ def run(arguments: argparse.Namespace) -> int:
         print(f"interrupted {done}; the same command with --resume goes on from {where}", file=sys.stderr)
         return 130
     effort = f"trained {training.seconds:.0f} s" if training else "nothing left to do"
-    print(f"\n{render_table([outcome.metrics])}\n\n{effort}; results: {where}")
+    print(f"\n{render_table(frame_of([outcome.metrics]))}\n\n{effort}; results: {where}")
     return 0
 
 
@@ -58,5 +59,5 @@ def evaluate(arguments: argparse.Namespace) -> int:
     )
     if arguments.save:
         write_metrics(RunDirectory(arguments.run).also(metrics.task), metrics)
-    print(metrics.model_dump_json(indent=2) if arguments.json else render_table([metrics]))
+    print(metrics.model_dump_json(indent=2) if arguments.json else render_table(frame_of([metrics])))
     return 0

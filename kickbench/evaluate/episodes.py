@@ -22,14 +22,11 @@ from kickbench.mdp.engines import make_engine
 from kickbench.mdp.episode import FOOT_NAMES
 from kickbench.mdp.starts import Starts, StartSampler
 from kickbench.nets.threads import torch_threads
-from kickbench.results.episodes import EpisodeTable
+from kickbench.results.episodes import NON_FINITE, EpisodeTable
 from kickbench.symmetry.torch_ops import Mirror
 
 Policy = Callable[[TensorDict], Tensor]
 """Observations {group: [B, width]} -> actions [B, nu]."""
-
-FAILED = "non_finite"
-"""Termination of an episode whose numbers were not finite."""
 
 
 def draw_starts(task: CompiledTask, episodes: int, seed: int) -> Starts:
@@ -147,7 +144,7 @@ def _table(
     assert (rows["running"] == np.arange(len(starts))).all(), "every episode is counted exactly once"
     place = task.scene.layout.ball_qpos
     start_ball, target = starts.qpos[:, place : place + 2].numpy(), starts.target.numpy()
-    endings = np.array([*(bound.name for bound in task.terminations), FAILED])
+    endings = np.array([*(bound.name for bound in task.terminations), NON_FINITE])
     final = np.stack([rows["ball_x"], rows["ball_y"]], axis=1).astype(np.float64)
     return EpisodeTable(
         world=rows["world"],

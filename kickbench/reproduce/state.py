@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 import zipfile
 from dataclasses import dataclass
@@ -12,10 +10,10 @@ from pathlib import Path
 
 from kickbench.errors import KickbenchError
 from kickbench.results.metrics import Metrics, load_metrics
+from kickbench.results.progress import last_rows
 from kickbench.results.store import RunDirectory
 from kickbench.spec.load import load_method
 
-_TAIL_BYTES = 65_536
 _PACE_ROWS = 20
 
 
@@ -131,26 +129,10 @@ def _unfinished(
 
 def read_tail(path: Path) -> ProgressTail | None:
     """Reads the last rows of a `progress.csv`; None if there is not one whole row."""
+    rows = last_rows(path, _PACE_ROWS)
     try:
-        with open(path, "rb") as file:
-            header = file.readline()
-            start = file.tell()
-            file.seek(max(start, file.seek(0, io.SEEK_END) - _TAIL_BYTES))
-            at_start = file.tell() == start
-            body = file.read()
-    except OSError:
-        return None
-    lines = body[: body.rfind(b"\n") + 1].decode("utf-8", errors="replace").splitlines()
-    try:
-        columns = next(csv.reader([header.decode("utf-8", errors="replace")]), [])
-        rows = [
-            dict(zip(columns, row, strict=True))
-            # A read from the middle of the file begins in the middle of a row.
-            for row in csv.reader(lines if at_start else lines[1:])
-            if len(row) == len(columns)
-        ]
-        return _summary(rows[-_PACE_ROWS:]) if rows else None
-    except (KeyError, ValueError, csv.Error):
+        return _summary(rows) if rows else None
+    except (KeyError, ValueError):
         return None  # not a progress table of ours
 
 

@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 from kickbench.errors import KickbenchError
 from kickbench.results.atomic import atomic_write_text
 
+NON_FINITE = "non_finite"
+"""What ended an episode whose state became NaN or infinite, in the place of a termination's name."""
 KICK_FEET = ("left", "right", "other", "none")
 _SIDES = ("in_distribution", "mirrored")
 _DECIMALS = 6

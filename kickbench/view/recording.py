@@ -11,10 +11,11 @@ from torch import Tensor
 
 from kickbench.env import KickEnv
 from kickbench.errors import KickbenchError
-from kickbench.evaluate.episodes import FAILED, Policy
+from kickbench.evaluate.episodes import Policy
 from kickbench.mdp.compile import CompiledTask
 from kickbench.mdp.engines import make_engine
 from kickbench.mdp.starts import Starts
+from kickbench.results.episodes import NON_FINITE
 from kickbench.runner import load_run
 
 
@@ -99,7 +100,7 @@ def _note(
         states.append(qpos[world].numpy().copy())
     if outcome.done[world]:
         names = [bound.name for bound in env.task.terminations]
-        ending = FAILED if failed else names[int(outcome.terminated[world].int().argmax())]
+        ending = NON_FINITE if failed else names[int(outcome.terminated[world].int().argmax())]
         done[world] = Recording(
             np.stack(states),
             starts.target[world].numpy(),
