@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
 
-from kickbench.errors import KickbenchError
-from kickbench.results.metrics import Metrics, load_metrics
+import pandas as pd
+
+from kickbench.results.frame import known, load_runs, runs_of
 from kickbench.results.progress import last_rows
 from kickbench.results.store import RunDirectory
-from kickbench.spec.load import load_method
 
 _PACE_ROWS = 20
 
@@ -53,7 +53,9 @@ class RunState:
         done: Iterations done and kept; of a running run, done.
         total: Iterations wanted; None: not known.
         progress: The end of its progress table; None: there is none.
-        metrics: Its result, if it is finished.
+        success: Success in distribution if it is finished, else the last iteration's; NaN: not known.
+        seconds_per_iteration: Measured pace of training, s; None: nothing has been measured.
+        evaluation_seconds: Measured time of its evaluation, s; None: it is not finished.
         note: What a person should know beside that.
     """
 
@@ -61,22 +63,10 @@ class RunState:
     done: int = 0
     total: int | None = None
     progress: ProgressTail | None = None
-    metrics: Metrics | None = None
+    success: float = math.nan
+    seconds_per_iteration: float | None = None
+    evaluation_seconds: float | None = None
     note: str = ""
-
-    @property
-    def success(self) -> float:
-        """Success in distribution if it is finished, else the last iteration's; NaN: not known."""
-        if self.metrics:
-            return self.metrics.evaluation.in_distribution.success_rate
-        return self.progress.success if self.progress else math.nan
-
-    @property
-    def seconds_per_iteration(self) -> float | None:
-        """Measured pace of training, s; None: nothing has been measured."""
-        if self.metrics and self.metrics.iterations:
-            return self.metrics.training_seconds / self.metrics.iterations
-        return self.progress.seconds_per_iteration if self.progress else None
 
     @property
     def seconds_left(self) -> float:
@@ -92,26 +82,59 @@ def read_state(directory: RunDirectory, total: int | None = None) -> RunState:
         directory: The run directory, which need not exist.
         total: Iterations wanted; default: what its stored method says.
     """
-    total = stored_iterations(directory) if total is None else total
-    progress = read_tail(directory.progress)
     if directory.is_occupied:
-        done = progress.done if progress else 0
-        note = "evaluating" if total is not None and done >= total else ""
-        return RunState(State.RUNNING, done, total, progress, note=note)
-    metrics, note = None, ""
-    if directory.metrics.exists():
-        try:
-            metrics = load_metrics(directory.metrics)
-        except KickbenchError:
-            note = "metrics.json is damaged or of another version"
-    if metrics and (total is None or metrics.iterations >= total):
-        return RunState(State.FINISHED, metrics.iterations, total, progress, metrics)
-    return _unfinished(directory, total, progress, note)
+        return _training(State.RUNNING, directory, None, total)
+    runs = load_runs(directory.path)
+    own = runs_of(runs[runs.path == directory.path])
+    return RunState(State.NEW, 0, total) if own.empty else state_of(own.iloc[0], total)
 
 
-def _unfinished(
-    directory: RunDirectory, total: int | None, progress: ProgressTail | None, note: str
+def state_of(run: pd.Series, total: int | None = None) -> RunState:
+    """How far a run is, of which there is something.
+
+    Args:
+        run: Its row in the table of runs.
+        total: Iterations wanted; default: what its stored method says.
+    """
+    directory = RunDirectory(run.path)
+    if total is None and (stored := known(run, "iterations_planned")) is not None:
+        total = int(stored)
+    if run.state == "running":
+        return _training(State.RUNNING, directory, None, total)
+    if run.state == "finished" and (total is None or run.iterations >= total):
+        return RunState(
+            state=State.FINISHED,
+            done=int(run.iterations),
+            total=total,
+            progress=read_tail(directory.progress),
+            success=run.success_rate,
+            seconds_per_iteration=run.training_seconds / run.iterations if run.iterations else None,
+            evaluation_seconds=max(0.0, run.provenance.seconds - run.training_seconds),
+        )
+    damage = str(run.damage or "").replace(f"{run.path}/", "")
+    return _unfinished(directory, total, damage)
+
+
+def _training(
+    state: State, directory: RunDirectory, done: int | None, total: int | None, note: str = ""
 ) -> RunState:
+    """A run without a result, as far as its progress table knows it; None: that knows how far it is, too."""
+    tail = read_tail(directory.progress)
+    done = done if done is not None else tail.done if tail else 0
+    if state is State.RUNNING and total is not None and done >= total:
+        note = "evaluating"
+    return RunState(
+        state,
+        done,
+        total,
+        tail,
+        tail.success if tail else math.nan,
+        tail.seconds_per_iteration if tail else None,
+        note=note,
+    )
+
+
+def _unfinished(directory: RunDirectory, total: int | None, note: str) -> RunState:
     files = sorted(directory.checkpoints.glob("iteration_*.pt"), key=_iteration, reverse=True)
     for file in files:
         if _is_whole(file):
@@ -120,10 +143,10 @@ def _unfinished(
             done = _iteration(file)
             if not note and done == total:
                 note = "trained, not evaluated"
-            return RunState(State.INTERRUPTED, done, total, progress, note=note)
+            return _training(State.INTERRUPTED, directory, done, total, note)
     if files or any(file.exists() for file in (directory.progress, directory.policy, directory.metrics)):
         reason = note or ("every checkpoint is damaged" if files else "no checkpoint")
-        return RunState(State.DAMAGED, 0, total, progress, note=reason)
+        return _training(State.DAMAGED, directory, 0, total, reason)
     return RunState(State.NEW, 0, total)
 
 
@@ -145,14 +168,6 @@ def _summary(rows: list[dict[str, str]]) -> ProgressTail:
         steps_per_second=sum(steps) / sum(seconds) if sum(seconds) else math.nan,
         seconds_per_iteration=sum(seconds) / len(seconds),
     )
-
-
-def stored_iterations(directory: RunDirectory) -> int | None:
-    """Iterations that the run's stored method has; None if it cannot be read."""
-    try:
-        return load_method(directory.method_spec).spec.algorithm.iterations
-    except KickbenchError:
-        return None
 
 
 def _iteration(file: Path) -> int:

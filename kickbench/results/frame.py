@@ -355,6 +355,16 @@ def repeat_lines(frame: pd.DataFrame, shown: Shown) -> list[str]:
     return lines
 
 
+def unplanned_lines(frame: pd.DataFrame, shown: Shown) -> list[str]:
+    """A line for each run that an experiment does not plan."""
+    lines = []
+    for _, run in runs_of(frame[frame.condition.isna()]).iterrows():
+        repeats = "" if run.copy_of is None else f": a copy of {shown(run.copy_of)}"
+        state = "" if run.state == "finished" else f": {unfinished_words(run)}"
+        lines.append(f"{run.deviation}, left out: {shown(run.path)}{repeats}{state}")
+    return lines
+
+
 def contradiction(run: pd.Series, shown: Shown) -> str:
     """Which two runs of one identity and seed have different results."""
     return (
