@@ -14,7 +14,8 @@ from kickbench.reproduce.record import PlanRecord, read_record
 from kickbench.reproduce.state import RunState, State, state_of
 from kickbench.reproduce.tables import counts, run_table
 from kickbench.results.columns import non_finite_note
-from kickbench.results.frame import load_runs, repeat_lines, runs_of
+from kickbench.results.frame import load_runs, runs_of
+from kickbench.results.notes import repeat_lines
 from kickbench.results.store import RunDirectory
 
 
