@@ -163,6 +163,6 @@ def _runs(roots: Sequence[Path]) -> pd.DataFrame:
         if not any(path.is_relative_to(root.resolve()) for path in finished)
     ]
     if empty:
-        lines = [f"no finished run in {', '.join(empty)}", *left_out_lines(runs, shown)]
+        lines = [*left_out_lines(runs, shown), f"no finished run in {', '.join(empty)}"]
         raise KickbenchError("\n".join(lines))
     return runs

@@ -76,7 +76,7 @@ def comparison_table(study: Study) -> Table:
         title = f"{measure.short} [{measure.unit}]"
         columns += [f"{title}, reported", f"{title}, measured"] if told else [title]
     rows = []
-    for index, first in enumerate(by_measure[SUCCESS]):
+    for first in by_measure[SUCCESS]:
         cells = [Cell(first.arm), Cell(SIDE_WORDS[first.side], whole=True)]
         for measure in MEASURES:
             spread = next(

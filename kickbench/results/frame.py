@@ -89,8 +89,13 @@ def load_runs(root: Path | str | Sequence[Path], experiment: LoadedReported | No
 
 
 def frame_of(results: Iterable[Metrics]) -> pd.DataFrame:
-    """The table of results that are in no folder."""
-    return _table([row for metrics in results for row in _result_rows(metrics)])
+    """The table of results that are in no folder; their `path` is `<task>/<method>/seed<k>`."""
+    rows = [
+        {**row, "path": Path(metrics.task, metrics.method, f"seed{metrics.seed}")}
+        for metrics in results
+        for row in _result_rows(metrics)
+    ]
+    return _table(rows)
 
 
 def runs_of(frame: pd.DataFrame) -> pd.DataFrame:
@@ -304,7 +309,7 @@ class _Planned:
             specs = [stored_specs(directory), planned_specs(self._compiled)]
         except KickbenchError:
             return ["another identity"]
-        return differences(specs, ", planned ", without=(EPISODES,))
+        return differences(specs, "{0[0]} (planned {0[1]})".format, without=(EPISODES,))
 
 
 def _with_repeats(frame: pd.DataFrame) -> pd.DataFrame:
