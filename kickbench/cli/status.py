@@ -65,4 +65,4 @@ def _remarks(frame: pd.DataFrame, path: Path) -> list[str]:
     rows = frame[frame.path == path]
     damage = rows[(rows.state == "damaged") & (rows.evaluated_on != rows.task)].damage
     notes = [non_finite_note(rows.non_finite.max()).strip(" ()")] if rows.non_finite.max() > 0 else []
-    return [*damage.str.replace(f"{path}/", ""), *notes, *repeat_lines(rows, shown)]
+    return [*damage, *notes, *repeat_lines(rows, shown)]

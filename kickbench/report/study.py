@@ -128,10 +128,13 @@ def _study(
     problems: Iterable[str],
     plans: Mapping[str, Arm] | None = None,
 ) -> Study:
+    def named(path: Path) -> str:
+        return place(root, path)
+
     if not plans:
         rows = rows.sort_values("seed", kind="stable")
-    damaged = left_out_lines(rows[rows.state == "damaged"], str)
-    found = [*problems, *repeat_lines(rows, lambda path: place(root, path)), *damaged]
+    damaged = rows[rows.state == "damaged"]
+    problems = [*problems, *repeat_lines(rows, named), *left_out_lines(damaged, named)]
     notes = _notes(root, rows.path.unique())
     study = Study(
         name,
@@ -140,7 +143,7 @@ def _study(
         rows,
         plans or {},
         notes,
-        tuple(text.replace(f"{root}/", "") for text in found),
+        tuple(problems),
     )
     return _with_files(root, study)
 

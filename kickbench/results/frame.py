@@ -200,7 +200,12 @@ def _read(directory: RunDirectory) -> tuple[Row, Metrics | None]:
         check(directory)
         return row | _identity_columns(directory), load_metrics(directory.metrics)
     except KickbenchError as error:
-        return row | {"state": "damaged", "damage": str(error)}, None
+        return row | _damaged(directory, error), None
+
+
+def _damaged(directory: RunDirectory, error: KickbenchError) -> Row:
+    words = str(error).replace(f"{directory.path}/", "")
+    return {"side": HOME, "state": "damaged", "damage": words, "counted": False}
 
 
 def _named_by_place(path: Path) -> Row:
@@ -237,7 +242,7 @@ def _transfer_rows(directory: RunDirectory, own: Row, metrics: Metrics) -> Itera
             result = load_metrics(path)
             _check_same_run(path, result, metrics)
         except KickbenchError as error:
-            yield row | {"side": HOME, "state": "damaged", "damage": str(error), "counted": False}
+            yield row | _damaged(directory, error)
             continue
         yield from ({**figures, **row} for figures in _result_rows(result))
 
