@@ -46,6 +46,16 @@ class Arm:
     also: Mapping[str, LoadedTask[TaskSpec]]
     reported: ReportedFiguresSpec | None
 
+    @property
+    def overrides(self) -> tuple[str, ...]:
+        """What the experiment says beyond the files of its task and method, as `key.path=value`."""
+        own = []
+        if self.iterations != self.method.spec.algorithm.iterations:
+            own.append(f"algorithm.iterations={self.iterations}")
+        if self.episodes != self.task.spec.evaluation.episodes:
+            own.append(f"evaluation.episodes={self.episodes}")
+        return tuple(own)
+
     def is_of_own_task(self, operand: Operand) -> bool:
         """Whether an operand is about the task trained on, named or not."""
         return operand.task in (None, self.task.name)

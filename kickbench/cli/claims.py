@@ -8,7 +8,8 @@ from pathlib import Path
 
 from kickbench.errors import KickbenchError, shown
 from kickbench.reported import LoadedReported, load_reported
-from kickbench.results.measured import read_measured
+from kickbench.results.frame import load_runs
+from kickbench.results.notes import refuse_contradictions, unplanned_lines
 from kickbench.results.verdict_file import verdicts_json
 from kickbench.results.verdicts import judge, verdict_lines
 
@@ -20,12 +21,12 @@ def claims(arguments: argparse.Namespace) -> int:
     # Without a folder nothing was measured yet, which is a result; a folder that was typed should be there.
     if arguments.folder and not folder.is_dir():
         raise KickbenchError(f"{folder}: no such folder")
-    measured = read_measured(folder, experiment)
+    measured = load_runs(folder, experiment)
+    refuse_contradictions(measured, shown)
     verdicts = judge(experiment, measured)
     print(verdicts_json(verdicts) if arguments.json else "\n".join(verdict_lines(experiment, verdicts)))
-    for path in measured.strangers:
-        note = f"not planned by {experiment.name}, left out: {shown(path)}"
-        print(note, file=sys.stderr if arguments.json else sys.stdout)
+    for line in unplanned_lines(measured, shown):
+        print(line, file=sys.stderr if arguments.json else sys.stdout)
     return int(arguments.strict and any(verdict.outcome != "met" for verdict in verdicts))
 
 

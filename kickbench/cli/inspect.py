@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from kickbench.errors import KickbenchError, Problem, SpecError, printable, shown
-from kickbench.results.kick_table import kick_block
-from kickbench.results.metrics import load_metrics
-from kickbench.results.store import RunDirectory, find_results
-from kickbench.results.table import render_table
 from kickbench.speccheck import KINDS, check_files, kind_of, model_of
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 def validate(arguments: argparse.Namespace) -> int:
@@ -93,10 +92,21 @@ def list_files(arguments: argparse.Namespace) -> int:
             print(
                 "\n".join(f"  {shown(path):<{width}}  {printable(text)}".rstrip() for path, text in entries)
             )
-    runs = _undamaged(find_results(root))
-    if runs:
-        print("finished runs:\n" + "\n".join(f"  {shown(run.path)}" for run in runs))
+    _print_runs(root)
     return 0
+
+
+def _print_runs(root: Path) -> None:
+    from kickbench.results.frame import load_runs, runs_of
+    from kickbench.results.notes import left_out_lines, repeat_lines
+
+    runs = load_runs(root)
+    finished = runs_of(runs[runs.state == "finished"])
+    if len(finished):
+        print("finished runs:\n" + "\n".join(f"  {path}" for path in finished.path))
+    lines = [*repeat_lines(runs, shown), *left_out_lines(runs, shown)]
+    if lines:
+        print("\n".join(lines))
 
 
 def _specs(root: Path) -> Iterator[tuple[str, Path, str]]:
@@ -121,43 +131,42 @@ def _specs(root: Path) -> Iterator[tuple[str, Path, str]]:
 
 def table(arguments: argparse.Namespace) -> int:
     """`kickbench table DIR...`: the table of finished runs."""
-    runs = [load_metrics(run.metrics) for run in _finished_runs(arguments.roots)]
-    if arguments.columns == "kick":
-        tasks = dict.fromkeys(run.task for run in runs)
-        print("\n\n".join(kick_block(task, [run for run in runs if run.task == task]) for task in tasks))
-    else:
-        print(render_table(runs))
+    from kickbench.results.kick_table import render_kicks
+    from kickbench.results.table import render_table
+
+    render = render_kicks if arguments.columns == "kick" else render_table
+    print(render(_runs(arguments.roots)))
     return 0
 
 
 def compare(arguments: argparse.Namespace) -> int:
     """`kickbench compare DIR...`: every method against every other."""
     from kickbench.results.comparison_table import render_comparison
-    from kickbench.results.figures_compared import gather
+    from kickbench.results.notes import refuse_contradictions
 
-    print(render_comparison(gather(_finished_runs(arguments.roots))))
+    runs = _runs(arguments.roots)
+    refuse_contradictions(runs, shown)
+    print(render_comparison(runs))
     return 0
 
 
-def _finished_runs(roots: Sequence[Path]) -> list[RunDirectory]:
-    """The finished runs of some folders, each once however many of the folders it is in.
+def _runs(roots: Sequence[Path]) -> pd.DataFrame:
+    """The runs of some folders, each once however many of the folders it is in.
 
     Raises:
-        KickbenchError: A folder has none: its name may be misspelt.
+        KickbenchError: A folder has no finished run: its name may be misspelt. Says what is there instead.
     """
-    below = {root: _undamaged(find_results(root)) for root in dict.fromkeys(roots)}
-    empty = [str(root) for root, runs in below.items() if not runs]
+    from kickbench.results.frame import load_runs
+    from kickbench.results.notes import left_out_lines
+
+    runs = load_runs(roots)
+    finished = [path.resolve() for path in runs.path[runs.state == "finished"]]
+    empty = [
+        str(root)
+        for root in dict.fromkeys(roots)
+        if not any(path.is_relative_to(root.resolve()) for path in finished)
+    ]
     if empty:
-        raise KickbenchError(f"no finished run in {', '.join(empty)}")
-    found: dict[Path, RunDirectory] = {}
-    for run in (run for runs in below.values() for run in runs):
-        found.setdefault(run.path.resolve(), run)
-    return list(found.values())
-
-
-def _undamaged(results: Sequence[RunDirectory]) -> list[RunDirectory]:
-    """The runs whose result can be read; the others are told, as they are not counted."""
-    damage = {run: run.damage for run in results}
-    for told in filter(None, damage.values()):
-        print(f"left out: {printable(told)}", file=sys.stderr)
-    return [run for run in results if damage[run] is None]
+        lines = [*left_out_lines(runs, shown), f"no finished run in {', '.join(empty)}"]
+        raise KickbenchError("\n".join(lines))
+    return runs

@@ -15,7 +15,7 @@ from kickbench.reproduce.jobs import Jobs, Outcome
 from kickbench.reproduce.plan import Plan, PlannedRun, Selection, make_plan
 from kickbench.reproduce.record import write_record
 from kickbench.reproduce.tables import counts, run_table
-from kickbench.results.measured import read_measured
+from kickbench.results.frame import load_runs
 from kickbench.results.store import RunDirectory
 from kickbench.results.table import render_table
 from kickbench.results.verdicts import judge, verdict_lines
@@ -65,11 +65,8 @@ def _missing(run: PlannedRun) -> str:
 
 
 def _verdicts(plan: Plan) -> str:
-    if plan.record.overrides:
-        # Nothing in a result tells that its specs are not the experiment's, so no claim is judged by it.
-        return f"no verdicts: not the experiment as it is stated ({plan.record.deviation})"
     try:
-        verdicts = judge(plan.experiment, read_measured(plan.folder, plan.experiment))
+        verdicts = judge(plan.experiment, load_runs(plan.folder, plan.experiment))
     except KickbenchError as error:  # the runs that failed are still to be named
         return f"no verdicts: {error}"
     return "\n".join(verdict_lines(plan.experiment, verdicts)).rstrip()
@@ -77,9 +74,10 @@ def _verdicts(plan: Plan) -> str:
 
 def _conclude(plan: Plan, jobs: Jobs) -> int:
     """Prints what came of it; the exit code."""
-    finished = [state.metrics for job in jobs.jobs if (state := job.run.read_state()).metrics]
-    if finished:
-        print(f"\n{render_table(finished)}\n\n{_verdicts(plan)}\n")
+    runs = load_runs(plan.folder)
+    asked = runs[runs.path.isin([job.run.directory.path for job in jobs.jobs])]
+    if (asked.state == "finished").any():
+        print(f"\n{render_table(asked)}\n\n{_verdicts(plan)}\n")
     print(f"runs: {shown(plan.folder)}")
     failed = [job for job in jobs.jobs if job.outcome is Outcome.FAILED]
     for job in failed:

@@ -7,6 +7,7 @@ import sys
 
 from kickbench.cli.flags import refuse_contradiction
 from kickbench.errors import KickbenchError, shown
+from kickbench.results.frame import frame_of
 from kickbench.results.integrity import write_also
 from kickbench.results.metrics import metrics_bytes
 from kickbench.results.store import RunDirectory
@@ -48,7 +49,7 @@ def run(arguments: argparse.Namespace) -> int:
         )
         return 130
     effort = f"trained {training.seconds:.0f} s" if training else "nothing left to do"
-    print(f"\n{render_table([outcome.metrics])}\n\n{effort}; results: {shown(where)}")
+    print(f"\n{render_table(frame_of([outcome.metrics]))}\n\n{effort}; results: {shown(where)}")
     return 0
 
 
@@ -63,5 +64,5 @@ def evaluate(arguments: argparse.Namespace) -> int:
         directory = RunDirectory(arguments.run)
         with directory.occupied():
             write_also(directory, f"also/{metrics.task}.json", metrics_bytes(metrics))
-    print(metrics.model_dump_json(indent=2) if arguments.json else render_table([metrics]))
+    print(metrics.model_dump_json(indent=2) if arguments.json else render_table(frame_of([metrics])))
     return 0

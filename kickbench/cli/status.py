@@ -6,12 +6,17 @@ import argparse
 from collections.abc import Iterator
 from pathlib import Path
 
+import pandas as pd
+
 from kickbench.errors import KickbenchError, shown
 from kickbench.reproduce.estimate import Remaining, estimate
 from kickbench.reproduce.record import PlanRecord, read_record
-from kickbench.reproduce.state import RunState, State, read_state
+from kickbench.reproduce.state import RunState, State, state_of
 from kickbench.reproduce.tables import counts, run_table
-from kickbench.results.store import RunDirectory, find_begun_runs
+from kickbench.results.columns import non_finite_note
+from kickbench.results.frame import load_runs, runs_of
+from kickbench.results.notes import repeat_lines
+from kickbench.results.store import RunDirectory
 
 
 def status(arguments: argparse.Namespace) -> int:
@@ -38,18 +43,26 @@ def status(arguments: argparse.Namespace) -> int:
 
 def _runs(root: Path, record: PlanRecord | None) -> Iterator[tuple[str, RunState, str]]:
     """Name, state and remark: first the runs of the plan, then others that are there."""
+    frame = load_runs(root)
+    found = {run.path.relative_to(root): run for _, run in runs_of(frame).iterrows()}
     planned = {run.folder: run for run in record.runs} if record else {}
     for folder, run in planned.items():
-        directory = RunDirectory(root / folder)
-        state = read_state(directory, run.iterations)
-        missing = [task for task in run.also if not directory.also(task).is_file()]
-        remark = f"not evaluated on {', '.join(missing)}" if missing and state.metrics else ""
-        yield folder.as_posix(), state, remark
-    for directory in find_begun_runs(root):
-        folder = directory.path.relative_to(root)
+        there = folder in found
+        state = state_of(found[folder], run.iterations) if there else RunState(State.NEW, 0, run.iterations)
+        missing = [task for task in run.also if not RunDirectory(root / folder).also(task).is_file()]
+        words = f"not evaluated on {', '.join(missing)}"
+        remarks = [words] if missing and there and found[folder].state == "finished" else []
+        yield folder.as_posix(), state, "; ".join([*remarks, *_remarks(frame, root / folder)])
+    for folder, run in found.items():
         if folder not in planned:
-            state = read_state(directory)
-            scaled = state.metrics is not None and state.metrics.scale is not None
             remarks = ["not in the plan"] if planned else []
-            remarks += [f"scaled down to {state.metrics.scale:g}"] if scaled and state.metrics else []
-            yield folder.as_posix(), state, "; ".join(remarks)
+            remarks += [f"scaled down to {run.scale:g}"] if run.scale > 0 else []
+            yield folder.as_posix(), state_of(run), "; ".join([*remarks, *_remarks(frame, run.path)])
+
+
+def _remarks(frame: pd.DataFrame, path: Path) -> list[str]:
+    """Damage of a run's results on transfer tasks, episodes that became non-finite, and what the run repeats."""
+    rows = frame[frame.path == path]
+    damage = rows[(rows.state == "damaged") & (rows.evaluated_on != rows.task)].damage
+    notes = [non_finite_note(rows.non_finite.max()).strip(" ()")] if rows.non_finite.max() > 0 else []
+    return [*damage, *notes, *repeat_lines(rows, shown)]

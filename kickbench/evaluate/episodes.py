@@ -24,8 +24,7 @@ from kickbench.mdp.engines import make_engine
 from kickbench.mdp.episode import FOOT_NAMES
 from kickbench.mdp.starts import Starts, StartSampler
 from kickbench.nets.threads import torch_threads
-from kickbench.results.episodes import EpisodeTable
-from kickbench.results.kick import NON_FINITE
+from kickbench.results.episodes import NON_FINITE, EpisodeTable
 from kickbench.symmetry.torch_ops import Mirror
 
 Policy = Callable[[TensorDict], Tensor]

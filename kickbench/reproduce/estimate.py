@@ -47,7 +47,8 @@ def estimate(runs: Sequence[Remaining], jobs: int = 1) -> Estimate:
         runs: All runs of the plan, those that are finished among them.
         jobs: How many run at a time; how much they slow each other down is not foreseen.
     """
-    pace, evaluation = _means(runs, _pace), _means(runs, _evaluation)
+    pace = _means(runs, lambda state: state.seconds_per_iteration)
+    evaluation = _means(runs, lambda state: state.evaluation_seconds)
     left = [run for run in runs if run.state.state is not State.FINISHED]
     seconds, unmeasured = [], {}
     for run in left:
@@ -70,13 +71,3 @@ def _means(runs: Sequence[Remaining], of_run: Callable[[RunState], float | None]
         if (value := of_run(run.state)) is not None:
             values.setdefault(run.arm, []).append(value)
     return {arm: sum(found) / len(found) for arm, found in values.items()}
-
-
-def _pace(state: RunState) -> float | None:
-    return state.seconds_per_iteration
-
-
-def _evaluation(state: RunState) -> float | None:
-    if state.metrics is None:
-        return None
-    return max(0.0, state.metrics.provenance.seconds - state.metrics.training_seconds)

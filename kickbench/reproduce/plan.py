@@ -107,7 +107,7 @@ def make_plan(experiment: LoadedReported, selection: Selection) -> Plan:
     folder = selection.out or default_folder(experiment.name, selection)
     runs, all_records, problems = [], [], []
     for arm in experiment.arms.values():
-        overrides = _overrides(arm, selection)
+        overrides = (*arm.overrides, *selection.overrides)
         compiled = load_experiment(
             arm.task.document.file, arm.method.document.file, overrides, selection.scale
         )
@@ -130,16 +130,6 @@ def make_plan(experiment: LoadedReported, selection: Selection) -> Plan:
     )
     in_order = tuple(run for _, run in sorted(runs, key=lambda numbered: numbered[0]))
     return Plan(experiment, record, in_order, folder)
-
-
-def _overrides(arm: Arm, selection: Selection) -> tuple[str, ...]:
-    """What the experiment says beyond its files, then what the command says beyond the experiment."""
-    own = []
-    if arm.iterations != arm.method.spec.algorithm.iterations:
-        own.append(f"algorithm.iterations={arm.iterations}")
-    if arm.episodes != arm.task.spec.evaluation.episodes:
-        own.append(f"evaluation.episodes={arm.episodes}")
-    return (*own, *selection.overrides)
 
 
 def _record(arm: Arm, compiled: Experiment, seed: int) -> RunRecord:

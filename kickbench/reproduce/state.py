@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
 
-from kickbench.errors import KickbenchError
-from kickbench.results.atomic import read_regular
-from kickbench.results.integrity import find_damage, without_digest
-from kickbench.results.metrics import Metrics, load_metrics
-from kickbench.results.store import RunDirectory
-from kickbench.spec.load import load_method
+import pandas as pd
 
-_TAIL_BYTES = 65_536
+from kickbench.results.atomic import read_regular
+from kickbench.results.frame import known, load_runs, runs_of
+from kickbench.results.integrity import find_damage, without_digest
+from kickbench.results.progress import last_rows
+from kickbench.results.store import RunDirectory
+
 _PACE_ROWS = 20
 
 
@@ -56,7 +54,9 @@ class RunState:
         done: Iterations done and kept; of a running run, done.
         total: Iterations wanted; None: not known.
         progress: The end of its progress table; None: there is none.
-        metrics: Its result, if it is finished.
+        success: Success in distribution if it is finished, else the last iteration's; NaN: not known.
+        seconds_per_iteration: Measured pace of training, s; None: nothing has been measured.
+        evaluation_seconds: Measured time of its evaluation, s; None: it is not finished.
         note: What a person should know beside that.
     """
 
@@ -64,22 +64,10 @@ class RunState:
     done: int = 0
     total: int | None = None
     progress: ProgressTail | None = None
-    metrics: Metrics | None = None
+    success: float = math.nan
+    seconds_per_iteration: float | None = None
+    evaluation_seconds: float | None = None
     note: str = ""
-
-    @property
-    def success(self) -> float:
-        """Success in distribution if it is finished, else the last iteration's; NaN: not known."""
-        if self.metrics:
-            return self.metrics.evaluation.in_distribution.success_rate
-        return self.progress.success if self.progress else math.nan
-
-    @property
-    def seconds_per_iteration(self) -> float | None:
-        """Measured pace of training, s; None: nothing has been measured."""
-        if self.metrics and self.metrics.iterations:
-            return self.metrics.training_seconds / self.metrics.iterations
-        return self.progress.seconds_per_iteration if self.progress else None
 
     @property
     def seconds_left(self) -> float:
@@ -95,27 +83,63 @@ def read_state(directory: RunDirectory, total: int | None = None) -> RunState:
         directory: The run directory, which need not exist.
         total: Iterations wanted; default: what its stored method says.
     """
-    total = stored_iterations(directory) if total is None else total
     if directory.is_occupied:
         # What runs with --force is made beside the run that it replaces.
         made = directory.beside if directory.beside.path.is_dir() else directory
-        progress = read_tail(made.progress)
-        done = progress.done if progress else 0
-        note = "evaluating" if total is not None and done >= total else ""
-        return RunState(State.RUNNING, done, total, progress, note=note)
-    progress, damage = read_tail(directory.progress), find_damage(directory)
-    note = f"{damage.file} is damaged" if damage else ""
-    if damage and not damage.can_be_mended:
-        return RunState(State.DAMAGED, 0, total, progress, note=note)
-    metrics = load_metrics(directory.metrics) if directory.metrics.exists() and not damage else None
-    if metrics and (total is None or metrics.iterations >= total):
-        return RunState(State.FINISHED, metrics.iterations, total, progress, metrics)
-    return _unfinished(directory, total, progress, note)
+        return _training(State.RUNNING, made, None, total)
+    runs = load_runs(directory.path)
+    own = runs_of(runs[runs.path == directory.path])
+    return RunState(State.NEW, 0, total) if own.empty else state_of(own.iloc[0], total)
 
 
-def _unfinished(
-    directory: RunDirectory, total: int | None, progress: ProgressTail | None, note: str
+def state_of(run: pd.Series, total: int | None = None) -> RunState:
+    """How far a run is, of which there is something.
+
+    Args:
+        run: Its row in the table of runs.
+        total: Iterations wanted; default: what its stored method says.
+    """
+    directory = RunDirectory(run.path)
+    if total is None and (stored := known(run, "iterations_planned")) is not None:
+        total = int(stored)
+    if run.state == "running":
+        return _training(State.RUNNING, directory, None, total)
+    if run.state == "finished" and (total is None or run.iterations >= total):
+        return RunState(
+            state=State.FINISHED,
+            done=int(run.iterations),
+            total=total,
+            progress=read_tail(directory.progress),
+            success=run.success_rate,
+            seconds_per_iteration=run.training_seconds / run.iterations if run.iterations else None,
+            evaluation_seconds=max(0.0, run.provenance.seconds - run.training_seconds),
+        )
+    damage = find_damage(directory) if run.state == "damaged" else None
+    if damage is not None and not damage.can_be_mended:
+        return _training(State.DAMAGED, directory, 0, total, run.damage)
+    return _unfinished(directory, total, run.damage or "")
+
+
+def _training(
+    state: State, directory: RunDirectory, done: int | None, total: int | None, note: str = ""
 ) -> RunState:
+    """A run without a result, as far as its progress table knows it; None: that knows how far it is, too."""
+    tail = read_tail(directory.progress)
+    done = done if done is not None else tail.done if tail else 0
+    if state is State.RUNNING and total is not None and done >= total:
+        note = "evaluating"
+    return RunState(
+        state,
+        done,
+        total,
+        tail,
+        tail.success if tail else math.nan,
+        tail.seconds_per_iteration if tail else None,
+        note=note,
+    )
+
+
+def _unfinished(directory: RunDirectory, total: int | None, note: str) -> RunState:
     files = sorted(directory.checkpoints.glob("iteration_*.pt"), key=_iteration, reverse=True)
     for file in files:
         if _is_whole(file):
@@ -124,10 +148,10 @@ def _unfinished(
             done = _iteration(file)
             if not note and done == total:
                 note = "trained, not evaluated"
-            return RunState(State.INTERRUPTED, done, total, progress, note=note)
+            return _training(State.INTERRUPTED, directory, done, total, note)
     if files or any(file.exists() for file in (directory.progress, directory.policy, directory.metrics)):
         reason = note or ("every checkpoint is damaged" if files else "no checkpoint")
-        return RunState(State.DAMAGED, 0, total, progress, note=reason)
+        return _training(State.DAMAGED, directory, 0, total, reason)
     return RunState(State.NEW, 0, total)
 
 
@@ -135,26 +159,10 @@ def read_tail(path: Path) -> ProgressTail | None:
     """Reads the last rows of a `progress.csv`; None if there is not one whole row."""
     if not path.is_file():
         return None
+    rows = last_rows(path, _PACE_ROWS)
     try:
-        with open(path, "rb") as file:
-            header = file.readline()
-            start = file.tell()
-            file.seek(max(start, file.seek(0, io.SEEK_END) - _TAIL_BYTES))
-            at_start = file.tell() == start
-            body = file.read()
-    except OSError:
-        return None
-    lines = body[: body.rfind(b"\n") + 1].decode("utf-8", errors="replace").splitlines()
-    try:
-        columns = next(csv.reader([header.decode("utf-8", errors="replace")]), [])
-        rows = [
-            dict(zip(columns, row, strict=True))
-            # A read from the middle of the file begins in the middle of a row.
-            for row in csv.reader(lines if at_start else lines[1:])
-            if len(row) == len(columns)
-        ]
-        return _summary(rows[-_PACE_ROWS:]) if rows else None
-    except (KeyError, ValueError, csv.Error):
+        return _summary(rows) if rows else None
+    except (KeyError, ValueError):
         return None  # not a progress table of ours
 
 
@@ -167,14 +175,6 @@ def _summary(rows: list[dict[str, str]]) -> ProgressTail:
         steps_per_second=sum(steps) / sum(seconds) if sum(seconds) else math.nan,
         seconds_per_iteration=sum(seconds) / len(seconds),
     )
-
-
-def stored_iterations(directory: RunDirectory) -> int | None:
-    """Iterations that the run's stored method has; None if it cannot be read."""
-    try:
-        return load_method(directory.method_spec).spec.algorithm.iterations
-    except KickbenchError:
-        return None
 
 
 def _iteration(file: Path) -> int:

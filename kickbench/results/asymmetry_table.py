@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
-from kickbench.results.asymmetry import Asymmetry
+import pandas as pd
+
 from kickbench.results.columns import NOTHING, Row, mean_and_spread, probability, render_block
-from kickbench.results.metrics import Metrics
-from kickbench.results.statistics import Interval
+from kickbench.results.frame import HOME, known
 
 _GROUPS = ("", "", "equiv.", "kicks by foot [%]", "", "success [%], ball", "", "", "pairs")
 _HEADER = (
@@ -22,73 +22,61 @@ _HEADER = (
     "alike [%]",
 )
 
-_Figure = Callable[[Asymmetry], float | None]
-_FIGURES: tuple[tuple[_Figure, int], ...] = (
-    (lambda of: of.equivariance and of.equivariance.relative, 2),
-    (lambda of: of.legs.same_side_share, 1),
-    (lambda of: of.legs.left_foot_share, 1),
-    (lambda of: of.success and of.success.left_rate, 1),
-    (lambda of: of.success and of.success.right_rate, 1),
-    (lambda of: of.success and of.success.p_value, 0),
-    (lambda of: of.pairs and of.pairs.agreement, 1),
+_P_VALUE = "success/p_value"
+_FIGURES = (
+    ("equivariance/relative", 2, ""),
+    ("legs/same_side_share", 1, "legs/same_side"),
+    ("legs/left_foot_share", 1, "legs/left_foot"),
+    ("success/left_rate", 1, ""),
+    ("success/right_rate", 1, ""),
+    (_P_VALUE, 0, ""),
+    ("pairs/agreement", 1, ""),
 )
-"""What each column shows, a fraction or None, and its decimals in percent."""
-_SAME_SIDE, _LEFT, _P = 1, 2, 5
-"""Columns with an interval, and the one that is a probability."""
+"""The column of each figure, its decimals in percent, and the prefix of the columns of its interval."""
 
 
-def asymmetry_block(task: str, methods: Sequence[Sequence[Metrics]]) -> str:
-    """The table of one task; nothing if no run tells its asymmetry (files of older versions do not).
+def asymmetry_block(task: str, methods: Sequence[pd.DataFrame]) -> str:
+    """The table of one setting; nothing if no run tells its asymmetry (files of older versions do not).
 
     The equivariance error is relative to the size of the actions, over visited states. Kicks are those by foot:
     the share made with the foot on the ball's side, and with the left foot. p is the two-proportion test's for success
     with the ball on the left against on the right. Pairs are episodes from mirrored starts that end alike.
 
     Args:
-        task: name of the task.
-        methods: runs by method.
+        task: name of the setting.
+        methods: rows of runs by group.
     """
-    told = [[run for run in runs if run.evaluation.asymmetry is not None] for runs in methods]
-    blocks = [_method_rows(runs) for runs in told if runs]
+    told = [rows[(rows.side == HOME) & rows["legs/kicks"].notna()] for rows in methods]
+    blocks = [_method_rows(runs.sort_values("seed", kind="stable")) for runs in told if len(runs)]
     return render_block(f"asymmetry: {task}", _GROUPS, _HEADER, blocks) if blocks else ""
 
 
-def _method_rows(runs: Sequence[Metrics]) -> list[Row]:
-    ordered = sorted(runs, key=lambda run: run.seed)
-    found = [run.evaluation.asymmetry for run in ordered]
-    known = [asymmetry for asymmetry in found if asymmetry is not None]
+def _method_rows(runs: pd.DataFrame) -> list[Row]:
     rows: list[Row] = [
-        (run.method, str(run.seed), *_cells(asymmetry)) for run, asymmetry in zip(ordered, known, strict=True)
+        (run.group, f"{run.seed}{'' if run.counted else '*'}", *(_cell(run, *figure) for figure in _FIGURES))
+        for _, run in runs.iterrows()
     ]
-    return [*rows, *_summary_rows(runs[0].method, known)] if len(runs) > 1 else rows
+    return [*rows, *_summary_rows(runs[runs.counted])] if len(runs) > 1 else rows
 
 
-def _cells(asymmetry: Asymmetry) -> list[str]:
-    cells = []
-    for place, (figure, decimals) in enumerate(_FIGURES):
-        value = figure(asymmetry)
-        if value is None:
-            cells.append(NOTHING)
-        elif place == _P:
-            cells.append(probability(value))
-        else:
-            cells.append(f"{100 * value:.{decimals}f}")
-    cells[_SAME_SIDE] += _interval(asymmetry.legs.same_side_ci)
-    cells[_LEFT] += _interval(asymmetry.legs.left_foot_ci)
-    return cells
+def _cell(run: pd.Series, name: str, decimals: int, interval: str) -> str:
+    value = known(run, name)
+    if value is None:
+        return NOTHING
+    if name == _P_VALUE:
+        return probability(value)
+    low = known(run, f"{interval}_low")
+    ends = "" if low is None else f" [{100 * low:.1f}, {100 * run[f'{interval}_high']:.1f}]"
+    return f"{100 * value:.{decimals}f}{ends}"
 
 
-def _summary_rows(method: str, found: Sequence[Asymmetry]) -> list[Row]:
+def _summary_rows(runs: pd.DataFrame) -> list[Row]:
     """Mean and standard deviation over seeds, where all of them have the figure; a p-value has no mean."""
     means, spreads = [], []
-    for place, (figure, decimals) in enumerate(_FIGURES):
-        values = [100 * value for value in map(figure, found) if value is not None]
-        whole = len(values) == len(found) and place != _P
-        mean, spread = mean_and_spread(values if whole else [], decimals)
+    for name, decimals, _ in _FIGURES:
+        whole = runs[name].notna().all() and name != _P_VALUE
+        mean, spread = mean_and_spread(list(100 * runs[name]) if whole else [], decimals)
         means.append(mean)
         spreads.append(spread)
-    return [(method, "mean", *means), (method, "std", *spreads)]
-
-
-def _interval(interval: Interval | None) -> str:
-    return "" if interval is None else f" [{100 * interval.low:.1f}, {100 * interval.high:.1f}]"
+    label = str(runs.group.iloc[0])
+    return [(label, "mean", *means), (label, "std", *spreads)]

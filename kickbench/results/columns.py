@@ -67,3 +67,10 @@ def _line(cells: Row, widths: Sequence[int]) -> str:
     padded = [cell.rjust(width) for cell, width in zip(cells, widths, strict=True)]
     padded[0] = cells[0].ljust(widths[0])
     return "  ".join(padded).rstrip()
+
+
+def non_finite_note(share: float) -> str:
+    """What stands behind a figure of which some episodes became non-finite: ` (2.5 % non-finite)`; else nothing."""
+    if not share > 0:
+        return ""
+    return f" ({'<0.1' if share < 0.001 else f'{100 * share:.1f}'} % non-finite)"

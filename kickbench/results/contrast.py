@@ -16,10 +16,10 @@ from dataclasses import dataclass
 from math import inf, sqrt
 
 import numpy as np
+import pandas as pd
 
 from kickbench.results.comparison import welch
-from kickbench.results.measured import MeasuredRun
-from kickbench.results.run_figures import Figure, figure_of, metrics_of, pair_correlation
+from kickbench.results.run_figures import Figure, figure_of, pair_correlation, row_of
 from kickbench.results.statistics import Interval
 from kickbench.results.student import two_sided_quantile
 from kickbench.spec.claims import (
@@ -132,11 +132,11 @@ class RunTerms:
         return sum(term.weight * term.figure.value for term in self.terms)
 
 
-def run_terms(run: MeasuredRun, claim: AnyClaim, contrast: Contrast) -> RunTerms | None:
+def run_terms(run: pd.DataFrame, claim: AnyClaim, contrast: Contrast) -> RunTerms | None:
     """The part of a contrast that a run gives; None if the run lacks a figure."""
     terms = []
     for weight, operand in contrast.terms:
-        if operand.arm == run.arm:
+        if operand.arm == run.condition.iloc[0]:
             figure = figure_of(run, claim, operand)
             if figure is None:
                 return None
@@ -144,13 +144,15 @@ def run_terms(run: MeasuredRun, claim: AnyClaim, contrast: Contrast) -> RunTerms
     return RunTerms(tuple(terms), _correlation(run, claim, terms))
 
 
-def _correlation(run: MeasuredRun, claim: AnyClaim, terms: Sequence[Term]) -> float:
+def _correlation(run: pd.DataFrame, claim: AnyClaim, terms: Sequence[Term]) -> float:
     """Correlation of the figures of the two sides of one evaluation; 0 for any other figures, or where unknown."""
     both_sides = {term.operand.side for term in terms} == {"in_distribution", "mirrored"}
     if claim.metric != "success_rate" or not both_sides:
         return 0.0
-    first, *others = (metrics_of(run, term.operand) for term in terms)
-    return pair_correlation(first) if first and all(other is first for other in others) else 0.0
+    if len({term.operand.task or run.task.iloc[0] for term in terms}) > 1:
+        return 0.0
+    home = row_of(run, next(term.operand for term in terms if term.operand.side == "in_distribution"))
+    return 0.0 if home is None else pair_correlation(home)
 
 
 @dataclass(frozen=True)

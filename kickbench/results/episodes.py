@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 from kickbench.errors import KickbenchError
 from kickbench.results.atomic import atomic_write_text, read_regular
 
+NON_FINITE = "non_finite"
+"""What ended an episode whose state became NaN or infinite, in the place of a termination's name."""
 KICK_FEET = ("left", "right", "other", "none")
 KICK_COLUMNS = ("touches", "walked_after_touch", "launch_speed", "direction_error")
 """Columns that tables of older versions lack."""

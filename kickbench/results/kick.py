@@ -7,14 +7,12 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field, NonNegativeFloat
 
-from kickbench.results.episodes import EpisodeTable
+from kickbench.results.episodes import NON_FINITE, EpisodeTable
 from kickbench.results.record import Fraction, Record
 from kickbench.results.statistics import Interval, bootstrap_mean
 
 FALLS = ("fell_down", "fell_over")
 """Terminations that are falls of the robot (thesis Table 3.3)."""
-NON_FINITE = "non_finite"
-"""Termination of an episode whose state was not finite."""
 # Fixed, so that the same episodes always give the same intervals.
 _BOOTSTRAP_SEED = 2
 

@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from kickbench.errors import KickbenchError
 from kickbench.results.atomic import read_regular
 
+_TAIL_BYTES = 65_536
+
 
 @dataclass(frozen=True, eq=False)
 class Progress:
@@ -65,3 +67,34 @@ def _numbers(path: Path, line: int, row: list[str], width: int) -> list[float]:
         return [float(cell) if cell else float("nan") for cell in row]
     except ValueError as error:
         raise KickbenchError(f"{path}:{line}: {error}") from error
+
+
+def last_rows(path: Path, count: int) -> list[dict[str, str]]:
+    """The last whole rows of a table of training iterations by column, at most `count`; none if it has none."""
+    if not path.is_file():  # missing, or a pipe that would be waited for
+        return []
+    try:
+        with open(path, "rb") as file:
+            header = file.readline()
+            start = file.tell()
+            file.seek(max(start, file.seek(0, io.SEEK_END) - _TAIL_BYTES))
+            at_start = file.tell() == start
+            body = file.read()
+    except OSError:
+        return []
+    lines = body[: body.rfind(b"\n") + 1].decode("utf-8", errors="replace").splitlines()
+    try:
+        columns = next(csv.reader([header.decode("utf-8", errors="replace")]), [])
+        # A read from the middle of the file begins in the middle of a row.
+        rows = [row for row in csv.reader(lines if at_start else lines[1:]) if len(row) == len(columns)]
+    except csv.Error:  # not a progress table of ours
+        return []
+    return [dict(zip(columns, row, strict=True)) for row in rows[-count:]]
+
+
+def read_done(path: Path) -> int | None:
+    """Training iterations that a table tells of, from its last row alone; None if it has none."""
+    try:
+        return int(last_rows(path, 1)[0]["iteration"]) + 1
+    except (IndexError, KeyError, ValueError):
+        return None

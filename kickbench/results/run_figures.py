@@ -7,11 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from kickbench.errors import KickbenchError
-from kickbench.results.measured import MeasuredRun
-from kickbench.results.metrics import EvaluationMetrics, FootCounts, Metrics
+from kickbench.results.frame import known
+from kickbench.results.notes import lack, unfinished_words
 from kickbench.results.progress import read_progress
 from kickbench.results.statistics import Interval, wilson
 from kickbench.results.store import RunDirectory
@@ -19,6 +20,10 @@ from kickbench.spec.claims import OF_A_RUN, AnyClaim, Metric, Operand
 
 _END_OF_TRAINING = 0.1
 """Share of the iterations, from the last backwards, that the behaviour at the end of a training is taken from."""
+
+
+MOST_NON_FINITE = 0.01
+"""Share of a run's episodes that may become non-finite (NaN or infinite) before nothing is concluded from it."""
 
 
 @dataclass(frozen=True)
@@ -34,105 +39,126 @@ class Figure:
     interval: Interval | None = None
 
 
-def figure_of(run: MeasuredRun, claim: AnyClaim, operand: Operand) -> Figure | None:
+def figure_of(run: pd.DataFrame, claim: AnyClaim, operand: Operand) -> Figure | None:
     """The figure that an operand of a claim means, from one run; None if the run does not have it.
 
     Args:
-        run: A run of the operand's arm.
+        run: The rows of a run of the operand's arm (`kickbench.results.frame`).
         claim: Says which metric.
         operand: Says which side, and which task.
 
     Raises:
         KickbenchError: `progress.csv` is needed and cannot be read.
     """
-    if run.metrics is None:
+    row = row_of(run, operand)
+    if row is None or row.state != "finished":
         return None
     if claim.metric in OF_A_RUN:
-        return _OF_RUNS[claim.metric](run, claim)
-    metrics = metrics_of(run, operand)
-    side = metrics and getattr(metrics.evaluation, operand.side)
-    return _OF_SIDES[claim.metric](side, claim.terminations) if side else None
+        return _OF_RUNS[claim.metric](row, claim)
+    return _OF_SIDES[claim.metric](row, claim.terminations)
 
 
-def metrics_of(run: MeasuredRun, operand: Operand) -> Metrics | None:
-    """The run's result on the operand's task; None if it has none."""
-    if run.metrics is None or operand.task in (None, run.metrics.task):
-        return run.metrics
-    return run.also.get(str(operand.task))
+def row_of(run: pd.DataFrame, operand: Operand) -> pd.Series | None:
+    """The run's row of the operand's side and task; None if it has none."""
+    # The run's own rows come first, of a transfer task that is called as the run's own none.
+    rows = run[(run.evaluated_on == (operand.task or run.task)) & (run.side == operand.side)]
+    return None if rows.empty else rows.iloc[0]
 
 
-def pair_correlation(metrics: Metrics) -> float:
+def lack_of(run: pd.DataFrame, operands: Sequence[Operand]) -> str | None:
+    """Why a run cannot count in a claim about these operands, whatever its figures are; None if it can."""
+    if run.state.iloc[0] != "finished" or run.deviation.iloc[0]:
+        return lack(run.iloc[0])
+    rows = (row_of(run, operand) for operand in operands)
+    damage = [unfinished_words(row) for row in rows if row is not None and row.state != "finished"]
+    share = non_finite_share(run, operands)
+    lost = [f"{100 * share:.1f} % of its episodes became non-finite"] if share > MOST_NON_FINITE else []
+    return next(iter([*damage, *lost]), None)
+
+
+def non_finite_share(run: pd.DataFrame, operands: Sequence[Operand]) -> float:
+    """Share of non-finite episodes on the operands' tasks, the larger of the two sides."""
+    tasks = {operand.task or run.task.iloc[0] for operand in operands}
+    shares = run.non_finite[run.evaluated_on.isin(tasks)].dropna()
+    return float(shares.max()) if len(shares) else 0.0
+
+
+def pair_correlation(home: pd.Series) -> float:
     """Correlation phi of the success on a start and on its mirror image; 0 where it is not known.
 
     With n pairs, of which a succeed on both sides, b and c only on one, and d on neither:
     phi = (a d - b c) / sqrt((a + b) (c + d) (a + c) (b + d)).
     """
-    pairs = metrics.evaluation.asymmetry and metrics.evaluation.asymmetry.pairs
-    if not pairs:
+    pairs = known(home, "pairs/pairs")
+    if pairs is None:
         return 0.0
-    first = round(metrics.evaluation.in_distribution.success_rate * pairs.pairs)
-    b, c = pairs.only_original, pairs.only_mirrored
+    first = round(home.success_rate * pairs)
+    b, c = home["pairs/only_original"], home["pairs/only_mirrored"]
     a = first - b
-    d = pairs.pairs - a - b - c
+    d = pairs - a - b - c
     spread = (a + b) * (c + d) * (a + c) * (b + d)
     return (a * d - b * c) / spread**0.5 if spread > 0 else 0.0
 
 
-def _success(side: EvaluationMetrics, _: Sequence[str]) -> Figure:
-    return Figure(side.success_rate, side.success_ci)
+def _with_interval(row: pd.Series, name: str, ends: str) -> Figure | None:
+    """A figure with the interval in the columns `<ends>_low` and `<ends>_high`; None if it is not there."""
+    value = known(row, name)
+    return None if value is None else Figure(value, Interval(row[f"{ends}_low"], row[f"{ends}_high"]))
 
 
-def _mean_distance(side: EvaluationMetrics, _: Sequence[str]) -> Figure:
-    return Figure(side.mean_distance, side.mean_distance_ci)
+def _success(side: pd.Series, _: Sequence[str]) -> Figure | None:
+    return _with_interval(side, "success_rate", "success")
 
 
-def _median_distance(side: EvaluationMetrics, _: Sequence[str]) -> Figure:
-    return Figure(side.median_distance, side.median_distance_ci)
+def _mean_distance(side: pd.Series, _: Sequence[str]) -> Figure | None:
+    return _with_interval(side, "mean_distance", "mean_distance")
 
 
-def _kicked(side: EvaluationMetrics, _: Sequence[str]) -> Figure:
+def _median_distance(side: pd.Series, _: Sequence[str]) -> Figure | None:
+    return _with_interval(side, "median_distance", "median_distance")
+
+
+def _kicked(side: pd.Series, _: Sequence[str]) -> Figure:
     return _share(side.kicked_fraction * side.episodes, side.episodes)
 
 
-def _steps(side: EvaluationMetrics, _: Sequence[str]) -> Figure:
+def _steps(side: pd.Series, _: Sequence[str]) -> Figure:
     return Figure(side.mean_episode_steps)
 
 
-def _terminations(side: EvaluationMetrics, names: Sequence[str]) -> Figure:
-    # A termination that ended no episode is not in the table.
-    return _share(sum(side.terminations.get(name, 0.0) for name in names) * side.episodes, side.episodes)
+def _terminations(side: pd.Series, names: Sequence[str]) -> Figure:
+    # A termination that ended no episode of any run has no column.
+    return _share(sum(side.get(f"termination/{name}", 0.0) for name in names) * side.episodes, side.episodes)
 
 
-def _same_side(side: EvaluationMetrics, _: Sequence[str]) -> Figure | None:
-    share = side.kicks.same_side_share
-    return None if share is None else Figure(share, side.kicks.same_side_ci)
+def _same_side(side: pd.Series, _: Sequence[str]) -> Figure | None:
+    return _with_interval(side, "kicks/same_side_share", "kicks/same_side")
 
 
-def _favourite_foot(side: EvaluationMetrics, _: Sequence[str]) -> Figure | None:
+def _favourite_foot(side: pd.Series, _: Sequence[str]) -> Figure | None:
     """Share of the kicks by foot made with the foot that made more of them: 1/2 for none preferred, 1 for one leg."""
-    counts: tuple[FootCounts, ...] = (side.kicks.ball_left, side.kicks.ball_right)
-    left, right = sum(c.left_foot for c in counts), sum(c.right_foot for c in counts)
-    return _share(max(left, right), left + right) if left + right else None
+    feet = [
+        sum(side[f"kicks/{ball}/{foot}"] for ball in ("ball_left", "ball_right"))
+        for foot in ("left_foot", "right_foot")
+    ]
+    return _share(max(feet), sum(feet)) if any(feet) else None
 
 
-def _share(count: float, total: int) -> Figure:
-    return Figure(round(count) / total, wilson(round(count), total))
+def _share(count: float, total: float) -> Figure:
+    return Figure(round(count) / total, wilson(round(count), int(total)))
 
 
-def _equivariance(run: MeasuredRun, _: AnyClaim) -> Figure | None:
-    asymmetry = run.metrics and run.metrics.evaluation.asymmetry
-    error = asymmetry and asymmetry.equivariance
+def _equivariance(run: pd.Series, _: AnyClaim) -> Figure | None:
+    error = known(run, "equivariance/relative")
     # Thousands of states of one network: what is left open is far below what anyone would claim of it.
-    return Figure(error.relative, Interval(error.relative, error.relative)) if error else None
+    return None if error is None else Figure(error, Interval(error, error))
 
 
-def _pair_agreement(run: MeasuredRun, _: AnyClaim) -> Figure | None:
-    asymmetry = run.metrics and run.metrics.evaluation.asymmetry
-    pairs = asymmetry and asymmetry.pairs
-    return Figure(pairs.agreement, pairs.agreement_ci) if pairs else None
+def _pair_agreement(run: pd.Series, _: AnyClaim) -> Figure | None:
+    return _with_interval(run, "pairs/agreement", "pairs/agreement")
 
 
-def _return_length_correlation(run: MeasuredRun, _: AnyClaim) -> Figure | None:
+def _return_length_correlation(run: pd.Series, _: AnyClaim) -> Figure | None:
     """Pearson's correlation, over iterations, of mean return and mean episode length (thesis Fig. 4.1)."""
     curves = _curves(run.path, ("mean_return", "mean_episode_steps"))
     if curves is None:
@@ -143,7 +169,7 @@ def _return_length_correlation(run: MeasuredRun, _: AnyClaim) -> Figure | None:
     return Figure(float(np.corrcoef(known[0], known[1]).item(1)))
 
 
-def _raw_reward(run: MeasuredRun, claim: AnyClaim) -> Figure | None:
+def _raw_reward(run: pd.Series, claim: AnyClaim) -> Figure | None:
     """A reward term without its weight, mean per control step over the episodes of the last tenth of the training."""
     curves = _curves(run.path, (f"reward_raw/{claim.reward}", "mean_episode_steps"))
     if curves is None:
@@ -165,7 +191,7 @@ def _curves(run: Path, columns: Sequence[str]) -> NDArray[np.float64] | None:
     return np.array([progress.columns[column] for column in columns])
 
 
-_OF_SIDES: Mapping[Metric, Callable[[EvaluationMetrics, Sequence[str]], Figure | None]] = {
+_OF_SIDES: Mapping[Metric, Callable[[pd.Series, Sequence[str]], Figure | None]] = {
     "success_rate": _success,
     "mean_distance": _mean_distance,
     "median_distance": _median_distance,
@@ -175,7 +201,7 @@ _OF_SIDES: Mapping[Metric, Callable[[EvaluationMetrics, Sequence[str]], Figure |
     "same_side_share": _same_side,
     "favourite_foot_share": _favourite_foot,
 }
-_OF_RUNS: Mapping[Metric, Callable[[MeasuredRun, AnyClaim], Figure | None]] = {
+_OF_RUNS: Mapping[Metric, Callable[[pd.Series, AnyClaim], Figure | None]] = {
     "equivariance_error": _equivariance,
     "pair_agreement": _pair_agreement,
     "return_length_correlation": _return_length_correlation,

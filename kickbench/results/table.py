@@ -1,16 +1,19 @@
 """The tables of runs that `kickbench run`, `kickbench eval`, `kickbench table` and `make demo` print.
 
-One block a task, one line a run, and below the runs of a method their mean and spread. Where the runs tell it, a
+One block a setting, one line a run, and below the runs of a method their mean and spread. Where the runs say so, a
 second block says how differently their policies treat left and right.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import pandas as pd
 
+from kickbench.errors import shown
 from kickbench.results.asymmetry_table import asymmetry_block
-from kickbench.results.columns import NOTHING, Row, mean_and_spread, render_block
-from kickbench.results.metrics import EvaluationMetrics, Metrics
+from kickbench.results.columns import NOTHING, Row, mean_and_spread, non_finite_note, render_block
+from kickbench.results.frame import HOME, known
+from kickbench.results.groups import differing_lines, with_groups
+from kickbench.results.notes import left_out_lines, repeat_lines
 
 _GROUPS = ("", "", "success [%]", "", "", "mean distance [m]", "", "", "")
 _HEADER = (
@@ -26,85 +29,81 @@ _HEADER = (
 )
 
 
-def render_table(runs: Sequence[Metrics]) -> str:
+def render_table(frame: pd.DataFrame) -> str:
     """The tables of runs, without a final newline.
 
     Rates are in percent, the gap (in-distribution minus mirrored success) in percentage points, distances in
-    metres. Several seeds are followed by their mean and their sample standard deviation.
+    metres. Several seeds are followed by their mean and their sample standard deviation. Below the tables it says in
+    what runs of one name differ, which runs repeat others, and which have no result.
 
     Args:
-        runs: finished runs; tasks and methods keep the order in which they first appear.
+        frame: runs; tasks and methods keep the order in which they first appear.
 
     Returns:
         The text; a line of it is below 110 characters for names of ordinary length.
     """
-    if not runs:
-        return "no finished runs"
+    finished = with_groups(frame[frame.evaluated_on == frame.task])
+    shown_rows = finished[finished.copy_of.isna()]
     blocks = []
-    for task, group in _grouped(runs, lambda run: run.task).items():
-        methods = list(_grouped(group, lambda run: run.method).values())
-        blocks += [_task_block(task, methods), asymmetry_block(task, methods)]
-    return "\n\n".join(block for block in blocks if block)
+    for name, rows in shown_rows.groupby("setting_name", sort=False):
+        methods = [group for _, group in rows.groupby("group", sort=False)]
+        body = [_method_rows(pairs_of(group)) for group in methods]
+        blocks += [render_block(f"task: {name}", _GROUPS, _HEADER, body), asymmetry_block(str(name), methods)]
+    lines = [*differing_lines(finished), *repeat_lines(frame, shown), *left_out_lines(frame, shown)]
+    return "\n\n".join(block for block in (*blocks, "\n".join(lines)) if block) or "no finished runs"
 
 
-def _task_block(task: str, methods: Sequence[Sequence[Metrics]]) -> str:
-    return render_block(f"task: {task}", _GROUPS, _HEADER, [_method_rows(runs) for runs in methods])
+def pairs_of(rows: pd.DataFrame) -> pd.DataFrame:
+    """A row a run, by seed, with the figures of its mirrored side in columns of the prefix `mirrored/`."""
+    home, mirrored = rows[rows.side == HOME], rows[rows.side != HOME]
+    names = ["success_rate", "mean_distance", "non_finite"]
+    away = mirrored.set_index("path")[names].add_prefix("mirrored/")
+    paired = home.join(away, on="path").sort_values("seed", kind="stable")
+    paired["gap"] = paired.success_rate - paired["mirrored/success_rate"]
+    return paired
 
 
-def _method_rows(runs: Sequence[Metrics]) -> list[Row]:
-    rows = [_run_row(run) for run in sorted(runs, key=lambda run: run.seed)]
-    return [*rows, *_summary_rows(runs)] if len(runs) > 1 else rows
+_FIGURES = (
+    ("success_rate", 100, 1, "non_finite"),
+    ("mirrored/success_rate", 100, 1, "mirrored/non_finite"),
+    ("gap", 100, 1, ""),
+    ("mean_distance", 1, 3, ""),
+    ("mirrored/mean_distance", 1, 3, ""),
+)
+"""Column, factor and decimals of each figure, and the column of the share of its episodes that became non-finite."""
 
 
-def _run_row(run: Metrics) -> Row:
-    home, mirrored = run.evaluation.in_distribution, run.evaluation.mirrored
-    low, high = (100 * bound for bound in home.success_ci)
-    return (
-        run.method,
-        str(run.seed),
-        f"{100 * home.success_rate:.1f} [{low:.1f}, {high:.1f}]",
-        NOTHING if mirrored is None else f"{100 * mirrored.success_rate:.1f}",
-        NOTHING if mirrored is None else f"{_gap(home, mirrored):z.1f}",
-        f"{home.mean_distance:.3f}",
-        NOTHING if mirrored is None else f"{mirrored.mean_distance:.3f}",
-        f"{run.iterations:,}",
-        f"{run.env_steps:,}",
-    )
+def _method_rows(runs: pd.DataFrame) -> list[Row]:
+    rows = [_run_row(run) for _, run in runs.iterrows()]
+    counted = runs[runs.counted]
+    return [*rows, *_summary_rows(counted)] if len(rows) > 1 else rows
 
 
-def _summary_rows(runs: Sequence[Metrics]) -> list[Row]:
+def _run_row(run: pd.Series) -> Row:
+    cells = []
+    for name, factor, decimals, non_finite in _FIGURES:
+        value = known(run, name)
+        cell = NOTHING if value is None else f"{factor * value:z.{decimals}f}"
+        interval = f" [{100 * run.success_low:.1f}, {100 * run.success_high:.1f}]"
+        cells.append(cell + interval * (name == "success_rate") + non_finite_note(run.get(non_finite, 0.0)))
+    size = (f"{run.iterations:,.0f}", f"{run.env_steps:,.0f}")
+    return (run.group, f"{run.seed}{'' if run.counted else '*'}", *cells, *size)
+
+
+def _summary_rows(runs: pd.DataFrame) -> list[Row]:
     """Mean and standard deviation over seeds; iterations and steps only where all runs share them."""
-    homes = [run.evaluation.in_distribution for run in runs]
-    sides = [run.evaluation.mirrored for run in runs]
-    pairs = [(home, side) for home, side in zip(homes, sides, strict=True) if side is not None]
-    if len(pairs) < len(runs):
+    means, spreads = [], []
+    for name, factor, decimals, non_finite in _FIGURES:
         # A mean over some of the seeds would not belong beside a mean over all of them.
-        pairs = []
-    columns = (
-        ([100 * home.success_rate for home in homes], 1),
-        ([100 * side.success_rate for _, side in pairs], 1),
-        ([_gap(home, side) for home, side in pairs], 1),
-        ([home.mean_distance for home in homes], 3),
-        ([side.mean_distance for _, side in pairs], 3),
-    )
-    means, spreads = zip(*(mean_and_spread(values, decimals) for values, decimals in columns), strict=True)
-    common = (_common([run.iterations for run in runs]), _common([run.env_steps for run in runs]))
-    method = runs[0].method
-    return [(method, "mean", *means, *common), (method, "std", *spreads, "", "")]
+        values = factor * runs[name] if runs[name].notna().all() else []
+        mean, spread = mean_and_spread(list(values), decimals)
+        means.append(mean + (non_finite_note(runs[non_finite].mean()) if non_finite else ""))
+        spreads.append(spread)
+    common = tuple(_common(runs[name]) for name in ("iterations", "env_steps"))
+    label = str(runs.group.iloc[0])
+    return [(label, "mean", *means, *common), (label, "std", *spreads, "", "")]
 
 
-def _gap(home: EvaluationMetrics, mirrored: EvaluationMetrics) -> float:
-    """In-distribution minus mirrored success, in percentage points."""
-    return 100 * (home.success_rate - mirrored.success_rate)
-
-
-def _common(values: Sequence[int]) -> str:
+def _common(values: pd.Series) -> str:
     """The value that all runs share, if they share one."""
-    return f"{values[0]:,}" if len(set(values)) == 1 else NOTHING
-
-
-def _grouped(runs: Sequence[Metrics], key: Callable[[Metrics], str]) -> dict[str, list[Metrics]]:
-    groups: dict[str, list[Metrics]] = {}
-    for run in runs:
-        groups.setdefault(key(run), []).append(run)
-    return groups
+    return f"{values.iloc[0]:,.0f}" if values.nunique() == 1 else NOTHING

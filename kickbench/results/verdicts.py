@@ -11,8 +11,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+import pandas as pd
+
 from kickbench.reported import LoadedReported
-from kickbench.results.columns import NOTHING, render_block
+from kickbench.results.columns import NOTHING, non_finite_note, render_block
 from kickbench.results.contrast import (
     Contrast,
     Estimated,
@@ -22,7 +24,7 @@ from kickbench.results.contrast import (
     over_episodes,
     run_terms,
 )
-from kickbench.results.measured import Measured
+from kickbench.results.run_figures import lack_of, non_finite_share
 from kickbench.results.run_units import Unit, unit_of
 from kickbench.results.statistics import Interval
 from kickbench.spec.claims import AnyClaim, NearReported, Operand, RatioAtLeast, RatioAtMost
@@ -66,8 +68,12 @@ class Verdict:
         return f"{self.claim.statement}: {self.outcome}. {figure}{basis}{reason}"
 
 
-def judge(experiment: LoadedReported, measured: Measured) -> tuple[Verdict, ...]:
+def judge(experiment: LoadedReported, measured: pd.DataFrame) -> tuple[Verdict, ...]:
     """Judges every claim of an experiment, in the order of its file.
+
+    Args:
+        experiment: The experiment.
+        measured: Its runs, as `load_runs` reads them.
 
     Raises:
         KickbenchError: A file that a claim needs cannot be read.
@@ -97,7 +103,7 @@ def _row(verdict: Verdict) -> tuple[str, ...]:
     return verdict.name, verdict.outcome, measured, verdict.basis, reported
 
 
-def _judge(name: str, claim: AnyClaim, experiment: LoadedReported, measured: Measured) -> Verdict:
+def _judge(name: str, claim: AnyClaim, experiment: LoadedReported, measured: pd.DataFrame) -> Verdict:
     contrast = contrast_of(claim, _reported(claim.value, claim, experiment))
     parts, lacks = _parts(claim, contrast, measured)
     if not all(parts.values()):
@@ -116,7 +122,7 @@ def _judge(name: str, claim: AnyClaim, experiment: LoadedReported, measured: Mea
         outcome=outcome,
         figure=figure,
         interval=interval,
-        basis=estimated.basis if estimated else NOTHING,
+        basis=f"{estimated.basis}{_non_finite(contrast, measured)}" if estimated else NOTHING,
         reported=_reported_figure(claim, contrast, experiment),
         reason=reason,
         unit=unit_of(claim),
@@ -124,20 +130,35 @@ def _judge(name: str, claim: AnyClaim, experiment: LoadedReported, measured: Mea
 
 
 def _parts(
-    claim: AnyClaim, contrast: Contrast, measured: Measured
+    claim: AnyClaim, contrast: Contrast, measured: pd.DataFrame
 ) -> tuple[dict[str, list[RunTerms]], list[str]]:
     """What the runs of each arm give, and in words what is missing."""
     parts: dict[str, list[RunTerms]] = {}
     lacks: list[str] = []
     for arm in dict.fromkeys(operand.arm for _, operand in contrast.terms):
-        runs = measured.arms[arm]
-        given = {run.seed: run_terms(run, claim, contrast) for run in runs}
+        rows = measured[measured.condition == arm]
+        runs = {int(seed): run for seed, run in rows.groupby("seed", sort=False)}
+        given = {
+            seed: run_terms(run, claim, contrast) if run.counted.any() else None for seed, run in runs.items()
+        }
         parts[arm] = [terms for terms in given.values() if terms is not None]
-        without = {run.seed: run.lack or (None if given[run.seed] else f"no {claim.metric}") for run in runs}
+        own = [operand for _, operand in contrast.terms if operand.arm == arm]
+        without = {
+            seed: lack_of(run, own) or (None if given[seed] else f"no {claim.metric}")
+            for seed, run in runs.items()
+        }
         for lack in dict.fromkeys(filter(None, without.values())):
             seeds = [str(seed) for seed, found in without.items() if found == lack]
             lacks.append(f"{arm} seed{'s' * (len(seeds) > 1)} {', '.join(seeds)}: {lack}")
     return parts, lacks
+
+
+def _non_finite(contrast: Contrast, measured: pd.DataFrame) -> str:
+    """A note on the run that has the largest share of non-finite episodes, if any has some."""
+    operands = [operand for _, operand in contrast.terms]
+    rows = measured[measured.counted & measured.condition.isin([operand.arm for operand in operands])]
+    runs = [run for _, run in rows.groupby("path", sort=False)]
+    return non_finite_note(max((non_finite_share(run, operands) for run in runs), default=0.0))
 
 
 def _outcome(contrast: Contrast, interval: Interval | None) -> tuple[Outcome, str | None]:

@@ -15,7 +15,7 @@ from kickbench.evaluate.episodes import Policy
 from kickbench.mdp.compile import CompiledTask
 from kickbench.mdp.engines import make_engine
 from kickbench.mdp.starts import Starts
-from kickbench.results.kick import NON_FINITE
+from kickbench.results.episodes import NON_FINITE
 from kickbench.runner import load_run
 
 

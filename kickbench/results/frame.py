@@ -1,0 +1,335 @@
+"""All runs of a folder as one table, which is what every verb that shows results reads.
+
+A row per run and side of its evaluation. A run without a result (unfinished, running, damaged, or planned and missing)
+has one row without figures, so that nothing is left out in silence; so has a damaged result on a transfer task.
+
+| columns | content |
+|---|---|
+| `path`, `condition`, `task`, `method`, `seed` | the run; `condition` is None where no experiment plans it |
+| `side`, `evaluated_on` | which episodes, of which task: `task` itself or a transfer task |
+| `identity`, `setting` | fingerprints of the run, and of its task, robot and model alone; None where unknown |
+| `iterations`, `iterations_planned`, `scale` | training iterations done and wanted |
+| `state`, `damage`, `deviation` | finished, unfinished, running, missing or damaged; sentences or None |
+| `copy_of`, `contradicts` | path of another run of the same identity and seed, with the same or another result |
+| `counted` | whether the row belongs in a mean |
+| `success_rate`, `success_low`, ... | the figures of `EvaluationMetrics`; an interval is `_low` and `_high` |
+| `termination/<name>`, `non_finite`, `kicks/...` | shares of episodes, counts of kicks |
+| `equivariance/relative`, `pairs/agreement`, ... | the figures of `Asymmetry`, the same on both sides |
+| `env_steps`, `training_seconds`, ... `provenance` | of the run; `provenance` is a record |
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, get_args
+
+import numpy as np
+import pandas as pd
+from pydantic import BaseModel
+
+from kickbench.errors import KickbenchError
+from kickbench.results.asymmetry import Asymmetry
+from kickbench.results.episodes import NON_FINITE
+from kickbench.results.identity import Identity, read_identity
+from kickbench.results.integrity import check
+from kickbench.results.metrics import EvaluationMetrics, Metrics, load_metrics
+from kickbench.results.progress import read_done
+from kickbench.results.store import RunDirectory, find_begun_runs
+from kickbench.spec.claims import Side
+from kickbench.spec.load import load_method
+
+if TYPE_CHECKING:
+    from kickbench.reported import Arm, LoadedReported
+
+SIDES: tuple[Side, ...] = get_args(Side)
+HOME: Side = "in_distribution"
+
+Row = dict[str, Any]
+
+_TEXT = (
+    *("path", "condition", "task", "method", "side", "evaluated_on", "identity", "setting", "result"),
+    *("state", "damage", "deviation", "copy_of", "contradicts", "provenance"),
+)
+_NUMBERS = (
+    *("iterations", "iterations_planned", "scale", "env_steps", "training_seconds", "schedule_iterations"),
+    "non_finite",
+)
+_OF_THE_SETTING = ("task", "robot", "model", "terms")
+_DISTANCES = tuple(f"{name}_distance{end}" for name in ("mean", "median") for end in ("", "_low", "_high"))
+
+
+def load_runs(root: Path | str | Sequence[Path], experiment: LoadedReported | None = None) -> pd.DataFrame:
+    """Reads all runs in a folder, finished or not.
+
+    Args:
+        root: The folder, itself a run or above some; or several, of which each run is read once.
+        experiment: What the folder should hold, as `<condition>/seed<k>`. Its runs come first, in its order, with those
+            that are missing; a run counts only if its identity is that of the planned task and method.
+
+    Returns:
+        The table that the module describes. A file that cannot be read is a `damage`, not an error.
+
+    Raises:
+        SpecError: A task and a method of the experiment do not fit together.
+    """
+    roots = [Path(root)] if isinstance(root, str | Path) else list(root)
+    rows = [row for folder in roots for row in _planned_rows(folder, experiment)] if experiment else []
+    planned = {row["path"].resolve() for row in rows}
+    found: dict[Path, RunDirectory] = {}
+    for run in (run for folder in roots for run in find_begun_runs(folder)):
+        found.setdefault(run.path.resolve(), run)
+    unplanned = {"deviation": f"not planned by {experiment.name}", "counted": False} if experiment else {}
+    others = (run for path, run in found.items() if path not in planned)
+    rows += [row | unplanned for run in others for row in _rows(run)]
+    return _with_repeats(_table(rows))
+
+
+def frame_of(results: Iterable[Metrics]) -> pd.DataFrame:
+    """The table of results that are in no folder; their `path` is `<task>/<method>/seed<k>`."""
+    rows = [
+        {**row, "path": Path(metrics.task, metrics.method, f"seed{metrics.seed}")}
+        for metrics in results
+        for row in _result_rows(metrics)
+    ]
+    return _table(rows)
+
+
+def runs_of(frame: pd.DataFrame) -> pd.DataFrame:
+    """One row per run: that of its own task in distribution."""
+    return frame[(frame.side == HOME) & (frame.evaluated_on == frame.task)]
+
+
+def run_path(folder: Path, condition: str, seed: int) -> Path:
+    """Where an experiment has the run of a condition with a seed."""
+    return Path(folder) / condition / f"seed{seed}"
+
+
+def known(row: pd.Series, name: str) -> Any:
+    """A value of a row; None if there is none."""
+    value = row.get(name)
+    return (
+        None if value is None or value is pd.NA or (isinstance(value, float) and np.isnan(value)) else value
+    )
+
+
+def _table(rows: Sequence[Row]) -> pd.DataFrame:
+    """Rows as a table with every column, None in texts and NaN in numbers where there is nothing."""
+    own = [*_TEXT, "seed", "counted", *_NUMBERS, *_columns(EvaluationMetrics), *_columns(Asymmetry)]
+    others = dict.fromkeys(name for row in rows for name in row if name not in own)
+    frame = pd.DataFrame({name: [row.get(name) for row in rows] for name in (*own, *others)}, dtype=object)
+    numbers = [name for name in frame if name not in (*_TEXT, "counted", "seed")]
+    shares = [name for name in others if str(name).startswith("termination/")]
+    frame = frame.astype(dict.fromkeys(numbers, float) | {"counted": bool, "seed": "Int64"})
+    # A termination that ended no episode is not in a result's table.
+    frame[shares] = frame[shares].where(frame.episodes.isna(), frame[shares].fillna(0.0))
+    return frame
+
+
+def _columns(model: type[BaseModel], prefix: str = "") -> Iterator[str]:
+    """The columns that `_flat` makes of a model."""
+    for name, info in model.model_fields.items():
+        kinds = (info.annotation, *get_args(info.annotation))
+        inner = next((kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel)), None)
+        if inner is not None:
+            yield from _columns(inner, f"{prefix}{name}/")
+        elif name != "terminations":
+            yield from _flat({name: None}, prefix)
+
+
+def _flat(values: Mapping[str, Any], prefix: str = "") -> Row:
+    """Nested figures as columns: `a: {b: 1}` is `a/b`, and `x_ci: (0, 1)` is `x_low` and `x_high`."""
+    flat: Row = {}
+    for name, value in values.items():
+        if isinstance(value, Mapping):
+            flat |= _flat(value, f"{prefix}{name.replace('terminations', 'termination')}/")
+        elif name.endswith("_ci"):
+            low, high = value or (None, None)
+            flat |= {f"{prefix}{name[:-3]}_low": low, f"{prefix}{name[:-3]}_high": high}
+        else:
+            flat[f"{prefix}{name}"] = value
+    return flat
+
+
+def _result_rows(metrics: Metrics) -> list[Row]:
+    """A row a side of a result."""
+    evaluation = metrics.evaluation
+    own = {
+        **metrics.model_dump(exclude={"schema_version", "evaluation", "provenance"}),
+        **(_flat(evaluation.asymmetry.model_dump(exclude_none=True)) if evaluation.asymmetry else {}),
+        "evaluated_on": metrics.task,
+        "provenance": metrics.provenance,
+        "result": hashlib.sha256(evaluation.model_dump_json().encode()).hexdigest(),
+        "state": "finished",
+        "counted": True,
+    }
+    sides = {side: getattr(evaluation, side) for side in SIDES}
+    return [{**own, "side": side, **_side_figures(of)} for side, of in sides.items() if of is not None]
+
+
+def _side_figures(side: EvaluationMetrics) -> Row:
+    """The figures of a side; distances of episodes that all became non-finite mean nothing."""
+    figures = _flat(side.model_dump())
+    figures["non_finite"] = side.terminations.get(NON_FINITE, 0.0)
+    return figures | (dict.fromkeys(_DISTANCES) if figures["non_finite"] == 1 else {})
+
+
+def _rows(directory: RunDirectory) -> list[Row]:
+    """The rows of one run."""
+    row, metrics = _read(directory)
+    if metrics is None:
+        return [row]
+    rows = [{**row, **figures} for figures in _result_rows(metrics)]
+    return [*rows, *_transfer_rows(directory, rows[0], metrics)]
+
+
+def _read(directory: RunDirectory) -> tuple[Row, Metrics | None]:
+    """What every row of a run says, and its result if there is one that can be trusted."""
+    row = _named_by_place(directory.path) | {"path": directory.path, "side": HOME, "counted": False}
+    row |= {"iterations_planned": _stored_iterations(directory), "iterations": read_done(directory.progress)}
+    if directory.is_occupied or not directory.metrics.exists():
+        begun = "unfinished" if directory.holds_a_run else "missing"
+        row["state"] = "running" if directory.is_occupied else begun
+        with suppress(KickbenchError):  # what has only begun may have none
+            row |= _identity_columns(directory)
+        return row, None
+    try:
+        check(directory)
+        return row | _identity_columns(directory), load_metrics(directory.metrics)
+    except KickbenchError as error:
+        return row | _damaged(directory, error), None
+
+
+def _damaged(directory: RunDirectory, error: KickbenchError) -> Row:
+    words = str(error).replace(f"{directory.path}/", "")
+    return {"side": HOME, "state": "damaged", "damage": words, "counted": False}
+
+
+def _named_by_place(path: Path) -> Row:
+    """A run without a result is named by its place, `<task>/<method>/seed<k>`: nothing in it says more."""
+    *_, task, method, own = ("", "", *path.resolve().parts)
+    number = re.fullmatch(r"seed(\d+)", own)
+    return {"task": task, "evaluated_on": task, "method": method, "seed": int(number[1]) if number else None}
+
+
+def _stored_iterations(directory: RunDirectory) -> int | None:
+    try:
+        return load_method(directory.method_spec).spec.algorithm.iterations
+    except KickbenchError:
+        return None
+
+
+def _identity_columns(directory: RunDirectory) -> Row:
+    identity = read_identity(directory)
+    return {"identity": identity.fingerprint, "setting": setting_of(identity)}
+
+
+def setting_of(identity: Identity) -> str:
+    """Fingerprint of all but the method: what runs must share to be compared."""
+    parts = "".join(identity.parts.get(name, "") for name in _OF_THE_SETTING)
+    return hashlib.sha256(parts.encode()).hexdigest()
+
+
+def _transfer_rows(directory: RunDirectory, own: Row, metrics: Metrics) -> Iterator[Row]:
+    """Results of the run's policy on tasks that it was not trained on."""
+    keep = ("path", "task", "method", "seed", "identity", "setting", "iterations", "iterations_planned")
+    for path in sorted(directory.also("x").parent.glob("*.json")):
+        row = {name: own[name] for name in keep} | {"evaluated_on": path.stem}
+        try:
+            result = load_metrics(path)
+            _check_same_run(path, result, metrics)
+        except KickbenchError as error:
+            yield row | _damaged(directory, error)
+            continue
+        yield from ({**figures, **row} for figures in _result_rows(result))
+
+
+def _check_same_run(path: Path, result: Metrics, own: Metrics) -> None:
+    for key, expected in {"task": path.stem, "method": own.method, "seed": own.seed}.items():
+        if getattr(result, key) != expected:
+            raise KickbenchError(f"{path}: expected the {key} {expected}, found {getattr(result, key)}")
+
+
+def _planned_rows(root: Path, experiment: LoadedReported) -> Iterator[Row]:
+    """The rows of every planned run, compared with the plan."""
+    for arm in experiment.arms.values():
+        planned = _Planned(arm)
+        for seed in arm.seeds:
+            rows = _rows(RunDirectory(run_path(root, arm.name, seed)))
+            found, trained = rows[0]["seed"], {"condition": arm.name, "seed": seed}
+            trained["iterations_planned"] = arm.iterations
+            if rows[0]["state"] != "finished":
+                trained |= {"task": arm.task.name, "method": arm.method.name, "evaluated_on": arm.task.name}
+            elif words := planned.deviation(rows[0], found, seed):
+                trained["deviation"] = words
+            for row in rows:
+                row |= trained
+                if row["state"] == "finished":
+                    row["counted"] = found == seed and planned.is_identity(row["identity"])
+                yield row
+
+
+class _Planned:
+    """A condition as planned; it is compiled only if there is a run to compare with it."""
+
+    def __init__(self, arm: Arm) -> None:
+        self._arm = arm
+        self._compiled: Any = None
+        self._fingerprint = ""
+
+    def is_identity(self, fingerprint: str) -> bool:
+        """Whether a run is of the planned task and method."""
+        from kickbench.experiment import load_experiment
+        from kickbench.results.identity import identity_of
+
+        if self._compiled is None:
+            arm = self._arm
+            self._compiled = load_experiment(arm.task.document.file, arm.method.document.file, arm.overrides)
+            self._fingerprint = identity_of(self._compiled).fingerprint
+        return fingerprint == self._fingerprint
+
+    def deviation(self, row: Row, seed: int, planned_seed: int) -> str | None:
+        """In what a finished run differs from the plan, in words; None: in nothing."""
+        arm, parts = self._arm, []
+        if seed != planned_seed:
+            parts.append(f"its seed is {seed}")
+        if row["scale"] is not None:
+            parts.append(f"scaled to {row['scale']:g}")
+        if row["iterations"] != arm.iterations:
+            parts.append(f"{row['iterations']:,} of {arm.iterations:,} iterations")
+        if row["episodes"] != arm.episodes:
+            parts.append(f"{row['episodes']:,} of {arm.episodes:,} episodes")
+        if not self.is_identity(row["identity"]):
+            parts += self._differences(RunDirectory(row["path"]))
+        return ", ".join(parts) or None
+
+    def _differences(self, directory: RunDirectory) -> list[str]:
+        """In what the specs of a run of another identity differ; the number of episodes is named apart."""
+        from kickbench.results.differences import EPISODES, differences, planned_specs, stored_specs
+
+        try:
+            specs = [stored_specs(directory), planned_specs(self._compiled)]
+        except KickbenchError:
+            return ["another identity"]
+        return differences(specs, "{0[0]} (planned {0[1]})".format, without=(EPISODES,))
+
+
+def _with_repeats(frame: pd.DataFrame) -> pd.DataFrame:
+    """Marks runs of an identity and seed that an earlier row has: as copies, or as contradictions."""
+    first: dict[tuple[Any, ...], pd.Series] = {}
+    for _, row in runs_of(frame).iterrows():
+        if row.state != "finished" or (row.condition is not None and not row.counted):
+            continue
+        key = (row.identity, row.iterations, known(row, "scale"), row.seed)
+        earlier = first.setdefault(key, row)
+        if earlier.path != row.path:
+            column = "copy_of" if earlier.result == row.result else "contradicts"
+            same_run = frame.path == row.path
+            frame.loc[same_run, column] = pd.Series(
+                [earlier.path] * int(same_run.sum()), frame.index[same_run]
+            )
+            frame.loc[same_run, "counted"] = False
+    return frame
