@@ -10,7 +10,7 @@ import pytest
 
 from kickbench.reported import load_reported
 from kickbench.results.asymmetry import Asymmetry, MirroredPairs, SideSuccess
-from kickbench.results.measured import read_measured
+from kickbench.results.frame import load_runs
 from kickbench.results.metrics import Evaluation, EvaluationMetrics, load_metrics, metrics_json_schema
 from kickbench.results.statistics import mcnemar, two_proportions, wilson
 from kickbench.results.verdict_file import read_verdicts, recorded_form
@@ -129,7 +129,7 @@ def test_it_is_the_result_of_its_specs(run):
 @pytest.mark.parametrize("path", EXPERIMENTS, ids=lambda path: path.stem)
 def test_claims_are_judged_as_recorded(path):
     experiment = load_reported(path)
-    verdicts = recorded_form(judge(experiment, read_measured(MEASURED / path.stem, experiment)))
+    verdicts = recorded_form(judge(experiment, load_runs(MEASURED / path.stem, experiment)))
     file = MEASURED / path.stem / "verdicts.json"
     recorded = read_verdicts(file) if file.is_file() else []
     print(

@@ -13,7 +13,7 @@ import yaml
 from kickbench.cli import main
 from kickbench.results.episodes import read_episodes
 from kickbench.results.metrics import load_metrics
-from kickbench.results.store import RunDirectory, find_runs
+from kickbench.results.store import RunDirectory, find_begun_runs
 
 ROOT = Path(__file__).parent.parent
 TASK, METHOD = str(ROOT / "tasks/mini_home_field.yaml"), str(ROOT / "methods/mini/equivariant.yaml")
@@ -115,7 +115,7 @@ def test_the_figures_on_another_task_are_kept_beside_the_run_and_go_when_it_is_r
     assert (kept.task, kept.evaluation.in_distribution.episodes) == ("mini_general", 9)
     assert kept.evaluation.mirrored is None, "the general task asks for one side"
     assert load_metrics(run / "metrics.json") == load_metrics(finished / "metrics.json")
-    assert [found.path for found in find_runs(run)] == [run], "it is no run of its own"
+    assert [found.path for found in find_begun_runs(run)] == [run], "it is no run of its own"
     capsys.readouterr()
     assert main(["eval", str(run), "--save"]) == 2
     assert "needs --task" in capsys.readouterr().err

@@ -8,7 +8,8 @@ from pathlib import Path
 
 from kickbench.errors import KickbenchError, shown
 from kickbench.reported import LoadedReported, load_reported
-from kickbench.results.frame import load_runs, refuse_contradictions, unplanned_lines
+from kickbench.results.frame import load_runs
+from kickbench.results.notes import refuse_contradictions, unplanned_lines
 from kickbench.results.verdict_file import verdicts_json
 from kickbench.results.verdicts import judge, verdict_lines
 

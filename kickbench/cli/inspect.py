@@ -95,7 +95,8 @@ def list_files(arguments: argparse.Namespace) -> int:
 
 
 def _print_runs(root: Path) -> None:
-    from kickbench.results.frame import left_out_lines, load_runs, repeat_lines, runs_of
+    from kickbench.results.frame import load_runs, runs_of
+    from kickbench.results.notes import left_out_lines, repeat_lines
 
     runs = load_runs(root)
     finished = runs_of(runs[runs.state == "finished"])
@@ -137,7 +138,7 @@ def table(arguments: argparse.Namespace) -> int:
 def compare(arguments: argparse.Namespace) -> int:
     """`kickbench compare DIR...`: every method against every other."""
     from kickbench.results.comparison_table import render_comparison
-    from kickbench.results.frame import refuse_contradictions
+    from kickbench.results.notes import refuse_contradictions
 
     runs = _runs(arguments.roots)
     refuse_contradictions(runs, shown)
@@ -151,7 +152,8 @@ def _runs(roots: Sequence[Path]) -> pd.DataFrame:
     Raises:
         KickbenchError: A folder has no finished run: its name may be misspelt. Says what is there instead.
     """
-    from kickbench.results.frame import left_out_lines, load_runs
+    from kickbench.results.frame import load_runs
+    from kickbench.results.notes import left_out_lines
 
     runs = load_runs(roots)
     finished = [path.resolve() for path in runs.path[runs.state == "finished"]]
@@ -161,6 +163,6 @@ def _runs(roots: Sequence[Path]) -> pd.DataFrame:
         if not any(path.is_relative_to(root.resolve()) for path in finished)
     ]
     if empty:
-        lines = [f"no finished run in {', '.join(empty)}", *left_out_lines(runs, shown)]
+        lines = [*left_out_lines(runs, shown), f"no finished run in {', '.join(empty)}"]
         raise KickbenchError("\n".join(lines))
     return runs

@@ -14,7 +14,8 @@ from kickbench.reproduce.record import PlanRecord, read_record
 from kickbench.reproduce.state import RunState, State, state_of
 from kickbench.reproduce.tables import counts, run_table
 from kickbench.results.columns import non_finite_note
-from kickbench.results.frame import load_runs, repeat_lines, runs_of
+from kickbench.results.frame import load_runs, runs_of
+from kickbench.results.notes import repeat_lines
 from kickbench.results.store import RunDirectory
 
 
@@ -64,4 +65,4 @@ def _remarks(frame: pd.DataFrame, path: Path) -> list[str]:
     rows = frame[frame.path == path]
     damage = rows[(rows.state == "damaged") & (rows.evaluated_on != rows.task)].damage
     notes = [non_finite_note(rows.non_finite.max()).strip(" ()")] if rows.non_finite.max() > 0 else []
-    return [*damage.str.replace(f"{path}/", ""), *notes, *repeat_lines(rows, shown)]
+    return [*damage, *notes, *repeat_lines(rows, shown)]

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kickbench.report.data import SIDES, ArmData, Side
-from kickbench.results.episodes import EpisodeTable
+from kickbench.results.episodes import EpisodeSides, EpisodeTable
+from kickbench.results.frame import SIDES
 from kickbench.results.statistics import Interval, wilson
+from kickbench.spec.claims import Side
 
 _LEAST_EPISODES = 20
 """A bin with fewer says nothing and is left out."""
@@ -68,15 +69,25 @@ class BinnedSide:
     bins: tuple[Bin, ...]
 
 
-def binned_success(arms: Sequence[ArmData], coordinate: Coordinate) -> tuple[BinnedSide, ...]:
+Episodes = Mapping[str, Sequence[tuple[int, EpisodeSides]]]
+"""Seed and episodes of the runs of each condition."""
+
+
+def tables_of(runs: Sequence[tuple[int, EpisodeSides]], side: Side) -> list[EpisodeTable]:
+    """The tables of one side of those runs that were evaluated on it."""
+    tables = (getattr(sides, side) for _, sides in runs)
+    return [table for table in tables if table is not None]
+
+
+def binned_success(episodes: Episodes, coordinate: Coordinate) -> tuple[BinnedSide, ...]:
     """Success of every arm and side in bins that all of them share; what has no table of episodes is left out.
 
     Args:
-        arms: The arms.
+        episodes: The episodes.
         coordinate: What the bins are of.
     """
     tables: dict[tuple[str, Side], list[EpisodeTable]] = {
-        (arm.name, side): _tables(arm, side) for arm in arms for side in SIDES
+        (arm, side): tables_of(runs, side) for arm, runs in episodes.items() for side in SIDES
     }
     values = [coordinate.of(table) for found in tables.values() for table in found]
     if not values:
@@ -88,11 +99,6 @@ def binned_success(arms: Sequence[ArmData], coordinate: Coordinate) -> tuple[Bin
         for (arm, side), found in tables.items()
         if found
     )
-
-
-def _tables(arm: ArmData, side: Side) -> list[EpisodeTable]:
-    sides = (run.episodes for run in arm.runs if run.episodes is not None)
-    return [table for table in (getattr(of, side) for of in sides) if table is not None]
 
 
 def _bins(

@@ -5,13 +5,12 @@ The first panel ends at iteration 300, where the first phases of learning are ov
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kickbench.report.data import ArmData
 from kickbench.results.progress import Progress
 
 SPLIT = 300
@@ -86,24 +85,27 @@ class CurvePanel:
     arms: tuple[ArmLines, ...]
 
 
-def has_quantity(arms: Sequence[ArmData], quantity: Quantity) -> bool:
+Curves = Mapping[str, Sequence[tuple[int, Progress]]]
+"""Seed and training curve of the runs of each condition."""
+
+
+def has_quantity(curves: Curves, quantity: Quantity) -> bool:
     """Whether any training tells of it: a task without falls has no falls to tell of."""
-    tables = (run.progress for arm in arms for run in arm.runs)
-    return any(table is not None and quantity.column in table.columns for table in tables)
+    return any(quantity.column in table.columns for runs in curves.values() for _, table in runs)
 
 
-def curve_panels(arms: Sequence[ArmData], quantity: Quantity, split: int = SPLIT) -> tuple[CurvePanel, ...]:
+def curve_panels(curves: Curves, quantity: Quantity, split: int = SPLIT) -> tuple[CurvePanel, ...]:
     """The panels of a quantity: up to the split, and from there on if training went further; none without data.
 
     Args:
-        arms: The arms.
+        curves: The curves.
         quantity: What to show.
         split: First iteration of the second panel.
     """
-    tables = [run.progress for arm in arms for run in arm.runs if run.progress is not None]
+    tables = [table for runs in curves.values() for _, table in runs]
     last = max((table.done for table in tables if quantity.column in table.columns), default=0)
     ranges = [(0, min(split, last))] + ([(split, last)] if last > split else [])
-    panels = (_panel(arms, quantity, first, end) for first, end in ranges)
+    panels = (_panel(curves, quantity, first, end) for first, end in ranges)
     return tuple(panel for panel in panels if panel.arms)
 
 
@@ -127,23 +129,31 @@ def smooth(values: NDArray[np.float64], window: int) -> NDArray[np.float64]:
     return np.where(n > 0, (total[high] - total[low]) / np.maximum(n, 1), np.nan)
 
 
-def _panel(arms: Sequence[ArmData], quantity: Quantity, first: int, last: int) -> CurvePanel:
+def _panel(curves: Curves, quantity: Quantity, first: int, last: int) -> CurvePanel:
     window = max(_LEAST_WINDOW, (last - first) // 100) | 1
     step = max(1, -(-(last - first) // _POINTS))
-    lines = (_arm_lines(arm, quantity, first, last, window, step) for arm in arms)
+    lines = (_arm_lines(*runs, quantity, first, last, window, step) for runs in curves.items())
     return CurvePanel(quantity, first, last, window, tuple(arm for arm in lines if arm.seeds))
 
 
-def _arm_lines(arm: ArmData, quantity: Quantity, first: int, last: int, window: int, step: int) -> ArmLines:
+def _arm_lines(
+    arm: str,
+    runs: Sequence[tuple[int, Progress]],
+    quantity: Quantity,
+    first: int,
+    last: int,
+    window: int,
+    step: int,
+) -> ArmLines:
     grid = np.arange(first, last, step)
     values: dict[int, NDArray[np.float64]] = {}
-    for run in arm.runs:
-        if run.progress is not None and quantity.column in run.progress.columns:
-            values[run.seed] = _on_grid(run.progress, quantity.column, grid, window)
+    for seed, table in runs:
+        if quantity.column in table.columns:
+            values[seed] = _on_grid(table, quantity.column, grid, window)
     seeds = ((seed, _line(grid, of)) for seed, of in values.items())
     mean = _line(grid, np.mean(list(values.values()), axis=0)) if len(values) > 1 else None
     shown = tuple((seed, line) for seed, line in seeds if line.value.size)
-    return ArmLines(arm.name, shown, mean)
+    return ArmLines(arm, shown, mean)
 
 
 def _on_grid(progress: Progress, column: str, grid: NDArray[np.int64], window: int) -> NDArray[np.float64]:

@@ -6,9 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import get_args
 
-from kickbench.report.data import SIDE_WORDS, SIDES, ArmData, Study
 from kickbench.report.remarks import listed, remarks
-from kickbench.report.spread import SUCCESS, spreads
+from kickbench.report.spread import SUCCESS, Spread, spreads
+from kickbench.report.study import SIDE_WORDS, Study
+from kickbench.results.columns import non_finite_note
 from kickbench.results.verdicts import Outcome, Verdict
 
 
@@ -83,7 +84,7 @@ def headline(study: Study, claims: Sequence[Claimed], commit: str | None = None)
         commit: Commit of the present code, if results of other code are to be named.
     """
     asked = study.question or f"All runs of the task {study.name} that were found."
-    outcome = (*_verdicts(claims), *filter(None, (_arm_sentence(arm) for arm in study.arms)))
+    outcome = (*_verdicts(claims), *filter(None, (_arm_sentence(study, arm) for arm in study.conditions)))
     # Many descriptions name the section themselves.
     section = "" if "thesis" in asked.lower() else study.section
     return Headline(study.name, asked, section, outcome, warnings(study, commit), tuple(claims))
@@ -91,13 +92,12 @@ def headline(study: Study, claims: Sequence[Claimed], commit: str | None = None)
 
 def warnings(study: Study, commit: str | None = None) -> tuple[str, ...]:
     """What is unfinished, smaller, other than planned or of other code: each remark once, with its runs."""
-    finished = sum(run.state == "finished" for run in study.runs)
+    finished = int((study.runs.state == "finished").sum())
     found = [] if finished == len(study.runs) else [f"{finished} of {len(study.runs)} runs are finished."]
     about: dict[str, dict[str, list[int]]] = {}
-    for arm in study.arms:
-        for run in arm.runs:
-            for remark in remarks(run, arm, commit):
-                about.setdefault(remark, {}).setdefault(arm.name, []).append(run.seed)
+    for _, run in study.runs.iterrows():
+        for remark in remarks(study, run, commit):
+            about.setdefault(remark, {}).setdefault(run.condition, []).append(run.seed)
     return (*found, *(f"{remark[0].upper()}{remark[1:]}: {listed(arms)}." for remark, arms in about.items()))
 
 
@@ -110,15 +110,21 @@ def _verdicts(claims: Sequence[Claimed]) -> tuple[str, ...]:
     return (f"Of {len(claims)} claims: {said}.",)
 
 
-def _arm_sentence(arm: ArmData) -> str:
+def _arm_sentence(study: Study, arm: str) -> str:
     """`equivariant: 84.8 % in distribution, 84.9 % mirrored (mean of 3 seeds)`."""
-    found = {spread.side: spread for spread in spreads([arm], SUCCESS)}
-    rates = [
-        f"{SUCCESS.text(found[side].mean or 0.0)} % {SIDE_WORDS[side]}"
-        for side in SIDES
-        if side in found and found[side].mean is not None
-    ]
-    if not rates:
+    found = [spread for spread in spreads(study.rows, [arm], SUCCESS) if spread.mean is not None]
+    if not found:
         return ""
-    seeds = len(arm.finished)
-    return f"{arm.name}: success {', '.join(rates)} ({'1 seed' if seeds == 1 else f'mean of {seeds} seeds'})."
+    # A side that some seeds were not evaluated on has fewer of them.
+    alike = len({len(spread.seeds) for spread in found}) == 1
+    rates = [
+        f"{SUCCESS.text(spread.mean or 0.0)} % {SIDE_WORDS[spread.side]}{non_finite_note(spread.non_finite)}"
+        + ("" if alike else _seeds(spread))
+        for spread in found
+    ]
+    return f"{arm}: success {', '.join(rates)}{_seeds(found[0]) if alike else ''}."
+
+
+def _seeds(spread: Spread) -> str:
+    seeds = len(spread.seeds)
+    return f" ({'1 seed' if seeds == 1 else f'mean of {seeds} seeds'})"

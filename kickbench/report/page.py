@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from importlib.resources import files
 from typing import Literal
 
+import pandas as pd
+
 from kickbench.report.breakdown import COORDINATES, binned_success
 from kickbench.report.curves import QUANTITIES, SPLIT, curve_panels, has_quantity
-from kickbench.report.data import Note, RunData, Study
 from kickbench.report.figures.binned import draw_binned
 from kickbench.report.figures.canvas import Picture
 from kickbench.report.figures.dots import draw_dots
@@ -21,6 +22,7 @@ from kickbench.report.headline import Claimed, Headline, headline
 from kickbench.report.palette import COLOURS, LEFT_FOOT, OTHER, RIGHT_FOOT, Colour, Look, looks_of
 from kickbench.report.remarks import listed
 from kickbench.report.spread import MEASURES, spreads
+from kickbench.report.study import Note, Study
 from kickbench.report.tables import (
     Table,
     asymmetry_table,
@@ -94,7 +96,7 @@ def part_of(study: Study, claims: Sequence[Claimed], anchor: str, commit: str | 
         anchor: Unique in the page: letters, digits, dashes.
         commit: Commit of the code that makes the page, if it is known.
     """
-    looks = looks_of((arm.name, arm.method) for arm in study.arms)
+    looks = looks_of(study.conditions.items())
     figures = (figure(study, looks, anchor) for figure in _FIGURES)
     return Part(
         anchor,
@@ -130,16 +132,16 @@ def render(title: str, parts: Sequence[Part], made_by: str) -> str:
 
 def _arm_keys(study: Study, looks: Mapping[str, Look]) -> tuple[Key, ...]:
     marks = {"o": "●", "s": "■", "D": "◆", "^": "▲", "v": "▼", "P": "✚", "X": "✖", "h": "⬢"}
-    return tuple(Key(looks[arm.name].colour, arm.name, marks[looks[arm.name].marker]) for arm in study.arms)
+    return tuple(Key(looks[arm].colour, arm, marks[looks[arm].marker]) for arm in study.conditions)
 
 
 def _results(study: Study, looks: Mapping[str, Look], anchor: str) -> Figure:
     pictures = []
     for measure in MEASURES:
-        found = spreads(study.arms, measure, reported_of(study))
+        found = spreads(study.rows, study.conditions, measure, reported_of(study))
         if any(spread.seeds or spread.reported for spread in found):
             pictures.append(draw_dots(found, measure, looks, f"{anchor}-{measure.key.replace('_', '-')}"))
-    unfinished = [arm.name for arm in study.arms if not arm.finished]
+    unfinished = [arm for arm in study.conditions if study.counted(arm).empty]
     return Figure(
         f"{anchor}-dots",
         "Success and distance",
@@ -153,12 +155,11 @@ def _results(study: Study, looks: Mapping[str, Look], anchor: str) -> Figure:
 
 
 def _curves(study: Study, looks: Mapping[str, Look], anchor: str) -> Figure:
-    pictures, absent, window = [], list(_without(study, "progress", "training curve (progress.csv)")), 1
-    some = any(run.progress is not None for run in study.runs)
+    pictures, absent, window = [], list(_without(study, study.curves, "training curve (progress.csv)")), 1
     for quantity in QUANTITIES:
-        if some and not has_quantity(study.arms, quantity):
+        if study.curves and not has_quantity(study.curves, quantity):
             absent.append(f"{quantity.title}: this task has no such ending.")
-        for number, panel in enumerate(curve_panels(study.arms, quantity)):
+        for number, panel in enumerate(curve_panels(study.curves, quantity)):
             window = max(window, panel.window)
             pictures.append(draw_curves(panel, looks, f"{anchor}-{quantity.key}-{number}"))
     return Figure(
@@ -177,7 +178,7 @@ def _curves(study: Study, looks: Mapping[str, Look], anchor: str) -> Figure:
 
 
 def _pitch(study: Study, looks: Mapping[str, Look], anchor: str) -> Figure:
-    found = resting_places(study.arms)
+    found = resting_places(study.episodes)
     window = common_window(found) if found else None
     pictures = [
         draw_pitch(rest, window, looks[rest.arm], f"{anchor}-pitch-{number}")
@@ -189,11 +190,11 @@ def _pitch(study: Study, looks: Mapping[str, Look], anchor: str) -> Figure:
         "Where the balls stopped",
         "The pitch from above: the robot stands in the triangle and looks up. In colour: at the target; grey: not.",
         (
-            *(Key(looks[arm.name].colour, f"{arm.name}, at the target", "●") for arm in study.arms),
+            *(Key(looks[arm].colour, f"{arm}, at the target", "●") for arm in study.conditions),
             Key(OTHER, "not at the target", "●"),
         ),
         tuple(pictures),
-        _without(study, "episodes", "table of episodes (episodes.csv)"),
+        _without(study, study.episodes, "table of episodes (episodes.csv)"),
         layout="small",
         captions=True,
     )
@@ -202,7 +203,7 @@ def _pitch(study: Study, looks: Mapping[str, Look], anchor: str) -> Figure:
 def _breakdown(study: Study, looks: Mapping[str, Look], anchor: str) -> Figure:
     pictures = []
     for coordinate in COORDINATES:
-        found = binned_success(study.arms, coordinate)
+        found = binned_success(study.episodes, coordinate)
         if found:
             pictures.append(draw_binned(found, coordinate, looks, f"{anchor}-by-{coordinate.key}"))
     return Figure(
@@ -212,17 +213,14 @@ def _breakdown(study: Study, looks: Mapping[str, Look], anchor: str) -> Figure:
         "bins with fewer than 20 episodes are left out.",
         _arm_keys(study, looks),
         tuple(pictures),
-        _without(study, "episodes", "table of episodes (episodes.csv)"),
+        _without(study, study.episodes, "table of episodes (episodes.csv)"),
         layout="pairs",
     )
 
 
 def _feet(study: Study, looks: Mapping[str, Look], anchor: str) -> Figure:
-    kicks = (kicks_of(run) for run in study.runs)
-    pictures = [
-        draw_feet(kicked, f"{anchor}-feet-{number}")
-        for number, kicked in enumerate(kick for kick in kicks if kick is not None)
-    ]
+    kicks = (kicks_of(arm, *run) for arm, runs in study.episodes.items() for run in runs)
+    pictures = [draw_feet(kicked, f"{anchor}-feet-{number}") for number, kicked in enumerate(kicks)]
     keys = (Key(LEFT_FOOT, "left foot", "■"), Key(RIGHT_FOOT, "right foot", "■"), Key(OTHER, "no foot", "■"))
     return Figure(
         f"{anchor}-feet",
@@ -231,16 +229,15 @@ def _feet(study: Study, looks: Mapping[str, Look], anchor: str) -> Figure:
         "with a favourite leg is of one colour, a symmetric one is its own mirror image with the colours swapped.",
         keys,
         tuple(pictures),
-        _without(study, "episodes", "table of episodes (episodes.csv)"),
+        _without(study, study.episodes, "table of episodes (episodes.csv)"),
         layout="small",
         captions=True,
     )
 
 
 def _errors(study: Study, looks: Mapping[str, Look], anchor: str) -> Figure:
-    dots = error_dots(study.arms)
-    told = {(dot.arm, dot.seed) for dot in dots}
-    silent = [run for run in study.runs if (run.arm, run.seed) not in told]
+    dots = error_dots(study.counted())
+    silent = study.runs[~study.runs.counted | study.runs["equivariance/relative"].isna()]
     return Figure(
         f"{anchor}-error",
         "Equivariance error",
@@ -248,7 +245,7 @@ def _errors(study: Study, looks: Mapping[str, Look], anchor: str) -> Figure:
         "two have nothing in common.",
         _arm_keys(study, looks),
         (draw_errors(dots, looks, f"{anchor}-error-dots"),) if dots else (),
-        (f"Not measured: {_names(silent)}.",) if silent else (),
+        (f"Not measured: {_names(silent)}.",) if len(silent) else (),
         layout="pairs",
     )
 
@@ -256,16 +253,18 @@ def _errors(study: Study, looks: Mapping[str, Look], anchor: str) -> Figure:
 _FIGURES = (_results, _curves, _pitch, _breakdown, _feet, _errors)
 
 
-def _without(study: Study, what: str, words: str) -> tuple[str, ...]:
+def _without(study: Study, found: Mapping[str, Sequence[tuple[int, object]]], words: str) -> tuple[str, ...]:
     """Names the runs that lack a file."""
-    silent = [run for run in study.runs if getattr(run, what) is None]
-    return (f"Not measured, no {words}: {_names(silent)}.",) if silent else ()
+    told = {(arm, seed) for arm, runs in found.items() for seed, _ in runs}
+    keys = zip(study.runs.condition, study.runs.seed, strict=True)
+    silent = study.runs[[key not in told for key in keys]]
+    return (f"Not measured, no {words}: {_names(silent)}.",) if len(silent) else ()
 
 
-def _names(runs: Sequence[RunData]) -> str:
+def _names(runs: pd.DataFrame) -> str:
     arms: dict[str, list[int]] = {}
-    for run in runs:
-        arms.setdefault(run.arm, []).append(run.seed)
+    for arm, seed in zip(runs.condition, runs.seed, strict=True):
+        arms.setdefault(arm, []).append(seed)
     return listed(arms)
 
 

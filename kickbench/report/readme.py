@@ -9,18 +9,18 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from kickbench.errors import KickbenchError
-from kickbench.report.collect import collect
-from kickbench.report.data import ArmData, Study
 from kickbench.report.figures.canvas import Picture
 from kickbench.report.figures.dots import draw_dots
 from kickbench.report.figures.legs import draw_legs, legs_of
 from kickbench.report.headline import Claimed, warnings
 from kickbench.report.palette import looks_of
 from kickbench.report.spread import SUCCESS, Spread, spreads
+from kickbench.report.study import Study, studies
 from kickbench.report.tables import (
     Cell,
     commit_text,
     comparison_table,
+    further_rows,
     further_table,
     hardware,
     hours,
@@ -74,9 +74,9 @@ def measured_results(root: Path) -> tuple[Result, ...]:
             claims, problems = judged(folder, experiment)
             if problems:
                 raise KickbenchError(problems[0])
-            results += [(study, claims) for study in collect(folder, experiment)]
+            results += [(study, claims) for study in studies(folder, experiment)]
         else:
-            results += [(study, ()) for study in collect(folder)]
+            results += [(study, ()) for study in studies(folder)]
     return tuple(results)
 
 
@@ -103,31 +103,34 @@ def pictures(results: tuple[Result, ...]) -> tuple[Picture, Picture]:
     """Success of every method on either side, and which foot kicked."""
     rows: list[tuple[Spread, str]] = []
     for study, _ in results:
-        for spread in spreads(study.arms, SUCCESS, reported_of(study)):
+        for spread in spreads(study.rows, study.conditions, SUCCESS, reported_of(study)):
             if spread.seeds:
                 side = "" if spread.side == "in_distribution" else ", mirrored"
                 rows.append((spread, f"{study.name}: {spread.arm}{side}"))
-    arms = {arm.name: arm.method for study, _ in results for arm in study.arms}
+    arms = {arm: method for study, _ in results for arm, method in study.conditions.items()}
     success = draw_dots(
         [spread for spread, _ in rows], SUCCESS, looks_of(arms.items()), "success",
         names=[name for _, name in rows], width=_WIDTH, themed=False,
     )  # fmt: skip
-    runs = ((run, study.name) for study, _ in results for run in study.runs)
-    legs = (legs_of(run, f"{name}: {run.arm}, seed {run.seed}") for run, name in runs)
-    return success, draw_legs([of for of in legs if of is not None], "feet", width=_WIDTH)
+    legs = []
+    for study, _ in results:
+        own = study.rows[study.rows.counted & (study.rows.evaluated_on == study.rows.task)]
+        for (arm, seed), rows in own.groupby(["condition", "seed"], sort=False):
+            legs.append(legs_of(rows, f"{study.name}: {arm}, seed {seed}"))
+    return success, draw_legs(legs, "feet", width=_WIDTH)
 
 
 def _study_text(study: Study, claims: tuple[Claimed, ...]) -> str:
     lines = [f"**`{_plain(study.name)}`**{f': {_plain(study.question)}' if study.question else ''}", ""]
-    arms = {arm.name: arm for arm in study.arms}
     table = comparison_table(study)
     # Methods that have not been run are named below the table.
-    rows = [(_texts(row[:-1]), arms[row[0].text]) for row in table.rows if arms[row[0].text].finished]
-    lines += _table(table.columns[:-1], rows)
+    ran = set(study.counted().condition)
+    rows = [(_texts(row[:-1]), row[0].text) for row in table.rows if row[0].text in ran]
+    lines += _table(study, table.columns[:-1], rows)
     if further := further_table(study):
-        ran = [arm for arm in study.arms for run in arm.runs for _ in run.also]
+        rows = [(_texts(cells), arm) for arm, cells in further_rows(study)]
         lines += ["", f"{further.caption}:", ""]
-        lines += _table(further.columns, list(zip(map(_texts, further.rows), ran, strict=True)))
+        lines += _table(study, further.columns, rows)
     if claims:
         lines += ["", *_claim_lines(claims)]
     notes = [
@@ -155,22 +158,22 @@ def _evidence(claim: Claimed) -> str:
     return "; ".join(filter(None, (claim.figure, claim.reported)))
 
 
-def _effort(arm: ArmData) -> list[str]:
-    """Iterations, steps, hours, hardware and commit of an arm's finished runs, each value once."""
-    found = [run.metrics for run in arm.finished if run.metrics is not None]
+def _effort(study: Study, arm: str) -> list[str]:
+    """Iterations, steps, hours, hardware and commit of a condition's runs, each value once."""
+    runs = study.counted(arm)
     columns = (
-        [_iterations(arm, of.iterations) for of in found],
-        [f"{of.env_steps:,}" for of in found],
-        _range([of.training_seconds for of in found]),
-        [hardware(of.provenance) for of in found],
-        [commit_text(of.provenance) for of in found],
+        [_iterations(study, arm, int(done)) for done in runs.iterations],
+        [f"{steps:,.0f}" for steps in runs.env_steps],
+        _range(list(runs.training_seconds)),
+        [hardware(of) for of in runs.provenance],
+        [commit_text(of) for of in runs.provenance],
     )
     # Hardware has commas of its own.
     return ["; ".join(dict.fromkeys(values)) or "none" for values in columns]
 
 
-def _iterations(arm: ArmData, done: int) -> str:
-    planned = arm.plan.iterations if arm.plan else done
+def _iterations(study: Study, arm: str, done: int) -> str:
+    planned = study.plans[arm].iterations if arm in study.plans else done
     return f"{done:,}" if done == planned else f"{done:,} of {planned:,}"
 
 
@@ -180,10 +183,14 @@ def _range(seconds: list[float]) -> list[str]:
     return [" to ".join(ends)] if ends else []
 
 
-def _table(columns: Sequence[str], rows: Sequence[tuple[list[str], ArmData]]) -> list[str]:
+def _table(study: Study, columns: Sequence[str], rows: Sequence[tuple[list[str], str]]) -> list[str]:
     """A table with what the runs of each row's arm took in its last columns."""
     head = [*columns, "Iterations", "Steps a run", "Training a run", "Hardware", "Commit"]
-    return [_row(head), _row(["---"] * len(head)), *(_row([*cells, *_effort(arm)]) for cells, arm in rows)]
+    return [
+        _row(head),
+        _row(["---"] * len(head)),
+        *(_row([*cells, *_effort(study, arm)]) for cells, arm in rows),
+    ]
 
 
 def _texts(row: Sequence[Cell]) -> list[str]:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from math import inf, sqrt
 
-from kickbench.report.data import SIDES, ArmData, Side
-from kickbench.results.metrics import EvaluationMetrics
+import pandas as pd
+
+from kickbench.results.frame import SIDES
 from kickbench.results.statistics import Interval, mean_std_over_seeds
 from kickbench.results.student import two_sided_quantile
+from kickbench.spec.claims import Side
 
 
 @dataclass(frozen=True)
@@ -17,14 +19,13 @@ class Measure:
     """A figure of an evaluation.
 
     Attributes:
-        key: Its name in `metrics.json`.
+        key: Its column in the table of runs.
         title: In words.
         short: In a word.
         unit: Its unit.
         scale: From the unit of `metrics.json` to that one.
         decimals: Digits behind the point.
-        value: The figure itself.
-        interval: Its 95 % interval.
+        ends: Prefix of the columns of its 95 % interval.
     """
 
     key: str
@@ -33,26 +34,16 @@ class Measure:
     unit: str
     scale: float
     decimals: int
-    value: Callable[[EvaluationMetrics], float]
-    interval: Callable[[EvaluationMetrics], Interval]
+    ends: str
 
     def text(self, value: float) -> str:
         """A value of `metrics.json` in the unit, without it."""
         return f"{self.scale * value:z.{self.decimals}f}"
 
 
-SUCCESS = Measure(
-    "success_rate", "Success", "Success", "%", 100.0, 1, lambda of: of.success_rate, lambda of: of.success_ci
-)
+SUCCESS = Measure("success_rate", "Success", "Success", "%", 100.0, 1, "success")
 DISTANCE = Measure(
-    "mean_distance",
-    "Mean final distance of ball and target",
-    "Distance",
-    "m",
-    1.0,
-    3,
-    lambda of: of.mean_distance,
-    lambda of: of.mean_distance_ci,
+    "mean_distance", "Mean final distance of ball and target", "Distance", "m", 1.0, 3, "mean_distance"
 )
 MEASURES = (SUCCESS, DISTANCE)
 
@@ -81,9 +72,10 @@ class Spread:
     Attributes:
         arm: Name of the arm.
         side: Side of the evaluation.
-        seeds: Every finished run's.
+        seeds: That of every run that counts and has it.
         reported: What was reported, if anything.
         most: The highest value that the figure can have.
+        non_finite: Mean share of the runs' episodes that became non-finite.
     """
 
     arm: str
@@ -91,6 +83,7 @@ class Spread:
     seeds: tuple[SeedFigure, ...]
     reported: Reported | None = None
     most: float = inf
+    non_finite: float = 0.0
 
     @property
     def mean(self) -> float | None:
@@ -117,28 +110,44 @@ ReportedFigures = Callable[[str, Side, Measure], Reported | None]
 
 
 def spreads(
-    arms: Sequence[ArmData], measure: Measure, reported: ReportedFigures = lambda *_: None
+    rows: pd.DataFrame,
+    conditions: Iterable[str],
+    measure: Measure,
+    reported: ReportedFigures = lambda *_: None,
 ) -> tuple[Spread, ...]:
-    """A figure of every arm on every side that was measured or reported for any arm.
+    """A figure of every condition on every side that was measured or reported for any of them.
 
     Args:
-        arms: The arms, in the order of the result.
+        rows: Rows of the runs; those that count are taken.
+        conditions: The conditions, in the order of the result.
         measure: The figure.
         reported: What was reported.
     """
+    own = rows[rows.counted & (rows.evaluated_on == rows.task)]
     found = [
-        Spread(
-            arm.name,
-            side,
-            tuple(
-                SeedFigure(seed, measure.value(metrics), measure.interval(metrics))
-                for seed, metrics in arm.sides(side)
-            ),
-            reported(arm.name, side, measure),
-            1.0 if measure.unit == "%" else inf,
-        )
-        for arm in arms
+        _spread(own[(own.condition == name) & (own.side == side)], name, side, measure, reported)
+        for name in conditions
         for side in SIDES
     ]
     known = {spread.side for spread in found if spread.seeds or spread.reported is not None}
     return tuple(spread for spread in found if spread.side in known)
+
+
+def _spread(rows: pd.DataFrame, name: str, side: Side, measure: Measure, reported: ReportedFigures) -> Spread:
+    told = rows[rows[measure.key].notna()]
+    seeds = (
+        SeedFigure(int(run.seed), run[measure.key], interval_of(run, measure)) for _, run in told.iterrows()
+    )
+    return Spread(
+        name,
+        side,
+        tuple(seeds),
+        reported(name, side, measure),
+        1.0 if measure.unit == "%" else inf,
+        float(rows.non_finite.mean()) if len(rows) else 0.0,
+    )
+
+
+def interval_of(run: pd.Series, measure: Measure) -> Interval:
+    """The 95 % interval of a run's figure."""
+    return Interval(run[f"{measure.ends}_low"], run[f"{measure.ends}_high"])

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from kickbench.report.data import SIDE_WORDS, ArmData, RunData, Side, Study
+import pandas as pd
+
 from kickbench.report.remarks import listed, remarks
 from kickbench.report.spread import (
     DISTANCE,
@@ -14,11 +15,15 @@ from kickbench.report.spread import (
     Reported,
     ReportedFigures,
     Spread,
+    interval_of,
     spreads,
 )
-from kickbench.results.metrics import EvaluationMetrics
+from kickbench.report.study import SIDE_WORDS, Study
+from kickbench.results.columns import non_finite_note
+from kickbench.results.frame import HOME, known
 from kickbench.results.provenance import Provenance
 from kickbench.results.statistics import Interval
+from kickbench.spec.claims import Side
 
 NOT_MEASURED, NOT_REPORTED = "not measured", "not reported"
 
@@ -50,11 +55,10 @@ class Table:
 
 
 def reported_of(study: Study) -> ReportedFigures:
-    """What was reported of the arms of a study, as `spreads` asks for it."""
-    arms = {arm.name: arm.reported for arm in study.arms}
+    """What was reported of the conditions of a study, as `spreads` asks for it."""
 
     def find(arm: str, side: Side, measure: Measure) -> Reported | None:
-        told = arms[arm]
+        told = study.plans[arm].reported if arm in study.plans else None
         figures = told.of_side(side) if told else None
         value = getattr(figures, measure.key, None)
         return None if value is None else Reported(value, getattr(figures, f"{measure.key}_std", None))
@@ -63,44 +67,49 @@ def reported_of(study: Study) -> ReportedFigures:
 
 
 def comparison_table(study: Study) -> Table:
-    """Reported beside measured, a row an arm and side; the columns of what was reported only if something was."""
-    by_measure = {measure: spreads(study.arms, measure, reported_of(study)) for measure in MEASURES}
+    """Reported beside measured, a row a condition and side; what was reported only if something was."""
+    reported = reported_of(study)
+    by_measure = {of: spreads(study.rows, study.conditions, of, reported) for of in MEASURES}
     told = any(spread.reported for found in by_measure.values() for spread in found)
-    arms = {arm.name: arm for arm in study.arms}
     columns = ["Method", "Episodes"]
     for measure in MEASURES:
         title = f"{measure.short} [{measure.unit}]"
         columns += [f"{title}, reported", f"{title}, measured"] if told else [title]
     rows = []
-    for index, first in enumerate(by_measure[SUCCESS]):
+    for first in by_measure[SUCCESS]:
         cells = [Cell(first.arm), Cell(SIDE_WORDS[first.side], whole=True)]
         for measure in MEASURES:
-            spread = by_measure[measure][index]
-            cells += [reported_cell(spread, measure, arms[first.arm])] if told else []
+            spread = next(
+                (of for of in by_measure[measure] if (of.arm, of.side) == (first.arm, first.side)), None
+            )
+            cells += [reported_cell(spread, measure, study)] if told else []
             cells.append(measured_cell(spread, measure))
-        cells.append(_effort_cell(arms[first.arm]))
+        cells.append(_effort_cell(study, first.arm))
         rows.append(tuple(cells))
     return Table("Success and distance by method", (*columns, "Training"), tuple(rows))
 
 
-def reported_cell(spread: Spread, measure: Measure, arm: ArmData) -> Cell:
+def reported_cell(spread: Spread | None, measure: Measure, study: Study) -> Cell:
     """A reported figure with its section."""
-    if spread.reported is None:
+    if spread is None or spread.reported is None:
         return Cell(NOT_REPORTED, faint=True)
     std = "" if spread.reported.std is None else f" ± {measure.text(spread.reported.std)}"
-    section = arm.reported.section if arm.reported else ""
-    return Cell(f"{measure.text(spread.reported.value)}{std}", section)
+    told = study.plans[spread.arm].reported
+    return Cell(f"{measure.text(spread.reported.value)}{std}", told.section if told else "")
 
 
-def measured_cell(spread: Spread, measure: Measure) -> Cell:
+def measured_cell(spread: Spread | None, measure: Measure) -> Cell:
     """A measured figure with its interval: mean ± standard deviation over seeds, or a single seed's."""
-    if spread.mean is None:
+    if spread is None or spread.mean is None:
         return Cell(NOT_MEASURED, faint=True)
+    lost = non_finite_note(spread.non_finite)
     if spread.std is None:
-        return Cell(measure.text(spread.mean), f"95 % {_interval(spread.seeds[0].interval, measure)}, 1 seed")
+        note = f"95 % {_interval(spread.seeds[0].interval, measure)}, 1 seed{lost}"
+        return Cell(measure.text(spread.mean), note)
     text = f"{measure.text(spread.mean)} ± {measure.text(spread.std)}"
     interval = spread.interval
-    return Cell(text, f"95 % {_interval(interval, measure)}, {len(spread.seeds)} seeds" if interval else "")
+    seeds = f"{len(spread.seeds)} seeds{lost}"
+    return Cell(text, f"95 % {_interval(interval, measure)}, {seeds}" if interval else "")
 
 
 def runs_table(study: Study) -> Table:
@@ -113,7 +122,7 @@ def runs_table(study: Study) -> Table:
         "Training",
         "Remarks",
     )
-    rows = tuple(_run_row(run, arm) for arm in study.arms for run in arm.runs)
+    rows = tuple(_run_row(study, run) for _, run in study.runs.iterrows())
     return Table("Every run, with 95 % intervals over its episodes", columns, rows)
 
 
@@ -123,31 +132,36 @@ def asymmetry_table(study: Study) -> Table | None:
         "Run", "Equivariance error [%]", "Kicks with the foot on the ball's side [%]", "Kicks with the left foot [%]",
         "Success, ball left [%]", "Success, ball right [%]", "Mirrored pairs alike [%]",
     )  # fmt: skip
-    told = [run for run in study.runs if run.metrics and run.metrics.evaluation.asymmetry]
-    rows = tuple(_asymmetry_row(run) for run in study.runs if run.metrics is not None)
+    finished = study.runs[study.runs.state == "finished"]
+    rows = tuple(_asymmetry_row(run) for _, run in finished.iterrows())
+    told = finished["legs/kicks"].notna().any()
     return Table("Left and right, a row a run", columns, rows) if told else None
+
+
+def further_rows(study: Study) -> list[tuple[str, tuple[Cell, ...]]]:
+    """Condition and cells of each result on a transfer task."""
+    rows = study.rows[(study.rows.evaluated_on != study.rows.task) & (study.rows.state == "finished")]
+    found = []
+    for (_, task), of in rows.groupby(["path", "evaluated_on"], sort=False):
+        sides = {row.side: row for _, row in of.iterrows()}
+        home, mirrored = sides[HOME], sides.get("mirrored")
+        cells = (_name(home), Cell(str(task)), _success(home), _success(mirrored), _distance(home))
+        found.append((str(home.condition), cells))
+    return found
 
 
 def further_table(study: Study) -> Table | None:
     """Results of the same policies on further tasks, a row a run and task; None if there are none."""
-    rows = []
-    for run in study.runs:
-        for task, metrics in run.also.items():
-            home, mirrored = metrics.evaluation.in_distribution, metrics.evaluation.mirrored
-            rows.append((_name(run), Cell(task), _success(home), _success(mirrored), _distance(home)))
+    rows = tuple(cells for _, cells in further_rows(study))
     columns = ("Run", "Task", "Success in distribution [%]", "Success mirrored [%]", "Distance [m]")
-    return (
-        Table("The same policies on tasks they were not trained on", columns, tuple(rows)) if rows else None
-    )
+    return Table("The same policies on tasks they were not trained on", columns, rows) if rows else None
 
 
 def origins_table(study: Study) -> Table:
     """Code, hardware and versions, a row for all runs that share them."""
     groups: dict[tuple[Cell, ...], dict[str, list[int]]] = {}
-    for run in study.runs:
-        if run.metrics is not None:
-            key = _origin(run.metrics.provenance)
-            groups.setdefault(key, {}).setdefault(run.arm, []).append(run.seed)
+    for _, run in study.runs[study.runs.state == "finished"].iterrows():
+        groups.setdefault(_origin(run.provenance), {}).setdefault(run.condition, []).append(run.seed)
     rows = tuple((Cell(listed(arms)), *cells) for cells, arms in groups.items())
     return Table("Code and hardware", ("Runs", "Commit", "Hardware", "Versions"), rows)
 
@@ -155,9 +169,8 @@ def origins_table(study: Study) -> Table:
 def provenance_table(study: Study) -> Table:
     """What every finished run took, and the command that made it."""
     columns = ("Run", "Time", "Steps", "Finished", "Command")
-    rows = tuple(
-        _provenance_row(run, run.metrics.provenance) for run in study.runs if run.metrics is not None
-    )
+    finished = study.runs[study.runs.state == "finished"]
+    rows = tuple(_provenance_row(run, run.provenance) for _, run in finished.iterrows())
     return Table("Finished runs", columns, rows)
 
 
@@ -177,67 +190,72 @@ def commit_text(provenance: Provenance) -> str:
     return (provenance.commit or "unknown")[:10] + (" + changes" if provenance.dirty else "")
 
 
-def effort(arm: ArmData) -> str:
-    """Training iterations of an arm's finished runs, planned ones beside them where they differ."""
-    done = sorted({run.metrics.iterations for run in arm.finished if run.metrics is not None})
+def effort(study: Study, arm: str) -> str:
+    """Training iterations of a condition's runs, planned ones beside them where they differ."""
+    done = sorted({int(count) for count in study.counted(arm).iterations})
     if not done:
         return "none finished"
     text = f"{done[0]:,}" if len(done) == 1 else f"{done[0]:,} to {done[-1]:,}"
-    planned = arm.plan.iterations if arm.plan else None
+    planned = study.plans[arm].iterations if arm in study.plans else None
     return f"{text} of {planned:,} iterations" if planned not in (None, *done) else f"{text} iterations"
 
 
-def _effort_cell(arm: ArmData) -> Cell:
-    finished, whole = len(arm.finished), len(arm.runs)
+def _effort_cell(study: Study, arm: str) -> Cell:
+    counted, whole = len(study.counted(arm)), int((study.runs.condition == arm).sum())
+    finished = int(((study.runs.condition == arm) & (study.runs.state == "finished")).sum())
     note = f"{finished} of {whole} runs finished" if finished < whole else ""
-    return Cell(effort(arm), note, faint=not finished)
+    other = f"{finished - counted} not counted" if counted < finished else ""
+    return Cell(effort(study, arm), ", ".join(filter(None, (note, other))), faint=not counted)
 
 
-def _run_row(run: RunData, arm: ArmData) -> tuple[Cell, ...]:
-    home, mirrored, metrics = run.side("in_distribution"), run.side("mirrored"), run.metrics
-    done = "-" if run.iterations is None else f"{run.iterations:,} iterations"
-    training = Cell(done, hours(metrics.training_seconds) if metrics else "", faint=run.iterations is None)
-    said = "; ".join(remarks(run, arm)) or ("as planned" if arm.plan else "none")
-    return (_name(run), _success(home), _success(mirrored), _distance(home), training, Cell(said))
+def _run_row(study: Study, run: pd.Series) -> tuple[Cell, ...]:
+    own = study.rows[(study.rows.path == run.path) & (study.rows.evaluated_on == run.task)]
+    sides = {row.side: row for _, row in own.iterrows()}
+    done, seconds = known(run, "iterations"), known(run, "training_seconds")
+    words = "-" if done is None else f"{done:,.0f} iterations"
+    training = Cell(words, "" if seconds is None else hours(seconds), faint=done is None)
+    said = "; ".join(remarks(study, run)) or ("as planned" if study.plans else "none")
+    return (_name(run), _success(run), _success(sides.get("mirrored")), _distance(run), training, Cell(said))
 
 
-def _name(run: RunData) -> Cell:
-    return Cell(run.arm, f"seed {run.seed}")
+def _name(run: pd.Series) -> Cell:
+    return Cell(run.condition, "seed ?" if run.seed is pd.NA else f"seed {run.seed}")
 
 
-def _success(of: EvaluationMetrics | None) -> Cell:
-    if of is None:
+def _success(row: pd.Series | None) -> Cell:
+    return _figure(row, SUCCESS)
+
+
+def _distance(row: pd.Series) -> Cell:
+    return _figure(row, DISTANCE)
+
+
+def _figure(row: pd.Series | None, measure: Measure) -> Cell:
+    value = None if row is None else known(row, measure.key)
+    if row is None or value is None:
         return Cell(NOT_MEASURED, faint=True)
-    return Cell(SUCCESS.text(of.success_rate), _interval(of.success_ci, SUCCESS))
+    note = f"{_interval(interval_of(row, measure), measure)}{non_finite_note(row.non_finite)}"
+    return Cell(measure.text(value), note)
 
 
-def _distance(of: EvaluationMetrics | None) -> Cell:
-    if of is None:
-        return Cell(NOT_MEASURED, faint=True)
-    return Cell(DISTANCE.text(of.mean_distance), _interval(of.mean_distance_ci, DISTANCE))
-
-
-def _asymmetry_row(run: RunData) -> tuple[Cell, ...]:
-    found = run.metrics.evaluation.asymmetry if run.metrics else None
-    if found is None:
-        return (_name(run), *[Cell(NOT_MEASURED, faint=True)] * 6)
-    legs, success, pairs = found.legs, found.success, found.pairs
+def _asymmetry_row(run: pd.Series) -> tuple[Cell, ...]:
     return (
         _name(run),
-        _percent(found.equivariance and found.equivariance.relative, None, 3),
-        _percent(legs.same_side_share, legs.same_side_ci),
-        _percent(legs.left_foot_share, legs.left_foot_ci),
-        _percent(success and success.left_rate, None),
-        _percent(success and success.right_rate, None),
-        _percent(pairs and pairs.agreement, pairs and pairs.agreement_ci),
+        _percent(run, "equivariance/relative", digits=3),
+        _percent(run, "legs/same_side_share", "legs/same_side"),
+        _percent(run, "legs/left_foot_share", "legs/left_foot"),
+        _percent(run, "success/left_rate"),
+        _percent(run, "success/right_rate"),
+        _percent(run, "pairs/agreement", "pairs/agreement"),
     )
 
 
-def _percent(value: float | None, interval: Interval | None, digits: int = 1) -> Cell:
+def _percent(run: pd.Series, name: str, ends: str = "", digits: int = 1) -> Cell:
+    value, low = known(run, name), known(run, f"{ends}_low")
     if value is None:
         return Cell(NOT_MEASURED, faint=True)
     text = f"{100 * value:.{digits}f}" if digits == 1 else f"{100 * value:.{digits}g}"
-    return Cell(text, _interval(interval, SUCCESS) if interval else "")
+    return Cell(text, "" if low is None else _interval(Interval(low, run[f"{ends}_high"]), SUCCESS))
 
 
 def _interval(interval: Interval, measure: Measure) -> str:
@@ -253,7 +271,7 @@ def _origin(provenance: Provenance) -> tuple[Cell, ...]:
     )
 
 
-def _provenance_row(run: RunData, provenance: Provenance) -> tuple[Cell, ...]:
+def _provenance_row(run: pd.Series, provenance: Provenance) -> tuple[Cell, ...]:
     parts = f"in {len(provenance.resumed_from) + 1} parts" if provenance.resumed_from else ""
     return (
         _name(run),

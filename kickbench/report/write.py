@@ -7,12 +7,13 @@ from pathlib import Path
 
 from kickbench import __version__
 from kickbench.errors import KickbenchError
-from kickbench.report.collect import collect
 from kickbench.report.headline import Claimed, claimed
 from kickbench.report.page import anchors, part_of, render
+from kickbench.report.study import studies
 from kickbench.reported import LoadedReported
 from kickbench.results.atomic import atomic_write_text
-from kickbench.results.measured import read_measured
+from kickbench.results.frame import load_runs
+from kickbench.results.notes import refuse_contradictions
 from kickbench.results.provenance import code_state
 from kickbench.results.verdicts import judge
 
@@ -28,23 +29,25 @@ def write_report(root: Path, out: Path, experiment: LoadedReported | None = None
     Raises:
         KickbenchError: There is no run, or a library is missing.
     """
-    studies = collect(root, experiment)
+    found = studies(root, experiment)
     claims: tuple[Claimed, ...] = ()
     if experiment is not None:
         claims, problems = judged(root, experiment)
-        studies = tuple(replace(study, problems=(*study.problems, *problems)) for study in studies)
+        found = tuple(replace(study, problems=(*study.problems, *problems)) for study in found)
     parts = [
         part_of(study, claims, anchor, code_state()[0])
-        for study, anchor in zip(studies, anchors(studies), strict=True)
+        for study, anchor in zip(found, anchors(found), strict=True)
     ]
-    title = f"kickbench: {studies[0].name if len(studies) == 1 else root.resolve().name}"
+    title = f"kickbench: {found[0].name if len(found) == 1 else root.resolve().name}"
     atomic_write_text(out, render(title, parts, _made_by()))
 
 
 def judged(root: Path, experiment: LoadedReported) -> tuple[tuple[Claimed, ...], tuple[str, ...]]:
     """The claims of an experiment with their verdicts; and, where they cannot be judged, why not."""
     try:
-        verdicts = judge(experiment, read_measured(root, experiment))
+        runs = load_runs(root, experiment)
+        refuse_contradictions(runs, str)
+        verdicts = judge(experiment, runs)
     except KickbenchError as error:
         return (), (f"The claims cannot be judged: {error}".replace(f"{root}/", ""),)
     return tuple(map(claimed, verdicts)), ()

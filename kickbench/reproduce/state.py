@@ -111,8 +111,7 @@ def state_of(run: pd.Series, total: int | None = None) -> RunState:
             seconds_per_iteration=run.training_seconds / run.iterations if run.iterations else None,
             evaluation_seconds=max(0.0, run.provenance.seconds - run.training_seconds),
         )
-    damage = str(run.damage or "").replace(f"{run.path}/", "")
-    return _unfinished(directory, total, damage)
+    return _unfinished(directory, total, run.damage or "")
 
 
 def _training(

@@ -27,8 +27,8 @@ from kickbench.results.comparison import (
     interquartile_mean,
 )
 from kickbench.results.episodes import EpisodeSides, EpisodeTable, read_episodes
-from kickbench.results.frame import left_out_lines, repeat_lines
 from kickbench.results.groups import differing_lines, with_groups
+from kickbench.results.notes import left_out_lines, repeat_lines
 from kickbench.results.paired import PairedComparison
 from kickbench.results.pairwise import Pair, compare_methods, compare_methods_on_starts
 from kickbench.results.store import RunDirectory

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -43,7 +43,7 @@ def stored_specs(directory: RunDirectory) -> Specs:
     from kickbench.mdp.catalog import task_model
 
     task, method = load_task(task_model(), directory.task_spec), load_method(directory.method_spec)
-    return Specs(_values(task, method), read_identity(directory).parts)
+    return Specs(_values(task, method), read_identity(directory.path).parts)
 
 
 def planned_specs(experiment: Experiment) -> Specs:
@@ -52,23 +52,26 @@ def planned_specs(experiment: Experiment) -> Specs:
     return Specs(values, identity_of(experiment).parts)
 
 
-def differences(found: Sequence[Specs], joined: str = " and ", without: Sequence[str] = ()) -> list[str]:
+def differences(
+    found: Sequence[Specs],
+    write: Callable[[Sequence[str]], str] = " and ".join,
+    without: Sequence[str] = (),
+) -> list[str]:
     """Every key whose values are not equal: `method: algorithm.gamma: 0.99 and 0.995`.
 
     Args:
         found: The specs, two or more.
-        joined: What stands between the values.
+        write: How values are written.
         without: Keys that are not compared.
     """
-    keys = dict.fromkeys(key for specs in found for key in specs.values)
     told = []
-    for key in keys:
+    for key in dict.fromkeys(key for specs in found for key in specs.values):
         values = [specs.values.get(key, "none") for specs in found]
         if key not in (*without, _ITERATIONS) and len(set(values)) > 1:
-            told.append(f"{key}: {joined.join(values)}")
+            told.append(f"{key}: {write(values)}")
     more = [f"{len(told) - _MOST} more keys"] if len(told) > _MOST else []
-    hashes = {part: {specs.parts.get(part) for specs in found} for part in _BY_HASH}
-    return [*told[:_MOST], *more, *(name for part, name in _BY_HASH.items() if len(hashes[part]) > 1)]
+    unequal = [part for part in _BY_HASH if len({specs.parts.get(part) for specs in found}) > 1]
+    return [*told[:_MOST], *more, *(_BY_HASH[part] for part in unequal)]
 
 
 def _values(task: LoadedTask, method: LoadedMethod) -> dict[str, str]:

@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
@@ -31,7 +31,7 @@ import numpy as np
 import pandas as pd
 from pydantic import BaseModel
 
-from kickbench.errors import KickbenchError
+from kickbench.errors import KickbenchError, shown
 from kickbench.results.asymmetry import Asymmetry
 from kickbench.results.episodes import NON_FINITE
 from kickbench.results.identity import Identity, read_identity
@@ -89,8 +89,13 @@ def load_runs(root: Path | str | Sequence[Path], experiment: LoadedReported | No
 
 
 def frame_of(results: Iterable[Metrics]) -> pd.DataFrame:
-    """The table of results that are in no folder."""
-    return _table([row for metrics in results for row in _result_rows(metrics)])
+    """The table of results that are in no folder; their `path` is `<task>/<method>/seed<k>`."""
+    rows = [
+        {**row, "path": Path(metrics.task, metrics.method, f"seed{metrics.seed}")}
+        for metrics in results
+        for row in _result_rows(metrics)
+    ]
+    return _table(rows)
 
 
 def runs_of(frame: pd.DataFrame) -> pd.DataFrame:
@@ -109,21 +114,6 @@ def known(row: pd.Series, name: str) -> Any:
     return (
         None if value is None or value is pd.NA or (isinstance(value, float) and np.isnan(value)) else value
     )
-
-
-def unfinished_words(row: pd.Series) -> str:
-    """How far a run without a result is, or why its result does not count."""
-    if row.state == "damaged":
-        return str(row.damage)
-    done, planned = known(row, "iterations"), known(row, "iterations_planned")
-    if row.state == "missing" or done is None:
-        return str(row.state)
-    return f"{row.state}: {done:,.0f}{'' if planned is None else f' of {planned:,.0f}'} iterations"
-
-
-def lack(row: pd.Series) -> str | None:
-    """Why a row does not count as what was planned; None if it does."""
-    return row.deviation if row.state == "finished" else unfinished_words(row)
 
 
 def _table(rows: Sequence[Row]) -> pd.DataFrame:
@@ -207,10 +197,15 @@ def _read(directory: RunDirectory) -> tuple[Row, Metrics | None]:
             row |= _identity_columns(directory)
         return row, None
     try:
-        check(directory)
+        check(directory.path)
         return row | _identity_columns(directory), load_metrics(directory.metrics)
     except KickbenchError as error:
-        return row | {"state": "damaged", "damage": str(error)}, None
+        return row | _damaged(directory, error), None
+
+
+def _damaged(directory: RunDirectory, error: KickbenchError) -> Row:
+    words = str(error).replace(f"{directory.path}/", "").replace(f"{shown(directory.path)}/", "")
+    return {"side": HOME, "state": "damaged", "damage": words, "counted": False}
 
 
 def _named_by_place(path: Path) -> Row:
@@ -228,7 +223,7 @@ def _stored_iterations(directory: RunDirectory) -> int | None:
 
 
 def _identity_columns(directory: RunDirectory) -> Row:
-    identity = read_identity(directory)
+    identity = read_identity(directory.path)
     return {"identity": identity.fingerprint, "setting": setting_of(identity)}
 
 
@@ -247,7 +242,7 @@ def _transfer_rows(directory: RunDirectory, own: Row, metrics: Metrics) -> Itera
             result = load_metrics(path)
             _check_same_run(path, result, metrics)
         except KickbenchError as error:
-            yield row | {"side": HOME, "state": "damaged", "damage": str(error), "counted": False}
+            yield row | _damaged(directory, error)
             continue
         yield from ({**figures, **row} for figures in _result_rows(result))
 
@@ -319,7 +314,7 @@ class _Planned:
             specs = [stored_specs(directory), planned_specs(self._compiled)]
         except KickbenchError:
             return ["another identity"]
-        return differences(specs, ", planned ", without=(EPISODES,))
+        return differences(specs, "{0[0]} (planned {0[1]})".format, without=(EPISODES,))
 
 
 def _with_repeats(frame: pd.DataFrame) -> pd.DataFrame:
@@ -338,57 +333,3 @@ def _with_repeats(frame: pd.DataFrame) -> pd.DataFrame:
             )
             frame.loc[same_run, "counted"] = False
     return frame
-
-
-Shown = Callable[[Path], str]
-"""How a path is written."""
-
-
-def repeat_lines(frame: pd.DataFrame, shown: Shown) -> list[str]:
-    """A line for each run that repeats another."""
-    lines = []
-    for _, run in runs_of(frame).iterrows():
-        if run.copy_of is not None:
-            lines.append(f"counted once: {shown(run.path)} is a copy of {shown(run.copy_of)}")
-        elif run.contradicts is not None:
-            lines.append(f"not counted: {contradiction(run, shown)}")
-    return lines
-
-
-def unplanned_lines(frame: pd.DataFrame, shown: Shown) -> list[str]:
-    """A line for each run that an experiment does not plan."""
-    lines = []
-    for _, run in runs_of(frame[frame.condition.isna()]).iterrows():
-        repeats = "" if run.copy_of is None else f": a copy of {shown(run.copy_of)}"
-        state = "" if run.state == "finished" else f": {unfinished_words(run)}"
-        lines.append(f"{run.deviation}, left out: {shown(run.path)}{repeats}{state}")
-    return lines
-
-
-def contradiction(run: pd.Series, shown: Shown) -> str:
-    """Which two runs of one identity and seed have different results."""
-    return (
-        f"{shown(run.path)} holds seed {run.seed} of {run.method} on {run.task} with another result "
-        f"than {shown(run.contradicts)}"
-    )
-
-
-def refuse_contradictions(frame: pd.DataFrame, shown: Shown) -> None:
-    """For verbs that draw conclusions.
-
-    Raises:
-        KickbenchError: Two runs of one identity and seed have different results.
-    """
-    runs = runs_of(frame)
-    lines = [contradiction(run, shown) for _, run in runs[runs.contradicts.notna()].iterrows()]
-    if lines:
-        raise KickbenchError("\n".join([*lines, "remove one of each two: which of them counts is not known"]))
-
-
-def left_out_lines(frame: pd.DataFrame, shown: Shown) -> list[str]:
-    """A line for each run, or result on a transfer task, that has no figures, and why."""
-    without = frame[(frame.state != "finished") & (frame.state != "missing")]
-    return [
-        f"left out: {row.damage if row.damage is not None else f'{shown(row.path)}: {unfinished_words(row)}'}"
-        for _, row in without.iterrows()
-    ]

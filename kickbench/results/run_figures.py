@@ -11,7 +11,8 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from kickbench.errors import KickbenchError
-from kickbench.results.frame import known, lack, unfinished_words
+from kickbench.results.frame import known
+from kickbench.results.notes import lack, unfinished_words
 from kickbench.results.progress import read_progress
 from kickbench.results.statistics import Interval, wilson
 from kickbench.results.store import RunDirectory

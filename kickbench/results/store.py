@@ -19,8 +19,6 @@ __all__ = [
     "atomic_write_bytes",
     "atomic_write_text",
     "find_begun_runs",
-    "find_results",
-    "find_runs",
 ]
 
 _SPEC_FILES = ("task.yaml", "method.yaml", "robot.yaml", "representations.yaml", "robot.xml")
@@ -237,16 +235,6 @@ def _locked(descriptor: int) -> bool:
             if time.monotonic() > deadline:
                 return False
             time.sleep(0.02)
-
-
-def find_runs(root: Path | str) -> list[RunDirectory]:
-    """The finished runs in `root` (itself or any folder below), in the order of their paths."""
-    return [run for run in find_results(root) if run.is_finished]
-
-
-def find_results(root: Path | str) -> list[RunDirectory]:
-    """The runs in `root`, as of `find_runs`, with those whose metrics.json is damaged."""
-    return [RunDirectory(path) for path in sorted(file.parent for file in Path(root).rglob("metrics.json"))]
 
 
 def find_begun_runs(root: Path | str) -> list[RunDirectory]:

@@ -11,8 +11,9 @@ import pandas as pd
 from kickbench.errors import shown
 from kickbench.results.asymmetry_table import asymmetry_block
 from kickbench.results.columns import NOTHING, Row, mean_and_spread, non_finite_note, render_block
-from kickbench.results.frame import HOME, known, left_out_lines, repeat_lines
+from kickbench.results.frame import HOME, known
 from kickbench.results.groups import differing_lines, with_groups
+from kickbench.results.notes import left_out_lines, repeat_lines
 
 _GROUPS = ("", "", "success [%]", "", "", "mean distance [m]", "", "", "")
 _HEADER = (

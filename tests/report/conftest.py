@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 from kickbench.results.episodes import EpisodeSides, EpisodeTable, write_episodes
-from kickbench.results.metrics import Metrics, summarise_sides, write_metrics
+from kickbench.results.metrics import Metrics, summarise_sides
 from kickbench.results.provenance import Provenance
+
+from ..conftest import write_result
 
 COMMIT = "0123456789abcdef0123456789abcdef01234567"
 
@@ -98,7 +100,14 @@ class Folder:
         self.path, self.task = path, task
 
     def add(
-        self, method: str, seed: int = 0, *, curves: int | None = 450, table: bool = True, **changes
+        self,
+        method: str,
+        seed: int = 0,
+        *,
+        curves: int | None = 450,
+        table: bool = True,
+        identity=None,
+        **changes,
     ) -> Path:
         """A finished run; `curves`: iterations of its progress table, `table`: whether it keeps its episodes."""
         home = make_table(seed=seed)
@@ -108,7 +117,8 @@ class Folder:
             (run / "progress.csv").write_text(progress_text(curves, 10.0 * seed))
         if table:
             write_episodes(run / "episodes.csv", sides)
-        write_metrics(run / "metrics.json", make_metrics(sides, self.task, method, seed, **changes))
+        metrics = make_metrics(sides, self.task, method, seed, **changes)
+        write_result(run, metrics, identity)
         return run
 
 

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from kickbench.report.curves import QUANTITIES, curve_panels, has_quantity, smooth
-from kickbench.report.data import ArmData, RunData
 from kickbench.report.figures.learning import draw_curves
 from kickbench.report.palette import looks_of
 from kickbench.results.progress import Progress
@@ -19,9 +18,8 @@ def progress(iterations: int, offset: float = 0.0) -> Progress:
     return Progress(index, {"mean_return": index + offset, "termination/target_hit": index / 1000})
 
 
-def arm(*tables: Progress | None, name: str = "baseline") -> ArmData:
-    runs = tuple(RunData(name, seed, f"{name}/seed{seed}", progress=of) for seed, of in enumerate(tables))
-    return ArmData(name, name, "task", runs)
+def arm(*tables: Progress) -> dict[str, list[tuple[int, Progress]]]:
+    return {"baseline": list(enumerate(tables))}
 
 
 def test_smoothing_is_a_mean_over_what_is_known():
@@ -31,7 +29,7 @@ def test_smoothing_is_a_mean_over_what_is_known():
 
 
 def test_curves_are_split_at_iteration_300():
-    early, late = curve_panels([arm(progress(450))], RETURN)
+    early, late = curve_panels(arm(progress(450)), RETURN)
     assert (early.first, early.last, late.first, late.last) == (0, 300, 300, 450)
     line = late.arms[0].seeds[0][1]
     assert line.iteration[0] == 300
@@ -40,12 +38,12 @@ def test_curves_are_split_at_iteration_300():
 
 
 def test_a_short_training_has_one_panel():
-    (only,) = curve_panels([arm(progress(12))], RETURN)
+    (only,) = curve_panels(arm(progress(12)), RETURN)
     assert (only.first, only.last) == (0, 12)
 
 
 def test_the_mean_goes_as_far_as_all_seeds():
-    (panel,) = curve_panels([arm(progress(100), progress(60, offset=10.0))], RETURN)
+    (panel,) = curve_panels(arm(progress(100), progress(60, offset=10.0)), RETURN)
     mean = panel.arms[0].mean
     assert mean is not None
     assert mean.iteration[-1] == 59
@@ -55,25 +53,25 @@ def test_the_mean_goes_as_far_as_all_seeds():
 
 
 def test_a_single_seed_has_no_mean():
-    (panel,) = curve_panels([arm(progress(60), None)], RETURN)
+    (panel,) = curve_panels(arm(progress(60)), RETURN)
     assert panel.arms[0].mean is None
     assert [seed for seed, _ in panel.arms[0].seeds] == [0]
 
 
 def test_long_lines_are_thinned():
-    panels = curve_panels([arm(progress(15000))], RETURN)
+    panels = curve_panels(arm(progress(15000)), RETURN)
     assert max(len(line.value) for panel in panels for _, line in panel.arms[0].seeds) <= 250
 
 
 def test_what_no_training_tells_has_no_panels():
     falls = QUANTITIES[-1]
-    assert not has_quantity([arm(progress(60))], falls)
-    assert curve_panels([arm(progress(60))], falls) == ()
-    assert curve_panels([arm(None)], RETURN) == ()
+    assert not has_quantity(arm(progress(60)), falls)
+    assert curve_panels(arm(progress(60)), falls) == ()
+    assert curve_panels(arm(), RETURN) == ()
 
 
 def test_a_picture_tells_its_curves_in_words():
-    (panel,) = curve_panels([arm(progress(101), progress(101))], HIT)
+    (panel,) = curve_panels(arm(progress(101), progress(101)), HIT)
     picture = draw_curves(panel, looks_of([("baseline", "baseline")]), "hit")
     assert picture.title == "Hit, iterations 0 to 101"
     assert "baseline: mean from" in picture.text

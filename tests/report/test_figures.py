@@ -9,8 +9,6 @@ import numpy as np
 import pytest
 
 from kickbench.report.breakdown import TARGET_ANGLE, TARGET_DISTANCE, binned_success
-from kickbench.report.collect import collect
-from kickbench.report.data import Study
 from kickbench.report.figures.canvas import Panel
 from kickbench.report.figures.dots import draw_dots
 from kickbench.report.figures.equivariance import ErrorDot, draw_errors
@@ -19,6 +17,7 @@ from kickbench.report.figures.legs import draw_legs, legs_of
 from kickbench.report.figures.pitch import common_window, draw_pitch, outside, resting_places
 from kickbench.report.palette import COLOURS, looks_of
 from kickbench.report.spread import DISTANCE, SUCCESS, Reported, spreads
+from kickbench.report.study import Study, studies
 
 SVG = "{http://www.w3.org/2000/svg}"
 
@@ -29,13 +28,16 @@ def study(make_folder) -> Study:
     folder.add("baseline", 0)
     folder.add("baseline", 1)
     folder.add("equivariant", 0)
-    (study,) = collect(folder.path)
+    (study,) = studies(folder.path)
     return study
 
 
 def test_spreads_hold_every_seed_mean_and_what_was_reported(study):
     found = spreads(
-        study.arms, SUCCESS, lambda arm, side, _: Reported(0.5, 0.1) if arm == "baseline" else None
+        study.rows,
+        study.conditions,
+        SUCCESS,
+        lambda arm, side, _: Reported(0.5, 0.1) if arm == "baseline" else None,
     )
     first = found[0]
     assert [(of.arm, of.side) for of in found] == [
@@ -64,7 +66,7 @@ def test_the_interval_over_seeds_is_students():
 
 def test_success_in_bins_counts_every_episode_once(study):
     for coordinate in (TARGET_DISTANCE, TARGET_ANGLE):
-        found = {(of.arm, of.side): of for of in binned_success(study.arms, coordinate)}
+        found = {(of.arm, of.side): of for of in binned_success(study.episodes, coordinate)}
         baseline = found["baseline", "in_distribution"]
         assert baseline.seeds == 2
         assert sum(bin.episodes for bin in baseline.bins) <= 120
@@ -77,7 +79,7 @@ def test_success_in_bins_counts_every_episode_once(study):
 
 
 def test_resting_places_pool_seeds_and_share_a_window(study):
-    found = resting_places(study.arms)
+    found = resting_places(study.episodes)
     window = common_window(found)
     assert [(of.arm, of.side, len(of.x)) for of in found][:2] == [
         ("baseline", "in_distribution", 120), ("baseline", "mirrored", 120),
@@ -91,8 +93,8 @@ def test_resting_places_pool_seeds_and_share_a_window(study):
 
 
 def test_tiles_hold_every_kick_and_mirror_with_a_symmetric_policy(study):
-    kicked = kicks_of(study.arms[1].runs[0])
-    assert kicked is not None
+    (run,) = study.episodes["equivariant"]
+    kicked = kicks_of("equivariant", *run)
     found = tiles(kicked)
     assert sum(sum(tile.counts.values()) for tile in found) == len(kicked.x) == 120
     by_place = {(round(tile.x[0], 6), round(sum(tile.y), 6)): tile.counts for tile in found}
@@ -104,8 +106,8 @@ def test_tiles_hold_every_kick_and_mirror_with_a_symmetric_policy(study):
 
 
 def test_legs_add_up_both_sides(study):
-    legs = legs_of(study.arms[0].runs[0], "baseline, seed 0")
-    assert legs is not None
+    run = study.rows[(study.rows.condition == "baseline") & (study.rows.seed == 0)]
+    legs = legs_of(run, "baseline, seed 0")
     assert (legs.left.left_foot, legs.left.right_foot) == (legs.right.right_foot, legs.right.left_foot)
     assert legs.left.left_foot + legs.left.right_foot == 60
     assert f"ball on the left: left foot {legs.left.left_foot}" in draw_legs([legs], "legs").text
@@ -165,4 +167,4 @@ def test_arms_keep_the_look_of_their_method_and_none_share_one():
 
 
 def test_distance_is_in_metres(study):
-    assert spreads(study.arms, DISTANCE)[0].mean == pytest.approx(np.mean([0.8, 0.2, 0.2]))
+    assert spreads(study.rows, study.conditions, DISTANCE)[0].mean == pytest.approx(np.mean([0.8, 0.2, 0.2]))

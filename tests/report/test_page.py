@@ -10,6 +10,10 @@ from pathlib import Path
 import pytest
 
 from kickbench.cli import main
+from kickbench.experiment import load_experiment
+from kickbench.reported import load_reported
+from kickbench.results.identity import identity_of
+from kickbench.results.metrics import load_metrics, write_metrics
 
 ROOT = Path(__file__).parents[2]
 REPORTED = ROOT / "results/reported/mini_home_field.yaml"
@@ -135,9 +139,9 @@ def test_an_experiment_names_missing_unfinished_and_smaller_runs(folder):
     page, _ = page_of(folder.path, "--experiment", str(REPORTED))
     assert "2 of 15 runs are finished." in page.text
     assert "Unfinished: 2 of 450 iterations, not evaluated: augmentation seed 2." in page.text
-    assert "Scaled down to 0.1 of its size: equivariant seed 0." in page.text
-    assert "45 of 450 iterations: equivariant seed 0." in page.text
-    assert "60 of 2,000 episodes a side: baseline seed 0, equivariant seed 0." in page.text
+    assert "Scaled to 0.1, 45 of 450 iterations, 60 of 2,000 episodes, another identity: equiv" in page.text
+    assert "60 of 2,000 episodes, another identity: baseline seed 0." in page.text
+    assert "Not counted: baseline seed 0, equivariant seed 0." in page.text
     assert (
         "Not run: baseline seeds 1, 2, 3 and 4, augmentation seeds 0, 1, 3 and 4, equivariant seeds 1, 2, 3 and 4."
         in page.text
@@ -169,11 +173,13 @@ def test_reported_figures_stand_beside_measured_ones(tmp_path):
 def test_a_damaged_result_is_told_and_not_shown(folder):
     run = folder.add("baseline", curves=None)
     (run / "metrics.json").write_text('{"schema_version": 1}')
-    (run / "episodes.csv").write_text("nonsense\n")
+    other = folder.add("baseline", 1, curves=None)
+    (other / "episodes.csv").write_text("nonsense\n")
     page, _ = page_of(folder.path, "--experiment", str(REPORTED))
     assert "no valid metrics" in page.text
     assert "episodes.csv:1: expected the columns" in page.text
-    assert "The claims cannot be judged" in page.text
+    assert "Damaged, and not shown: baseline seeds 0 and 1." in page.text
+    assert "Of 3 claims: 3 without enough data to say." in page.text
     assert str(folder.path) not in page.text
 
 
@@ -181,7 +187,30 @@ def test_a_run_that_the_experiment_does_not_plan_is_named(folder):
     folder.add("baseline", 0, curves=None, table=False)
     folder.add("baseline", 7, curves=None, table=False)
     page, _ = page_of(folder.path, "--experiment", str(REPORTED))
-    assert "baseline/seed7: no run of this experiment, and not shown." in page.text
+    assert "not planned by mini_home_field, left out: baseline/seed7" in page.text
+
+
+def test_a_mean_says_of_how_many_seeds_it_is(folder):
+    experiment = load_reported(REPORTED)
+    arm = experiment.arms["baseline"]
+    identity = identity_of(load_experiment(arm.task.document.file, arm.method.document.file, arm.overrides))
+    for seed in range(3):
+        folder.add("baseline", seed, identity=identity if seed else None, curves=None, table=False)
+    page, _ = page_of(folder.path, "--experiment", str(REPORTED))
+    assert "3 of 15 runs are finished." in page.text
+    assert "baseline: success 66.7 % in distribution, 66.7 % mirrored (mean of 2 seeds)." in page.text
+    assert "another identity: baseline seed 0." in page.text
+
+
+def test_episodes_that_became_non_finite_are_told(folder):
+    run = folder.add("baseline", curves=None, table=False)
+    metrics = load_metrics(run / "metrics.json")
+    home = metrics.evaluation.in_distribution.model_copy(update={"terminations": {"non_finite": 1.0}})
+    evaluation = metrics.evaluation.model_copy(update={"in_distribution": home})
+    write_metrics(run / "metrics.json", metrics.model_copy(update={"evaluation": evaluation}))
+    page, _ = page_of(folder.path)
+    assert "66.7 % in distribution (100.0 % non-finite), 66.7 % mirrored (1 seed)." in page.text
+    assert "Episodes in distribution: (100.0 % non-finite): baseline seed 0." in page.text
 
 
 def test_names_cannot_break_out_of_the_page(folder):

@@ -9,9 +9,11 @@ from pathlib import Path
 import pytest
 
 from kickbench.results.episodes import EpisodeSides, EpisodeTable
-from kickbench.results.metrics import Metrics, summarise_sides, write_metrics
+from kickbench.results.metrics import Metrics, summarise_sides
 from kickbench.results.provenance import Provenance
 from kickbench.results.store import RunDirectory, atomic_write_bytes, atomic_write_text
+
+from ..conftest import write_result
 
 HEADER = "iteration,steps_per_second,success_rate,collect_seconds,update_seconds"
 
@@ -90,7 +92,7 @@ def make_run(tmp_path):
         for iteration in checkpoints:
             atomic_write_bytes(directory.checkpoints / f"iteration_{iteration:06d}.pt", checkpoint())
         if finished is not None:
-            write_metrics(directory.metrics, make_metrics(finished))
+            write_result(directory.path, make_metrics(finished))
         return directory
 
     return make

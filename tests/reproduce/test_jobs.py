@@ -22,6 +22,7 @@ from kickbench.reproduce.record import RunRecord
 from kickbench.results.metrics import write_metrics
 from kickbench.results.store import RunDirectory
 
+from ..conftest import write_result
 from .conftest import make_metrics
 
 
@@ -68,7 +69,7 @@ class Played:
             self.code = code
             self.all.alive -= 1
             if code == 0 and self.arguments[0] == "run":
-                write_metrics(RunDirectory(self.folder).metrics, make_metrics(5))
+                write_result(self.folder, make_metrics(5))
             elif code == 0:
                 task = Path(self.arguments[3]).stem
                 write_metrics(RunDirectory(self.folder).also(task), make_metrics(5, task=task))
@@ -110,7 +111,7 @@ def test_so_many_run_at_a_time_in_the_order_of_the_plan(runs, played, at_a_time)
 
 
 def test_what_is_finished_is_not_run_again(runs, played):
-    write_metrics(runs[1].directory.metrics, make_metrics(5))
+    write_result(runs[1].directory.path, make_metrics(5))
     Jobs(runs, 1, 1).carry_out(PlainDisplay(io.StringIO()), no_sleep)
     assert len(played.started) == 3
     again = Jobs(runs, 1, 1)

@@ -12,9 +12,11 @@ from kickbench.experiment import load_experiment
 from kickbench.reported import load_reported
 from kickbench.reproduce.plan import Plan, Selection, default_folder, make_plan
 from kickbench.reproduce.record import read_record, write_record
+from kickbench.results.identity import identity_of
 from kickbench.results.metrics import load_metrics, write_metrics
 from kickbench.results.specs import write_specs
 
+from ..conftest import write_result
 from .conftest import checkpoint, make_metrics
 
 ROOT = Path(__file__).parents[2]
@@ -41,7 +43,7 @@ def begin(planned, *, finished: bool, **changes) -> None:
     (planned.directory.checkpoints / "iteration_000050.pt").write_bytes(checkpoint())
     if finished:
         iterations = compiled.method.spec.algorithm.iterations
-        write_metrics(planned.directory.metrics, make_metrics(iterations, **changes))
+        write_result(planned.directory.path, make_metrics(iterations, **changes), identity_of(compiled))
 
 
 def test_the_plan_is_every_seed_of_every_arm_seed_by_seed(experiment, tmp_path):

@@ -8,9 +8,9 @@ from pathlib import Path
 
 from kickbench.cli import main
 from kickbench.reproduce.record import PlanRecord, RunRecord, write_record
-from kickbench.results.metrics import write_metrics
 from kickbench.results.store import atomic_write_text
 
+from ..conftest import write_result
 from .conftest import make_metrics
 
 
@@ -46,7 +46,7 @@ def test_a_plan_tells_what_is_missing(make_run, tmp_path, capsys):
 
 
 def test_a_folder_without_a_plan_shows_what_is_there(make_run, tmp_path, capsys):
-    write_metrics(make_run("a/b/seed0").metrics, make_metrics(3, scale=0.25))
+    write_result(make_run("a/b/seed0").path, make_metrics(3, scale=0.25))
     atomic_write_text(tmp_path / "a/b/seed1/specs/method.yaml", "algorithm: {}\n")
     assert main(["status", str(tmp_path)]) == 0
     _, _, _, *rows, counts, _ = lines(capsys)

@@ -5,11 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+import pandas as pd
 import pytest
 
+from kickbench.experiment import load_experiment
 from kickbench.reported import LoadedReported, load_reported
 from kickbench.results.asymmetry import Asymmetry, EquivarianceError, LegPreference, MirroredPairs
-from kickbench.results.measured import Measured, MeasuredRun
+from kickbench.results.frame import frame_of
+from kickbench.results.identity import Identity, identity_of
 from kickbench.results.metrics import Evaluation, EvaluationMetrics, FootCounts, Kicks, Metrics
 from kickbench.results.provenance import Provenance
 from kickbench.results.statistics import Interval, wilson
@@ -109,18 +112,25 @@ def make_metrics(
     )
 
 
-def make_measured(arms: dict[str, list[Metrics | None]], lack: str | None = None) -> Measured:
+def make_measured(arms: dict[str, list[Metrics | None]], lack: str | None = None) -> pd.DataFrame:
     """Finished runs, None for one that is missing; `lack` is what all of them deviate from the plan in."""
-    runs = {
-        arm: tuple(
-            MeasuredRun(arm, seed, Path("nowhere"), "missing")
-            if metrics is None
-            else MeasuredRun(arm, seed, Path("nowhere"), "finished", metrics, deviation=lack)
-            for seed, metrics in enumerate(found)
-        )
-        for arm, found in arms.items()
-    }
-    return Measured(Path("nowhere"), runs)
+    tables = []
+    for arm, found in arms.items():
+        for seed, metrics in enumerate(found):
+            rows = frame_of([metrics or make_metrics(make_side(0.5))])
+            rows["condition"], rows["seed"], rows["path"] = arm, seed, Path("nowhere", arm, f"seed{seed}")
+            rows["deviation"] = pd.Series([lack] * len(rows), dtype=object)
+            if metrics is None:
+                rows["state"], rows["counted"] = "missing", False
+            tables.append(rows)
+    return pd.concat(tables, ignore_index=True)
+
+
+def planned_identity(experiment: LoadedReported, name: str) -> Identity:
+    """The identity of the runs of a condition."""
+    arm = experiment.arms[name]
+    files = arm.task.document.file, arm.method.document.file
+    return identity_of(load_experiment(*files, arm.overrides))
 
 
 class Make:

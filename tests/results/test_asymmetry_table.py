@@ -1,5 +1,7 @@
 """The table of left against right: there where runs tell it, and readable."""
 
+from collections.abc import Sequence
+
 import pytest
 
 from kickbench.results.asymmetry import (
@@ -9,10 +11,11 @@ from kickbench.results.asymmetry import (
     MirroredPairs,
     SideSuccess,
 )
+from kickbench.results.frame import frame_of
 from kickbench.results.metrics import Evaluation, EvaluationMetrics, FootCounts, Kicks, Metrics
 from kickbench.results.provenance import Provenance
 from kickbench.results.statistics import Interval
-from kickbench.results.table import render_table
+from kickbench.results.table import render_table as render_frame
 
 PROVENANCE = Provenance(
     versions={},
@@ -91,6 +94,10 @@ def run(
         evaluation=Evaluation(in_distribution=side, asymmetry=found),
         provenance=PROVENANCE,
     )
+
+
+def render_table(runs: Sequence[Metrics]) -> str:
+    return render_frame(frame_of(runs))
 
 
 def block(*runs: Metrics) -> list[list[str]]:

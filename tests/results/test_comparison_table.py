@@ -9,9 +9,11 @@ import numpy as np
 
 from kickbench.cli import main
 from kickbench.results.episodes import EpisodeSides, EpisodeTable, write_episodes
-from kickbench.results.metrics import Metrics, load_metrics, summarise_sides, write_metrics
+from kickbench.results.metrics import Metrics, load_metrics, summarise_sides
 from kickbench.results.paired import PairedComparison, compare_on_starts
 from kickbench.results.provenance import Provenance
+
+from ..conftest import write_result
 
 STARTS, RADIUS = 200, 0.35
 
@@ -79,7 +81,7 @@ def write_run(folder: Path, method: str, seed: int, rate: float, *, table: bool 
         evaluation=summarise_sides(sides, RADIUS),
         provenance=provenance,
     )
-    write_metrics(path / "metrics.json", metrics)
+    write_result(path, metrics)
     if table:
         write_episodes(path / "episodes.csv", sides)
     return home
@@ -159,11 +161,25 @@ def test_runs_without_episodes_or_with_other_starts_are_not_compared_start_by_st
     assert "b/seed0 was evaluated from other starts than" in compare(tmp_path, capsys)
 
 
-def test_the_same_seed_twice_is_an_error_since_it_would_count_twice(tmp_path, capsys) -> None:
+def test_another_result_of_the_same_seed_is_an_error_since_one_of_the_two_is_wrong(tmp_path, capsys) -> None:
     write_run(tmp_path / "one", "a", 0, 0.9)
-    write_run(tmp_path / "two", "a", 0, 0.9)
+    write_run(tmp_path / "two", "a", 0, 0.2)
     assert main(["compare", str(tmp_path)]) == 2
-    assert "holds seed 0 of a on a_task, as does" in capsys.readouterr().err
+    message = capsys.readouterr().err
+    assert "two/a/seed0 holds seed 0 of a on a_task with another result than " in message
+    assert "one/a/seed0" in message
+
+
+def test_a_copied_seed_counts_once(tmp_path, capsys) -> None:
+    for seed in range(2):
+        write_run(tmp_path / "one", "a", seed, 0.9)
+        write_run(tmp_path / "one", "b", seed, 0.3)
+    once = compare(tmp_path, capsys)
+    write_run(tmp_path / "two", "a", 0, 0.9)
+    text = compare(tmp_path, capsys)
+    assert rows(text, "a ") == rows(once, "a ")
+    (line,) = [line for line in text.splitlines() if line.startswith("counted once: ")]
+    assert line.endswith(f"is a copy of {tmp_path}/one/a/seed0")
 
 
 def test_a_single_method_has_nothing_to_be_compared_with(tmp_path, capsys) -> None:
@@ -189,11 +205,11 @@ def test_a_method_without_a_figure_is_said_to_be_left_out_and_a_scaled_one_to_be
     tmp_path, capsys
 ) -> None:
     for seed, method in enumerate("abc"):
-        write_run(tmp_path, method, seed, 0.9)
-    path = tmp_path / "c/seed2/metrics.json"
-    metrics = load_metrics(path)
+        write_run(tmp_path, method, seed, 0.9, table=False)
+    path = tmp_path / "c/seed2"
+    metrics = load_metrics(path / "metrics.json")
     evaluation = metrics.evaluation.model_copy(update={"mirrored": None})
-    write_metrics(path, metrics.model_copy(update={"evaluation": evaluation, "scale": 0.1}))
+    write_result(path, metrics.model_copy(update={"evaluation": evaluation, "scale": 0.1}))
     text = compare(tmp_path, capsys)
     assert rows(text, "c ")[0][:4] == ["c", "1", "450", "scaled"]
     assert rows(text, "a ")[0][3] != "scaled"

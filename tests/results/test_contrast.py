@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from math import inf
-from pathlib import Path
 
+import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -19,7 +19,7 @@ from kickbench.results.contrast import (
     over_seeds,
     run_terms,
 )
-from kickbench.results.measured import MeasuredRun
+from kickbench.results.frame import frame_of
 from kickbench.results.run_figures import Figure
 from kickbench.results.statistics import Interval, two_proportions, wilson
 from kickbench.spec.claims import DifferenceWithin, Operand
@@ -97,7 +97,8 @@ def test_the_two_sides_of_one_evaluation_are_correlated_by_its_pairs(make, of, m
     """The further task's evaluation knows its pairs, the run's own does not."""
     sides = make.side(0.85), make.side(0.85)
     pairs = make.metrics(*sides, asymmetry=make.asymmetry(only_original=0), task="mini_general")
-    run = MeasuredRun("a", 0, Path("x"), "finished", make.metrics(*sides), {"mini_general": pairs})
+    run = pd.concat([frame_of([make.metrics(*sides)]), frame_of([pairs]).assign(task="mini_home_field")])
+    run["condition"] = "a"
     claim = gap(of, minus)
     given = run_terms(run, claim, contrast_of(claim))
     assert given is not None

@@ -7,9 +7,11 @@ from pathlib import Path
 import pytest
 
 from kickbench.reported import load_reported
-from kickbench.results.measured import read_measured
-from kickbench.results.metrics import write_metrics
+from kickbench.results.frame import load_runs
 from kickbench.results.verdicts import is_met_as_reported, judge, verdict_lines
+
+from ..conftest import write_result
+from .conftest import planned_identity
 
 ROOT = Path(__file__).parents[2]
 HOME_AND_AWAY = "value: {arm: baseline}, minus: {arm: baseline, side: mirrored}"
@@ -230,10 +232,10 @@ def measured_on_disk(experiment, make, folder, rows):
     for seed in range(3):
         path = folder / f"baseline/seed{seed}"
         run = make.metrics(make.side(0.5), make.side(0.5), seed=seed)
-        write_metrics(path / "metrics.json", run)
+        write_result(path, run, planned_identity(experiment, "baseline"))
         (*first, (r, n)) = rows
         curves(path, [*first, (r, n + seed / 10)], 1 + (seed - 1) / 100)
-    return read_measured(folder, experiment)
+    return load_runs(folder, experiment)
 
 
 @pytest.mark.parametrize(
@@ -279,7 +281,7 @@ def test_the_lines_hold_every_claim_with_its_words(experiment, make, seeds):
 @pytest.mark.parametrize("name", ["general", "home_field"])
 def test_the_thesis_own_figures_meet_its_claims(name):
     experiment = load_reported(ROOT / f"results/reported/{name}.yaml")
-    verdicts = judge(experiment, read_measured("nowhere", experiment))
+    verdicts = judge(experiment, load_runs("nowhere", experiment))
     met = {verdict.name: is_met_as_reported(verdict) for verdict in verdicts}
     assert sum(value is not None for value in met.values()) >= 5
     assert not [name for name, value in met.items() if value is False]
@@ -288,7 +290,7 @@ def test_the_thesis_own_figures_meet_its_claims(name):
 def test_five_measured_seeds_of_the_mini_kicker_leave_the_baselines_mean_loss_open():
     """They lose between 12 and 73 points on the mirrored side: more than five can average out."""
     experiment = load_reported(ROOT / "results/reported/mini_home_field.yaml")
-    measured = read_measured(ROOT / "results/measured/mini_home_field", experiment)
+    measured = load_runs(ROOT / "results/measured/mini_home_field", experiment)
     assert {v.name: v.outcome for v in judge(experiment, measured)} == {
         "baseline_loses": "not enough data",
         "equivariant_keeps": "met",

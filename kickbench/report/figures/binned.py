@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from kickbench.report.breakdown import BinnedSide, Coordinate
-from kickbench.report.data import SIDE_WORDS
 from kickbench.report.figures.canvas import Panel, Picture
 from kickbench.report.palette import Look
+from kickbench.report.study import SIDE_WORDS
 
 _WIDTH, _HEIGHT = 340, 230
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from kickbench.report.data import SIDE_WORDS
 from kickbench.report.figures.canvas import Panel, Picture
 from kickbench.report.palette import INK, Look
 from kickbench.report.spread import Measure, Spread
+from kickbench.report.study import SIDE_WORDS
 
 _ROW, _FRAME = 30.0, 60.0
 """Height of a row, and of everything else [px]."""

@@ -6,7 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import sqrt
 
-from kickbench.report.data import ArmData
+import pandas as pd
+
 from kickbench.report.figures.canvas import Panel, Picture
 from kickbench.report.palette import MUTED, Look
 
@@ -23,15 +24,11 @@ class ErrorDot:
     relative: float
 
 
-def error_dots(arms: Sequence[ArmData]) -> tuple[ErrorDot, ...]:
-    """The error of every run that tells it."""
-    found = []
-    for arm in arms:
-        for run in arm.finished:
-            asymmetry = run.metrics.evaluation.asymmetry if run.metrics else None
-            if asymmetry is not None and asymmetry.equivariance is not None:
-                found.append(ErrorDot(arm.name, run.seed, asymmetry.equivariance.relative))
-    return tuple(found)
+def error_dots(runs: pd.DataFrame) -> tuple[ErrorDot, ...]:
+    """The error of every run that has been measured."""
+    told = runs[runs["equivariance/relative"].notna()]
+    columns = (told.condition, told.seed, told["equivariance/relative"])
+    return tuple(ErrorDot(*values) for values in zip(*columns, strict=True))
 
 
 def draw_errors(dots: Sequence[ErrorDot], looks: Mapping[str, Look], name: str) -> Picture:

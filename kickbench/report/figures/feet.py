@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kickbench.report.data import RunData
 from kickbench.report.figures.canvas import Panel, Picture
 from kickbench.report.palette import INK, LEFT_FOOT, OTHER, RIGHT_FOOT
+from kickbench.results.episodes import EpisodeSides
 from kickbench.view.extra import require
 
 _WIDTH = 300
@@ -38,17 +38,15 @@ class Kicked:
     untouched: int
 
 
-def kicks_of(run: RunData) -> Kicked | None:
-    """The kicks of a run; None if it has no table of episodes."""
-    if run.episodes is None:
-        return None
-    tables = [table for table in run.episodes if table is not None]
+def kicks_of(arm: str, seed: int, sides: EpisodeSides) -> Kicked:
+    """The kicks in the episodes of a run."""
+    tables = [table for table in sides if table is not None]
     x, y, foot = (
         np.concatenate([getattr(table, name) for table in tables])
         for name in ("start_ball_x", "start_ball_y", "kick_foot")
     )
     touched = foot != "none"
-    return Kicked(run.arm, run.seed, x[touched], y[touched], foot[touched], int((~touched).sum()))
+    return Kicked(arm, seed, x[touched], y[touched], foot[touched], int((~touched).sum()))
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from kickbench.report.data import SIDES, RunData
+import pandas as pd
+
 from kickbench.report.figures.canvas import Panel, Picture
 from kickbench.report.palette import INK, LEFT_FOOT, MUTED, OTHER, RIGHT_FOOT, Colour
 from kickbench.results.metrics import FootCounts
@@ -34,17 +35,18 @@ class Legs:
     right: FootCounts
 
 
-def legs_of(run: RunData, name: str) -> Legs | None:
-    """The counts of a finished run; None of another.
+def legs_of(rows: pd.DataFrame, name: str) -> Legs:
+    """The counts of a finished run.
 
     Args:
-        run: The run.
+        rows: Its rows on its own task.
         name: What its row is called.
     """
-    kicks = [side.kicks for side in map(run.side, SIDES) if side is not None]
-    if not kicks:
-        return None
-    return Legs(name, _sum([of.ball_left for of in kicks]), _sum([of.ball_right for of in kicks]))
+    counts = [
+        FootCounts(**{foot: int(rows[f"kicks/{ball}/{foot}"].sum()) for foot in FootCounts.model_fields})
+        for ball in ("ball_left", "ball_right")
+    ]
+    return Legs(name, *counts)
 
 
 def draw_legs(found: Sequence[Legs], name: str, *, width: float = 640, themed: bool = False) -> Picture:
@@ -83,15 +85,6 @@ def draw_legs(found: Sequence[Legs], name: str, *, width: float = 640, themed: b
     axes.set_ylim(-len(found) + 0.4, 1.3)
     text = " ".join(_text(legs) for legs in found)
     return canvas.picture(name, "Which foot kicks", text, themed=themed)
-
-
-def _sum(counts: Sequence[FootCounts]) -> FootCounts:
-    return FootCounts(
-        left_foot=sum(of.left_foot for of in counts),
-        right_foot=sum(of.right_foot for of in counts),
-        other=sum(of.other for of in counts),
-        none=sum(of.none for of in counts),
-    )
 
 
 def _text(legs: Legs) -> str:

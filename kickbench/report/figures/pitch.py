@@ -8,9 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from kickbench.report.data import SIDE_WORDS, SIDES, ArmData, Side
+from kickbench.report.breakdown import Episodes, tables_of
 from kickbench.report.figures.canvas import Panel, Picture
 from kickbench.report.palette import INK, OTHER, Look
+from kickbench.report.study import SIDE_WORDS
+from kickbench.results.frame import SIDES
+from kickbench.spec.claims import Side
 
 _WIDTH = 300
 _OUTSIDE = 0.002
@@ -46,19 +49,17 @@ class Window:
     y: tuple[float, float]
 
 
-def resting_places(arms: Sequence[ArmData]) -> tuple[Rest, ...]:
-    """The resting places of every arm and side that has a table of episodes."""
+def resting_places(episodes: Episodes) -> tuple[Rest, ...]:
+    """The resting places of every condition and side that has a table of episodes."""
     found = []
-    for arm in arms:
+    for arm, runs in episodes.items():
         for side in SIDES:
-            tables = [getattr(run.episodes, side) for run in arm.runs if run.episodes is not None]
-            tables = [table for table in tables if table is not None]
-            if tables:
+            if tables := tables_of(runs, side):
                 columns = [
                     np.concatenate([getattr(table, name) for table in tables])
                     for name in ("final_ball_x", "final_ball_y", "success")
                 ]
-                found.append(Rest(arm.name, side, len(tables), *columns))
+                found.append(Rest(arm, side, len(tables), *columns))
     return tuple(found)
 
 
