@@ -37,13 +37,13 @@ def identity_of(experiment: Experiment) -> Identity:
     return _of(experiment.loaded_task, experiment.method)
 
 
-def read_identity(directory: RunDirectory) -> Identity:
+def read_identity(directory: Path) -> Identity:
     """Reads the identity of a run.
 
     Raises:
         KickbenchError: It is missing or damaged.
     """
-    path = directory.path / FILE
+    path, directory = directory / FILE, RunDirectory(directory)
     if path.exists():
         try:
             return Identity.model_validate_json(path.read_bytes())
@@ -57,9 +57,9 @@ def read_identity(directory: RunDirectory) -> Identity:
     return _of(load_task(task_model(), directory.task_spec), load_method(directory.method_spec))
 
 
-def write_identity(directory: RunDirectory, identity: Identity) -> None:
+def write_identity(directory: Path, identity: Identity) -> None:
     """Writes the identity of a run, atomically."""
-    atomic_write_text(directory.path / FILE, identity.model_dump_json(indent=2) + "\n")
+    atomic_write_text(directory / FILE, identity.model_dump_json(indent=2) + "\n")
 
 
 def _of(task: LoadedTask, method: LoadedMethod) -> Identity:
