@@ -115,8 +115,8 @@ def pictures(results: tuple[Result, ...]) -> tuple[Picture, Picture]:
     legs = []
     for study, _ in results:
         own = study.rows[study.rows.counted & (study.rows.evaluated_on == study.rows.task)]
-        for (arm, seed), rows in own.groupby(["condition", "seed"], sort=False):
-            legs.append(legs_of(rows, f"{study.name}: {arm}, seed {seed}"))
+        for (arm, seed), sides in own.groupby(["condition", "seed"], sort=False):
+            legs.append(legs_of(sides, f"{study.name}: {arm}, seed {seed}"))
     return success, draw_legs(legs, "feet", width=_WIDTH)
 
 

@@ -13,7 +13,7 @@ from kickbench.errors import KickbenchError
 from kickbench.reported import Arm, LoadedReported
 from kickbench.results.episodes import EpisodeSides, read_episodes
 from kickbench.results.frame import load_runs, runs_of
-from kickbench.results.groups import differing_lines, with_groups
+from kickbench.results.groups import group_lines, setting_lines, with_groups
 from kickbench.results.notes import left_out_lines, repeat_lines, unplanned_lines
 from kickbench.results.progress import Progress, read_progress
 from kickbench.results.store import RunDirectory
@@ -101,17 +101,12 @@ def studies(root: Path, experiment: LoadedReported | None = None) -> tuple[Study
     finished = with_groups(frame)
     frame["condition"] = finished.group.reindex(frame.index).fillna(frame.method)
     settings = finished.setting_name.reindex(frame.index).fillna(frame.task)
-    return tuple(
-        _study(
-            root,
-            name,
-            "",
-            "",
-            frame[settings == name],
-            differing_lines(finished[finished.setting_name == name]),
-        )
-        for name in dict.fromkeys(settings)
-    )
+    found = []
+    for name in dict.fromkeys(settings):
+        own = finished[finished.setting_name == name]
+        problems = [*setting_lines(finished[finished.task.isin(own.task)]), *group_lines(own)]
+        found.append(_study(root, name, "", "", frame[settings == name], problems))
+    return tuple(found)
 
 
 def place(root: Path, path: Path) -> str:

@@ -145,7 +145,9 @@ def kick_table(study: Study) -> Table | None:
         "Walked after it [m]", "Falls [%]", "Not finite [%]",
     )  # fmt: skip
     runs = [run for _, run in study.runs.iterrows() if known(run, "kick/falls") is not None]
-    return Table("The kick in distribution, a row a run", columns, tuple(map(_kick_row, runs))) if runs else None
+    return (
+        Table("The kick in distribution, a row a run", columns, tuple(map(_kick_row, runs))) if runs else None
+    )
 
 
 def further_rows(study: Study) -> list[tuple[str, tuple[Cell, ...]]]:

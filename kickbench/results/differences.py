@@ -43,7 +43,7 @@ def stored_specs(directory: RunDirectory) -> Specs:
     from kickbench.mdp.catalog import task_model
 
     task, method = load_task(task_model(), directory.task_spec), load_method(directory.method_spec)
-    return Specs(_values(task, method), read_identity(directory).parts)
+    return Specs(_values(task, method), read_identity(directory.path).parts)
 
 
 def planned_specs(experiment: Experiment) -> Specs:

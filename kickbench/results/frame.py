@@ -31,7 +31,7 @@ import numpy as np
 import pandas as pd
 from pydantic import BaseModel
 
-from kickbench.errors import KickbenchError
+from kickbench.errors import KickbenchError, shown
 from kickbench.results.asymmetry import Asymmetry
 from kickbench.results.episodes import NON_FINITE
 from kickbench.results.identity import Identity, read_identity
@@ -197,14 +197,14 @@ def _read(directory: RunDirectory) -> tuple[Row, Metrics | None]:
             row |= _identity_columns(directory)
         return row, None
     try:
-        check(directory)
+        check(directory.path)
         return row | _identity_columns(directory), load_metrics(directory.metrics)
     except KickbenchError as error:
         return row | _damaged(directory, error), None
 
 
 def _damaged(directory: RunDirectory, error: KickbenchError) -> Row:
-    words = str(error).replace(f"{directory.path}/", "")
+    words = str(error).replace(f"{directory.path}/", "").replace(f"{shown(directory.path)}/", "")
     return {"side": HOME, "state": "damaged", "damage": words, "counted": False}
 
 
@@ -223,7 +223,7 @@ def _stored_iterations(directory: RunDirectory) -> int | None:
 
 
 def _identity_columns(directory: RunDirectory) -> Row:
-    identity = read_identity(directory)
+    identity = read_identity(directory.path)
     return {"identity": identity.fingerprint, "setting": setting_of(identity)}
 
 

@@ -36,9 +36,20 @@ def differing_lines(finished: pd.DataFrame) -> list[str]:
     Args:
         finished: What `with_groups` has returned.
     """
+    return [*setting_lines(finished), *group_lines(finished)]
+
+
+def setting_lines(finished: pd.DataFrame) -> list[str]:
+    """In what settings of one task's name differ."""
     lines = []
     for task, rows in finished.groupby("task", sort=False):
         lines += _lines(str(task), rows, "setting_name")
+    return lines
+
+
+def group_lines(finished: pd.DataFrame) -> list[str]:
+    """In what groups of one setting and one method's name differ."""
+    lines = []
     for (_, method), rows in finished.groupby(["setting_name", "method"], sort=False):
         lines += _lines(str(method), rows, "group")
     return lines

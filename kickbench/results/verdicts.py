@@ -137,7 +137,7 @@ def _parts(
     lacks: list[str] = []
     for arm in dict.fromkeys(operand.arm for _, operand in contrast.terms):
         rows = measured[measured.condition == arm]
-        runs = {int(seed): run for seed, run in rows.groupby("seed", sort=False)}
+        runs = {int(run.seed.iloc[0]): run for _, run in rows.groupby("seed", sort=False)}
         given = {
             seed: run_terms(run, claim, contrast) if run.counted.any() else None for seed, run in runs.items()
         }

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from kickbench.results.episodes import EpisodeTable
+from kickbench.results.frame import frame_of
 from kickbench.results.kick import KickFigures, measure_kick
-from kickbench.results.kick_table import kick_block
+from kickbench.results.kick_table import render_kicks
 
 NAN = np.nan
 
@@ -88,24 +89,18 @@ def test_tables_of_older_versions_have_no_figures() -> None:
     assert measure_kick(replace(make_table(), **none), 0.02) is None
 
 
-def test_the_printed_table_has_a_row_for_each_side_and_the_spread_over_seeds(make) -> None:
+def test_the_printed_table_has_a_row_for_each_run(make) -> None:
     kick = measure(make_table())
     slow = kick.model_copy(update={"mean_launch_speed": 1.125, "direction_bias": None})
     sides = [make.side(0.5).model_copy(update={"kick": figures}) for figures in (kick, slow)]
-    runs = [make.metrics(side, mirrored=sides[0], seed=seed) for seed, side in enumerate(sides)]
-    lines = kick_block("a_task", runs).splitlines()
-    assert lines[0] == "kick: a_task"
-    rows = [line.split() for line in lines[4:] if line]
-    assert [row[1:3] for row in rows] == [
-        [seed, side] for side in ("in-dist.", "mirrored") for seed in ("0", "1", "mean", "std")
-    ]
-    assert rows[0][3].startswith("1.5")
-    assert rows[0][-8:] == ["0.233", "0.200", "-0.031", "0.50", "2.00", "0.30", "40.0", "20.0"]
-    assert rows[1][-6] == rows[2][-6] == "-", "no mean of a figure that a seed lacks"
-    assert rows[2][3] == "1.32"
-    assert rows[3][3] == "0.28"
+    runs = [make.metrics(side, seed=seed) for seed, side in enumerate(sides)]
+    rows = [line.split() for line in render_kicks(frame_of(runs)).splitlines()[3:]]
+    assert [row[1] for row in rows] == ["0", "1"]
+    assert rows[0][-4:] == ["2.00", "0.30", "40.0", "20.0"]
+    assert (rows[0][2], rows[1][2]) == (f"{kick.mean_launch_speed:.2f}", "1.12")
+    assert rows[1][5] == "-"
 
 
 def test_a_run_without_the_figures_is_printed_without_them(make) -> None:
-    (row,) = kick_block("a_task", [make.metrics(make.side(0.5))]).splitlines()[4:]
-    assert row.split() == ["baseline", "0", "in-dist.", *["-"] * 9]
+    (row,) = render_kicks(frame_of([make.metrics(make.side(0.5))])).splitlines()[3:]
+    assert row.split() == ["baseline", "0", *["-"] * 9]

@@ -12,7 +12,6 @@ from kickbench.results.store import (
     atomic_write_bytes,
     atomic_write_text,
     find_begun_runs,
-    find_runs,
 )
 
 METRICS = "metrics.json"
@@ -229,12 +228,13 @@ def test_a_file_in_the_place_of_the_folder_is_an_error(tmp_path: Path) -> None:
         RunDirectory(tmp_path / "run").prepare(force=True)
 
 
-def test_finished_runs_are_found_in_the_order_of_their_paths(tmp_path: Path) -> None:
+def test_runs_are_found_in_the_order_of_their_paths(tmp_path: Path) -> None:
     for name, metrics in {"b/seed0": "{}", "a/seed1": "{}", "a/seed0": "{"}.items():
         make_run(tmp_path / name, metrics)
-    assert [run.path.relative_to(tmp_path).as_posix() for run in find_runs(tmp_path)] == [
+    assert [run.path.relative_to(tmp_path).as_posix() for run in find_begun_runs(tmp_path)] == [
+        "a/seed0",
         "a/seed1",
         "b/seed0",
     ]
-    assert [run.path for run in find_runs(tmp_path / "b" / "seed0")] == [tmp_path / "b" / "seed0"]
-    assert find_runs(tmp_path / "absent") == []
+    assert [run.path for run in find_begun_runs(tmp_path / "b" / "seed0")] == [tmp_path / "b" / "seed0"]
+    assert find_begun_runs(tmp_path / "absent") == []
