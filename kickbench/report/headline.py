@@ -25,6 +25,7 @@ class Claimed:
         reported: The same figure as it was reported; empty if it was not.
         reason: Why there is not enough data; empty otherwise.
         measured: Whether there is a figure.
+        words: The verdict as people read it.
     """
 
     statement: str
@@ -34,6 +35,7 @@ class Claimed:
     reported: str = ""
     reason: str = ""
     measured: bool = True
+    words: str = ""
 
 
 def claimed(verdict: Verdict) -> Claimed:
@@ -51,6 +53,7 @@ def claimed(verdict: Verdict) -> Claimed:
         reported,
         verdict.reason or "",
         verdict.figure is not None,
+        verdict.words if claim.decidable else f"{verdict.words} (three seeds cannot decide it)",
     )
 
 

@@ -145,7 +145,7 @@ def _study_text(study: Study, claims: tuple[Claimed, ...]) -> str:
 def _claim_lines(claims: tuple[Claimed, ...]) -> list[str]:
     """The claims that something was measured for, and how many others there are."""
     told = [of for of in claims if of.measured]
-    lines = [f"- {_plain(of.statement)}: **{of.verdict}**, {_plain(_evidence(of))}" for of in told]
+    lines = [f"- {_plain(of.statement)}: **{of.words}**, {_plain(_evidence(of))}" for of in told]
     rest = len(claims) - len(told)
     if rest:
         lines.append(

@@ -5,8 +5,6 @@ Curves are those of exploration, from `progress.csv`, smoothed by a moving mean 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -31,37 +29,40 @@ def smoothed(curve: Curve) -> Curve:
     return np.divide(total, count, out=np.full(len(curve), np.nan), where=count > 0)
 
 
-def steps_to_kick(columns: Mapping[str, Curve]) -> float | None:
-    """Control steps until the smoothed success rate reaches `KICKING`; None if it never does."""
-    return _steps_until(columns, KICKING)
+def steps_to_kick(success: Curve, steps: Curve) -> float | None:
+    """Control steps until the smoothed success rate reaches `KICKING`; None if it never does.
+
+    Args:
+        success: Success rate of each iteration [n]; NaN where no episode ended.
+        steps: Control steps done after each [n].
+    """
+    return _steps_until(success, steps, KICKING)
 
 
-def steps_to_half_success(columns: Mapping[str, Curve]) -> float | None:
+def steps_to_half_success(success: Curve, steps: Curve) -> float | None:
     """Control steps until the smoothed success rate reaches half of the final one, the mean of the last tenth."""
-    success = columns["success_rate"]
     last = success[-max(1, round(_FINAL * len(success))) :]
     final = float(np.nanmean(last)) if np.isfinite(last).any() else 0.0
-    return _steps_until(columns, final / 2) if final > 0 else None
+    return _steps_until(success, steps, final / 2) if final > 0 else None
 
 
-def success_area(columns: Mapping[str, Curve]) -> float | None:
+def success_area(success: Curve, _: Curve) -> float | None:
     """Area under the success rate over control steps, divided by all steps: its mean, a share."""
-    success = columns["success_rate"]
     return float(np.nanmean(success)) if np.isfinite(success).any() else None
 
 
-def return_trough(columns: Mapping[str, Curve]) -> float | None:
+def return_trough(returns: Curve, _: Curve) -> float | None:
     """Deepest fall of the smoothed return below its highest value so far, over the range of its values.
 
     With r the smoothed return and M_t = max(r_0, ..., r_t): max_t (M_t - r_t) / (max r - min r). 0 for a return that
     only rises, 1 for one that loses all it had.
     """
-    known = smoothed(columns["mean_return"])
+    known = smoothed(returns)
     known = known[np.isfinite(known)]
     spread = float(np.ptp(known)) if known.size else 0.0
     return float((np.maximum.accumulate(known) - known).max()) / spread if spread else None
 
 
-def _steps_until(columns: Mapping[str, Curve], level: float) -> float | None:
-    reached = np.flatnonzero(smoothed(columns["success_rate"]) >= level)
-    return float(columns["env_steps"][reached[0]]) if len(reached) else None
+def _steps_until(success: Curve, steps: Curve, level: float) -> float | None:
+    reached = np.flatnonzero(smoothed(success) >= level)
+    return float(steps[reached[0]]) if len(reached) else None

@@ -11,6 +11,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from kickbench.errors import KickbenchError
+from kickbench.results import learning
 from kickbench.results.frame import known
 from kickbench.results.notes import lack, unfinished_words
 from kickbench.results.progress import read_progress
@@ -144,6 +145,16 @@ def _favourite_foot(side: pd.Series, _: Sequence[str]) -> Figure | None:
     return _share(max(feet), sum(feet)) if any(feet) else None
 
 
+def _of_the_kick(name: str) -> Callable[[pd.Series, Sequence[str]], Figure | None]:
+    """A figure of `results.kick`, whose interval over episodes is not known."""
+
+    def figure(side: pd.Series, _: Sequence[str]) -> Figure | None:
+        value = known(side, f"kick/{name}")
+        return None if value is None else Figure(value)
+
+    return figure
+
+
 def _share(count: float, total: float) -> Figure:
     return Figure(round(count) / total, wilson(round(count), int(total)))
 
@@ -191,6 +202,19 @@ def _curves(run: Path, columns: Sequence[str]) -> NDArray[np.float64] | None:
     return np.array([progress.columns[column] for column in columns])
 
 
+def _of_the_curve(
+    name: str, figure: Callable[[NDArray[np.float64], NDArray[np.float64]], float | None]
+) -> Callable[[pd.Series, AnyClaim], Figure | None]:
+    """A figure of `results.learning`, of one column of the progress table over the control steps."""
+
+    def measure(run: pd.Series, _: AnyClaim) -> Figure | None:
+        curves = _curves(run.path, (name, "env_steps"))
+        value = None if curves is None else figure(*curves)
+        return None if value is None else Figure(value)
+
+    return measure
+
+
 _OF_SIDES: Mapping[Metric, Callable[[pd.Series, Sequence[str]], Figure | None]] = {
     "success_rate": _success,
     "mean_distance": _mean_distance,
@@ -200,10 +224,16 @@ _OF_SIDES: Mapping[Metric, Callable[[pd.Series, Sequence[str]], Figure | None]] 
     "termination_share": _terminations,
     "same_side_share": _same_side,
     "favourite_foot_share": _favourite_foot,
+    "touches": _of_the_kick("mean_touches"),
+    "walked_after_touch": _of_the_kick("mean_walked_after_touch"),
 }
 _OF_RUNS: Mapping[Metric, Callable[[pd.Series, AnyClaim], Figure | None]] = {
     "equivariance_error": _equivariance,
     "pair_agreement": _pair_agreement,
     "return_length_correlation": _return_length_correlation,
     "raw_reward": _raw_reward,
+    "steps_to_kick": _of_the_curve("success_rate", learning.steps_to_kick),
+    "steps_to_half_success": _of_the_curve("success_rate", learning.steps_to_half_success),
+    "success_area": _of_the_curve("success_rate", learning.success_area),
+    "return_trough": _of_the_curve("mean_return", learning.return_trough),
 }

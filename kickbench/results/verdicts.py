@@ -29,7 +29,12 @@ from kickbench.results.run_units import Unit, unit_of
 from kickbench.results.statistics import Interval
 from kickbench.spec.claims import AnyClaim, NearReported, Operand, RatioAtLeast, RatioAtMost
 
-Outcome = Literal["met", "not met", "not enough data"]
+Outcome = Literal["met", "not met", "holds", "does not hold", "not enough data"]
+"""With fewer than `FEWEST_SEEDS` seeds nothing is said of a method: a claim *holds* or *does not hold* for the policies
+that there are, and is not met."""
+
+FEWEST_SEEDS = 3
+_OF_POLICIES: dict[Outcome, Outcome] = {"met": "holds", "not met": "does not hold"}
 
 
 @dataclass(frozen=True)
@@ -39,7 +44,7 @@ class Verdict:
     Attributes:
         name: The claim's name.
         claim: The claim.
-        outcome: Met, not met, or not enough data.
+        outcome: Met, not met, or not enough data; of one or two seeds: holds or does not hold for these policies.
         figure: What the claim compares with its bound: a figure, a difference or a ratio; of the seed nearest to the
             bound, if each seed is meant. None if nothing was measured. In the metric's unit.
         interval: Its 95 % interval, None where it is not known.
@@ -47,6 +52,7 @@ class Verdict:
         reported: The same figure from what the thesis reported; None if it did not.
         reason: Why there is not enough data.
         unit: How figures are written.
+        seeds: Seeds of the condition that has the fewest.
     """
 
     name: str
@@ -58,6 +64,14 @@ class Verdict:
     reported: float | None
     reason: str | None
     unit: Unit
+    seeds: int = 0
+
+    @property
+    def words(self) -> str:
+        """The outcome as people read it: `met`, `one policy: holds`, ..."""
+        if self.outcome not in _OF_POLICIES.values():
+            return self.outcome
+        return f"{'one policy' if self.seeds == 1 else 'two policies'}: {self.outcome}"
 
     @property
     def sentence(self) -> str:
@@ -65,7 +79,7 @@ class Verdict:
         figure = NOTHING if self.figure is None else self.unit.write(self.figure, self.interval)
         basis = f" ({self.basis})" if self.figure is not None else ""
         reason = f"; {self.reason}" if self.reason else ""
-        return f"{self.claim.statement}: {self.outcome}. {figure}{basis}{reason}"
+        return f"{self.claim.statement}: {self.words}. {figure}{basis}{reason}"
 
 
 def judge(experiment: LoadedReported, measured: pd.DataFrame) -> tuple[Verdict, ...]:
@@ -91,6 +105,7 @@ def verdict_lines(experiment: LoadedReported, verdicts: Sequence[Verdict]) -> li
     lines.append("")
     for verdict in verdicts:
         section = f" (thesis {verdict.claim.section})" if verdict.claim.section else ""
+        section += "" if verdict.claim.decidable else "; three seeds cannot decide it"
         lines.append(f"{verdict.name}: {verdict.claim.statement}{section}")
         lines += [f"    {verdict.reason}"] if verdict.reason else []
     return lines
@@ -100,19 +115,13 @@ def _row(verdict: Verdict) -> tuple[str, ...]:
     unit = verdict.unit
     measured = NOTHING if verdict.figure is None else unit.write(verdict.figure, verdict.interval)
     reported = NOTHING if verdict.reported is None else unit.write(verdict.reported)
-    return verdict.name, verdict.outcome, measured, verdict.basis, reported
+    return verdict.name, verdict.words, measured, verdict.basis, reported
 
 
 def _judge(name: str, claim: AnyClaim, experiment: LoadedReported, measured: pd.DataFrame) -> Verdict:
     contrast = contrast_of(claim, _reported(claim.value, claim, experiment))
     parts, lacks = _parts(claim, contrast, measured)
-    if not all(parts.values()):
-        outcome, estimated, reason = "not enough data", None, None
-    elif claim.seeds == "each":
-        outcome, estimated, reason = _each(contrast, parts)
-    else:
-        estimated = estimate(parts)
-        outcome, reason = _outcome(contrast, estimated.interval)
+    outcome, estimated, reason = judge_parts(claim, contrast, parts)
     if lacks:
         outcome, reason = "not enough data", "; ".join(lacks)
     figure, interval = _shown(claim, estimated, parts) if estimated else (None, None)
@@ -126,7 +135,23 @@ def _judge(name: str, claim: AnyClaim, experiment: LoadedReported, measured: pd.
         reported=_reported_figure(claim, contrast, experiment),
         reason=reason,
         unit=unit_of(claim),
+        seeds=min(map(len, parts.values())),
     )
+
+
+def judge_parts(
+    claim: AnyClaim, contrast: Contrast, parts: Mapping[str, Sequence[RunTerms]]
+) -> tuple[Outcome, Estimated | None, str | None]:
+    """The verdict on a claim, its figure and why there is not enough data, from what the runs of each condition give."""
+    if not all(parts.values()):
+        return "not enough data", None, None
+    if claim.seeds == "each":
+        outcome, estimated, reason = _each(contrast, parts)
+    else:
+        estimated = estimate(parts)
+        outcome, reason = _outcome(contrast, estimated.interval)
+    few = min(len(runs) for runs in parts.values()) < FEWEST_SEEDS
+    return _OF_POLICIES.get(outcome, outcome) if few else outcome, estimated, reason
 
 
 def _parts(
@@ -174,9 +199,12 @@ def _outcome(contrast: Contrast, interval: Interval | None) -> tuple[Outcome, st
 def _each(
     contrast: Contrast, parts: Mapping[str, Sequence[RunTerms]]
 ) -> tuple[Outcome, Estimated, str | None]:
-    """Every seed by itself, each by its episodes; the seed nearest to the bound is shown."""
-    (runs,) = parts.values()
-    judged = [(run.value, over_episodes([[run]])) for run in runs]
+    """Every seed by itself, each by its episodes; the seed nearest to the bound is shown.
+
+    Of two conditions the runs of the same seed are compared.
+    """
+    runs = list(zip(*parts.values(), strict=False))
+    judged = [(sum(run.value for run in of), over_episodes([[run] for run in of])) for of in runs]
     value, interval = min(judged, key=lambda pair: contrast.margin(pair[0]))
     outcomes = [_outcome(contrast, interval) for _, interval in judged]
     shown = Estimated(

@@ -13,6 +13,7 @@ from kickbench.cli import main
 from kickbench.experiment import load_experiment
 from kickbench.reported import load_reported
 from kickbench.results.identity import identity_of
+from kickbench.results.integrity import seal
 from kickbench.results.metrics import load_metrics, write_metrics
 
 ROOT = Path(__file__).parents[2]
@@ -177,8 +178,10 @@ def test_reported_figures_stand_beside_measured_ones(tmp_path):
 def test_a_damaged_result_is_told_and_not_shown(folder):
     run = folder.add("baseline", curves=None)
     (run / "metrics.json").write_text('{"schema_version": 1}')
+    seal(run)
     other = folder.add("baseline", 1, curves=None)
     (other / "episodes.csv").write_text("nonsense\n")
+    seal(other)
     page, _ = page_of(folder.path, "--experiment", str(REPORTED))
     assert "no valid metrics" in page.text
     assert "episodes.csv:1: expected the columns" in page.text
@@ -212,6 +215,7 @@ def test_episodes_that_became_non_finite_are_told(folder):
     home = metrics.evaluation.in_distribution.model_copy(update={"terminations": {"non_finite": 1.0}})
     evaluation = metrics.evaluation.model_copy(update={"in_distribution": home})
     write_metrics(run / "metrics.json", metrics.model_copy(update={"evaluation": evaluation}))
+    seal(run)
     page, _ = page_of(folder.path)
     assert "66.7 % in distribution (100.0 % non-finite), 66.7 % mirrored (1 seed)." in page.text
     assert "Episodes in distribution: (100.0 % non-finite): baseline seed 0." in page.text
@@ -222,6 +226,7 @@ def test_names_cannot_break_out_of_the_page(folder):
     metrics = json.loads((run / "metrics.json").read_text())
     metrics["method"], metrics["task"] = "<script>alert(1)</script>", "a & b <i>"
     (run / "metrics.json").write_text(json.dumps(metrics))
+    seal(run)
     (run / "README.md").write_text("<img src=x onerror=alert(1)>")
     page, _ = page_of(folder.path)
     assert not {tag for tag, _ in page.tags} & {"script", "img", "i"}

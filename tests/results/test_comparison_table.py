@@ -9,6 +9,7 @@ import numpy as np
 
 from kickbench.cli import main
 from kickbench.results.episodes import EpisodeSides, EpisodeTable, write_episodes
+from kickbench.results.integrity import seal
 from kickbench.results.metrics import Metrics, load_metrics, summarise_sides
 from kickbench.results.paired import PairedComparison, compare_on_starts
 from kickbench.results.provenance import Provenance
@@ -79,9 +80,9 @@ def write_run(folder: Path, method: str, seed: int, rate: float, *, table: bool 
         evaluation=summarise_sides(sides, RADIUS, 0.02),
         provenance=provenance,
     )
-    write_result(path, metrics)
     if table:
         write_episodes(path / "episodes.csv", sides)
+    write_result(path, metrics)
     return home
 
 
@@ -156,6 +157,7 @@ def test_runs_without_episodes_or_with_other_starts_are_not_compared_start_by_st
     home = episodes(0.3, 0)
     moved = replace(home, start_ball_x=home.start_ball_x + 0.01)
     write_episodes(tmp_path / "b/seed0/episodes.csv", EpisodeSides(moved, mirrored(moved)))
+    seal(tmp_path / "b/seed0")
     assert "b/seed0 was evaluated from other starts than" in compare(tmp_path, capsys)
 
 

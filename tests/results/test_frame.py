@@ -12,6 +12,7 @@ from kickbench.cli import main
 from kickbench.experiment import load_experiment
 from kickbench.results.frame import frame_of, load_runs, run_path, runs_of
 from kickbench.results.identity import identity_of
+from kickbench.results.integrity import seal
 from kickbench.results.metrics import write_metrics
 from kickbench.results.notes import lack
 from kickbench.results.specs import write_specs
@@ -142,6 +143,7 @@ def test_a_damaged_run_is_a_row_that_says_so(spec, make, tmp_path, file):
     path = run_path(tmp_path, "baseline", 0)
     write_result(path, make.metrics(make.side(0.5)))
     (path / file).write_text("{")
+    seal(path)
     found = of(tmp_path, spec).iloc[0]
     assert (found.state, found.counted) == ("damaged", False)
     assert file in found.damage
@@ -294,6 +296,7 @@ def test_a_damaged_run_is_the_reason_of_a_claim(spec, make, identity, tmp_path, 
     for seed in range(3):
         write_result(run_path(tmp_path, "baseline", seed), make.metrics(make.side(0.8), seed=seed), identity)
     (run_path(tmp_path, "baseline", 1) / "metrics.json").write_text("{}")
+    seal(run_path(tmp_path, "baseline", 1))
     text = printed(capsys, "claims", spec.document.file, tmp_path)
     assert "not enough data" in text
     assert "metrics.json: no valid metrics" in text

@@ -103,7 +103,7 @@ def test_no_verb_uses_a_damaged_run_without_a_word(run, capsys, name):
     told = capsys.readouterr()
     assert name in told.err + told.out
     main(["status", str(run)])
-    assert f"{name} is damaged" in re.sub(r"\s+", " ", capsys.readouterr().out)
+    assert f"{name}: damaged" in re.sub(r"\s+", " ", capsys.readouterr().out)
 
 
 def test_what_the_checkpoint_mends_is_mended_by_a_resume_and_nothing_else_is(run, finished, capsys):

@@ -232,9 +232,10 @@ def measured_on_disk(experiment, make, folder, rows):
     for seed in range(3):
         path = folder / f"baseline/seed{seed}"
         run = make.metrics(make.side(0.5), make.side(0.5), seed=seed)
-        write_result(path, run, planned_identity(experiment, "baseline"))
         (*first, (r, n)) = rows
+        path.mkdir(parents=True)
         curves(path, [*first, (r, n + seed / 10)], 1 + (seed - 1) / 100)
+        write_result(path, run, planned_identity(experiment, "baseline"))
     return load_runs(folder, experiment)
 
 
