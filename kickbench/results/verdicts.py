@@ -142,7 +142,7 @@ def _judge(name: str, claim: AnyClaim, experiment: LoadedReported, measured: pd.
 def judge_parts(
     claim: AnyClaim, contrast: Contrast, parts: Mapping[str, Sequence[RunTerms]]
 ) -> tuple[Outcome, Estimated | None, str | None]:
-    """The verdict on a claim, its figure and why there is not enough data, from what the runs of each condition give."""
+    """The verdict on a claim, its figure and why there is not enough data, from what each condition's runs give."""
     if not all(parts.values()):
         return "not enough data", None, None
     if claim.seeds == "each":

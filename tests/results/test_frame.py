@@ -163,6 +163,7 @@ def test_results_on_transfer_tasks_are_rows_of_the_run(make, tmp_path):
     write_result(run, make.metrics(make.side(0.5)))
     also = RunDirectory(run).also("mini_general")
     write_metrics(also, make.metrics(make.side(0.4), task="mini_general"))
+    seal(run)
     frame = load_runs(tmp_path)
     assert list(zip(frame.evaluated_on, frame.success_rate, strict=True)) == [
         ("mini_home_field", 0.5),
@@ -171,6 +172,7 @@ def test_results_on_transfer_tasks_are_rows_of_the_run(make, tmp_path):
     assert set(frame.task) == {"mini_home_field"}
     assert len(runs_of(frame)) == 1
     write_metrics(also, make.metrics(make.side(0.4), task="mini_general", seed=3))
+    seal(run)
     other = load_runs(tmp_path).iloc[1]
     assert (other.state, other.evaluated_on) == ("damaged", "mini_general")
     assert "expected the seed 0, found 3" in other.damage
@@ -264,6 +266,7 @@ def test_non_finite_episodes_stand_beside_success_and_leave_no_distance_if_all_a
     whole = make.metrics(exploded(make, 1.0), make.side(0.5), seed=1)
     shutil.copytree(tmp_path / "a/seed0", tmp_path / "a/seed1")
     write_metrics(tmp_path / "a/seed1/metrics.json", whole)
+    seal(tmp_path / "a/seed1")
     text = printed(capsys, "table", tmp_path)
     row = next(line for line in text.splitlines() if line.split()[:2] == ["baseline", "1"])
     assert "0.0 [0.0, 0.2] (100.0 % non-finite)" in row

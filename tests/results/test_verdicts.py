@@ -85,7 +85,10 @@ def test_a_claim_is_met_on_one_side_of_its_bound_and_not_on_the_other(
     spread = (-0.005, 0.0, 0.005)[:count]
     for rate, outcome in ((met, "met"), (not_met, "not met")):
         found = verdict(claim, {"baseline": seeds([rate + d for d in spread], [0.5 - d / 2 for d in spread])})
-        assert found.outcome == outcome
+        assert found.outcome == (
+            outcome if count == 3 else {"met": "holds", "not met": "does not hold"}[outcome]
+        )
+        assert found.words == (outcome if count == 3 else f"one policy: {found.outcome}")
         assert found.reason is None
         assert found.basis == ("3 seeds" if count == 3 else "episodes of one seed")
 
@@ -162,7 +165,7 @@ def test_mirrored_pairs_make_the_gap_of_one_policy_sharp(verdict, make):
     alone = verdict(claim, {"baseline": [make.metrics(*sides)]})
     paired = make.metrics(*sides, asymmetry=make.asymmetry(only_original=2, only_mirrored=1))
     together = verdict(claim, {"baseline": [paired]})
-    assert (alone.outcome, together.outcome) == ("not enough data", "met")
+    assert (alone.outcome, together.outcome) == ("not enough data", "holds")
     assert together.interval is not None
     assert together.interval.high < 0.003
 
@@ -185,8 +188,8 @@ def test_each_seed_must_meet_a_claim_about_each(verdict, make):
 def test_the_foot_on_the_balls_side_is_counted(verdict, make):
     claim = "kind: at_least, metric: same_side_share, value: {arm: baseline}, bound: 0.7"
     near, far = make.side(0.5, feet=(800, 200, 200, 800)), make.side(0.5, feet=(200, 800, 800, 200))
-    assert verdict(claim, {"baseline": [make.metrics(near)]}).outcome == "met"
-    assert verdict(claim, {"baseline": [make.metrics(far)]}).outcome == "not met"
+    assert verdict(claim, {"baseline": [make.metrics(near)]}).outcome == "holds"
+    assert verdict(claim, {"baseline": [make.metrics(far)]}).outcome == "does not hold"
     nobody = verdict(claim, {"baseline": [make.metrics(make.side(0.5))]})
     assert nobody.reason == "baseline seed 0: no same_side_share"
 
@@ -196,13 +199,13 @@ def test_shares_of_terminations_are_added_up(verdict, make):
         "kind: at_most, metric: termination_share, terminations: [time_out, double_touch], "
         "value: {arm: baseline}, bound: 0.02"
     )
-    for falls, outcome in ((0.0, "met"), (0.1, "not met")):
+    for falls, outcome in ((0.0, "holds"), (0.1, "does not hold")):
         assert verdict(claim, {"baseline": [make.metrics(make.side(0.5, falls=falls))]}).outcome == outcome
 
 
 def test_the_equivariance_error_is_that_of_the_run(verdict, make):
     claim = "kind: at_most, metric: equivariance_error, value: {arm: baseline}, bound: 0.001"
-    for error, outcome in ((1e-7, "met"), (0.8, "not met")):
+    for error, outcome in ((1e-7, "holds"), (0.8, "does not hold")):
         run = make.metrics(make.side(0.5), asymmetry=make.asymmetry(error=error))
         assert verdict(claim, {"baseline": [run]}).outcome == outcome
 
@@ -292,11 +295,18 @@ def test_five_measured_seeds_of_the_mini_kicker_leave_the_baselines_mean_loss_op
     """They lose between 12 and 73 points on the mirrored side: more than five can average out."""
     experiment = load_reported(ROOT / "results/reported/mini_home_field.yaml")
     measured = load_runs(ROOT / "results/measured/mini_home_field", experiment)
-    assert {v.name: v.outcome for v in judge(experiment, measured)} == {
-        "baseline_loses": "not enough data",
-        "equivariant_keeps": "met",
-        "augmentation_keeps": "met",
-    }
+    outcomes = {v.name: v.outcome for v in judge(experiment, measured)}
+    assert outcomes["baseline_loses"] == "not enough data"
+    assert outcomes["equivariant_keeps"] == outcomes["augmentation_keeps"] == "met"
+
+
+def test_two_conditions_are_compared_in_every_seed(verdict, seeds, make):
+    """Runs of the same seed: one pair that fails is enough to fail."""
+    claim = "kind: greater_than, metric: success_rate, seeds: each, value: {arm: equivariant}, than: {arm: baseline}"
+    worse = seeds([0.5, 0.6, 0.4])
+    assert verdict(claim, {"baseline": worse, "equivariant": seeds([0.7, 0.8, 0.6])}).outcome == "met"
+    mixed = verdict(claim, {"baseline": worse, "equivariant": seeds([0.7, 0.4, 0.6])})
+    assert (mixed.outcome, mixed.figure) == ("not met", pytest.approx(-0.2))
 
 
 def test_near_reported_with_the_arms_own_task_named_is_as_without(make):
