@@ -5,6 +5,8 @@ Not to be taken for `kickbench.experiment`, which compiles one task and one meth
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -89,6 +91,13 @@ class LoadedReported:
     def name(self) -> str:
         """The file's stem, and the name of the experiment's folder."""
         return self.document.file.stem
+
+    @property
+    def claims_hash(self) -> str:
+        """SHA-256 of what is claimed: kinds, figures and bounds, not the words."""
+        words = {"statement", "section"}
+        claims = {name: claim.model_dump(mode="json", exclude=words) for name, claim in self.claims.items()}
+        return hashlib.sha256(json.dumps(claims, sort_keys=True).encode()).hexdigest()
 
 
 def load_reported(path: str | Path, overrides: Sequence[str] = ()) -> LoadedReported:

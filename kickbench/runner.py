@@ -20,11 +20,13 @@ from kickbench.nets.build import build_actor
 from kickbench.nets.threads import update_threads
 from kickbench.physics.cpu import usable_cores
 from kickbench.physics.devices import check_device
+from kickbench.reported import load_reported
 from kickbench.results import integrity
 from kickbench.results.asymmetry import EquivarianceError
 from kickbench.results.episodes import EpisodeSides, EpisodeTable, write_episodes
 from kickbench.results.history import RunHistory, earlier_parts
 from kickbench.results.metrics import Evaluation, Metrics, load_metrics, summarise_sides
+from kickbench.results.provenance import ExperimentRef
 from kickbench.results.specs import update_specs
 from kickbench.results.store import RunDirectory
 from kickbench.train.checkpoint import Checkpoints, load_policy, save_policy
@@ -53,6 +55,7 @@ class RunRequest:
         force: Overwrite a run that is there.
         resume: Go on with a run that is there; begin it if there is none.
         command: The command line, for provenance.
+        experiment: Path of the experiment that the run is begun for; its claims are recorded. None: it is for itself.
     """
 
     task: Path
@@ -69,6 +72,7 @@ class RunRequest:
     force: bool = False
     resume: bool = False
     command: tuple[str, ...] = ()
+    experiment: Path | None = None
 
     def all_overrides(self) -> list[str]:
         """The overrides, those with flags of their own included."""
@@ -117,6 +121,13 @@ def run(request: RunRequest) -> RunOutcome:
         return _run_in(directory, experiment, request, threads, ranks)
 
 
+def _experiment_ref(path: Path | None) -> ExperimentRef | None:
+    if path is None:
+        return None
+    experiment = load_reported(path)
+    return ExperimentRef(name=experiment.name, claims=experiment.claims_hash)
+
+
 def _check_matmul(experiment: Experiment, device: str) -> None:
     method = experiment.method
     if method.spec.algorithm.matmul == "tf32" and device != "cuda":
@@ -141,6 +152,7 @@ def _run_in(
         num_processes=ranks.size,
         device=request.device,
         argv=request.command,
+        experiment=_experiment_ref(request.experiment),
         earlier=earlier_parts(taken.state["run"]) if taken.state else (),
     )
     device = str(ranks.device)

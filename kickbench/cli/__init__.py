@@ -98,6 +98,8 @@ def _add_run(verbs: argparse._SubParsersAction) -> None:
         help="run every kernel of a step on its own instead of one CUDA graph: slow, for finding faults",
     )
     _add_threads(verb)
+    text = "experiment that the run is for: its claims are recorded"
+    verb.add_argument("--experiment", type=Path, metavar="REPORTED", help=text)
     taken = verb.add_mutually_exclusive_group()
     taken.add_argument("--force", action="store_true", help="overwrite a run that is there")
     taken.add_argument(
@@ -211,6 +213,11 @@ def _add_inspection(verbs: argparse._SubParsersAction) -> None:
         help="folder of its runs (default: measured/<experiment> beside the folder of the YAML file)",
     )
     verb.add_argument("--strict", action="store_true", help="exit code 1 unless every claim is met")
+    verb.add_argument(
+        "--power",
+        action="store_true",
+        help="simulate instead how often claims are met by an exact replication, and though they are wrong",
+    )
     verb.add_argument("--json", action="store_true", help="print the verdicts as JSON (verdicts.json)")
 
 

@@ -6,10 +6,13 @@ import argparse
 import sys
 from pathlib import Path
 
+import pandas as pd
+
 from kickbench.errors import KickbenchError, shown
 from kickbench.reported import LoadedReported, load_reported
-from kickbench.results.frame import load_runs
+from kickbench.results.frame import load_runs, runs_of
 from kickbench.results.notes import refuse_contradictions, unplanned_lines
+from kickbench.results.power import rates_table
 from kickbench.results.verdict_file import verdicts_json
 from kickbench.results.verdicts import judge, verdict_lines
 
@@ -17,6 +20,9 @@ from kickbench.results.verdicts import judge, verdict_lines
 def claims(arguments: argparse.Namespace) -> int:
     """`kickbench claims EXPERIMENT [DIR]`: the verdicts; with `--strict` exit code 1 unless all are met."""
     experiment = load_reported(arguments.experiment)
+    if arguments.power:
+        print(rates_table(experiment))
+        return 0
     folder = arguments.folder or measured_folder(experiment)
     # Without a folder nothing was measured yet, which is a result; a folder that was typed should be there.
     if arguments.folder and not folder.is_dir():
@@ -25,9 +31,21 @@ def claims(arguments: argparse.Namespace) -> int:
     refuse_contradictions(measured, shown)
     verdicts = judge(experiment, measured)
     print(verdicts_json(verdicts) if arguments.json else "\n".join(verdict_lines(experiment, verdicts)))
-    for line in unplanned_lines(measured, shown):
+    for line in [*_when_fixed(experiment, measured), *unplanned_lines(measured, shown)]:
         print(line, file=sys.stderr if arguments.json else sys.stdout)
     return int(arguments.strict and any(verdict.outcome != "met" for verdict in verdicts))
+
+
+def _when_fixed(experiment: LoadedReported, measured: pd.DataFrame) -> list[str]:
+    """How many of the runs that count were begun with the claims that they are judged by."""
+    runs = runs_of(measured)
+    records = [origin.experiment for origin in runs.provenance[runs.counted]]
+    these = sum(record is not None and record.claims == experiment.claims_hash for record in records)
+    unknown = sum(record is None for record in records)
+    counts = {"with these claims": these, "with other claims": len(records) - these - unknown}
+    counts["without a record of claims"] = unknown
+    said = ", ".join(f"{count} {words}" for words, count in counts.items() if count)
+    return [f"{len(records)} runs, begun {said}"] if records else []
 
 
 def measured_folder(experiment: LoadedReported) -> Path:

@@ -37,6 +37,7 @@ def run(arguments: argparse.Namespace) -> int:
             force=arguments.force,
             resume=arguments.resume,
             command=tuple(sys.argv),
+            experiment=arguments.experiment,
         )
     )
     where, training = outcome.directory.path, outcome.training

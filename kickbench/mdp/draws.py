@@ -46,6 +46,6 @@ def uniform(draws: Draws, shape: Sequence[int], env_axis: int) -> Tensor:
         shape: Shape of the result.
         env_axis: Axis of the envs in the result.
     """
-    if isinstance(draws, torch.Generator):
-        return torch.rand(tuple(shape), generator=draws, device=draws.device)
-    return draws(shape, env_axis)
+    if isinstance(draws, EpisodeDraws):
+        return draws(shape, env_axis)
+    return torch.rand(tuple(shape), generator=draws, device=draws.device)

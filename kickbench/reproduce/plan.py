@@ -116,7 +116,9 @@ def make_plan(experiment: LoadedReported, selection: Selection) -> Plan:
         records = {seed: _record(arm, compiled, seed) for seed in dict.fromkeys((*arm.seeds, *asked))}
         all_records += [record for seed, record in records.items() if chosen or seed in arm.seeds]
         if chosen:
-            planned = [_planned(arm, records[seed], folder, overrides, selection) for seed in asked]
+            planned = [
+                _planned(arm, records[seed], folder, overrides, selection, experiment) for seed in asked
+            ]
             for run in planned:
                 problems += _differences(run.directory, compiled, run.record.seed, selection.scale)
             runs += enumerate(planned)
@@ -145,16 +147,22 @@ def _record(arm: Arm, compiled: Experiment, seed: int) -> RunRecord:
 
 
 def _planned(
-    arm: Arm, record: RunRecord, folder: Path, overrides: Sequence[str], selection: Selection
+    arm: Arm,
+    record: RunRecord,
+    folder: Path,
+    overrides: Sequence[str],
+    selection: Selection,
+    experiment: LoadedReported,
 ) -> PlannedRun:
     out = folder / record.folder
     files = (shown(arm.task.document.file), shown(arm.method.document.file))
     scale = () if selection.scale is None else ("--scale", f"{selection.scale!r}")
     settings = (part for text in overrides for part in ("--set", text))
+    its = ("--experiment", shown(experiment.document.file))
     return PlannedRun(
         record=record,
         directory=RunDirectory(out),
-        arguments=(*files, "--seed", str(record.seed), *settings, *scale, "--out", str(out)),
+        arguments=(*files, "--seed", str(record.seed), *settings, *scale, *its, "--out", str(out)),
         also={name: task.document.file for name, task in arm.also.items()},
     )
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from kickbench.results.provenance import Moment, Provenance, code_state, collect_provenance
+from kickbench.results.provenance import ExperimentRef, Moment, Provenance, code_state, collect_provenance
 
 
 class RunHistory:
@@ -26,6 +26,7 @@ class RunHistory:
         num_processes: int = 1,
         device: str = "cpu",
         argv: Sequence[str] = (),
+        experiment: ExperimentRef | None = None,
         earlier: Sequence[Provenance] = (),
     ) -> None:
         """Begins this process' part.
@@ -39,11 +40,12 @@ class RunHistory:
             num_processes: Processes that train together.
             device: Torch device.
             argv: The command as `sys.argv` has it.
+            experiment: The experiment that the run is begun for.
             earlier: The parts before this one.
         """
         self.labels: dict[str, Any] = {"task": task, "method": method, "seed": seed, "scale": scale}
         self._seed, self._threads, self._device, self._argv = seed, num_threads, device, tuple(argv)
-        self._earlier = tuple(earlier)
+        self._earlier, self._experiment = tuple(earlier), experiment
         self._processes = num_processes
         self._started, self._code = Moment.now(), code_state()
 
@@ -60,6 +62,8 @@ class RunHistory:
             "started": self._earlier[0].started,
             "seconds": round(part.seconds + sum(earlier.seconds for earlier in self._earlier), 3),
             "env_steps": env_steps,
+            # The claims of the beginning count: they were fixed before anything was trained.
+            "experiment": self._earlier[0].experiment,
             "resumed_from": self._earlier,
         }
         return part.model_copy(update=whole)
@@ -79,6 +83,7 @@ class RunHistory:
             device=self._device,
             argv=self._argv,
             code=self._code,
+            experiment=self._experiment,
         )
 
 

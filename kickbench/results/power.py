@@ -60,7 +60,9 @@ def rates(experiment: LoadedReported, draws: int = 2000) -> dict[str, Rates]:
     found = {}
     for name, claim in experiment.claims.items():
         if claim.metric in WORSE and all(_reported(experiment, o, claim) for o in claim.operands().values()):
-            met = {world: _met(experiment, claim, world, draws) for world in ("replication", "equal", "worse")}
+            met = {
+                world: _met(experiment, claim, world, draws) for world in ("replication", "equal", "worse")
+            }
             compares = claim.kind in ("greater_than", "less_than")
             found[name] = Rates(met["replication"], met["equal"] if compares else None, met["worse"])
     return found

@@ -29,6 +29,13 @@ _PACKAGES = (
 )
 
 
+class ExperimentRef(Record):
+    """The experiment that a run was begun for."""
+
+    name: str
+    claims: str = Field(description="SHA-256 of its claims as they were when the run began")
+
+
 class Provenance(Record):
     """Where a result comes from. Holds no path of the machine that made it."""
 
@@ -49,6 +56,10 @@ class Provenance(Record):
     seconds: NonNegativeFloat = Field(description="wall-clock time from start to end [s]")
     env_steps: NonNegativeInt = Field(description="control steps of training, summed over worlds")
     command: list[str] = Field(description="the command; absolute paths made relative, or reduced to a name")
+    experiment: ExperimentRef | None = Field(
+        default=None,
+        description="experiment that the run was begun for; null: none, or a run of an older version",
+    )
     resumed_from: tuple[Provenance, ...] = Field(
         default=(),
         description="of a run that was interrupted: its earlier parts, each up to the checkpoint that the next "
@@ -86,6 +97,7 @@ def collect_provenance(
     argv: Sequence[str] = (),
     finished: Moment | None = None,
     code: tuple[str | None, bool | None] | None = None,
+    experiment: ExperimentRef | None = None,
 ) -> Provenance:
     """Look at this process and its machine.
 
@@ -99,6 +111,7 @@ def collect_provenance(
         argv: the command as `sys.argv` has it, program first.
         finished: end of the run, now if left out.
         code: what `code_state` said when the code was loaded; now if left out.
+        experiment: the experiment that the run was begun for.
 
     Returns:
         The record.
@@ -119,6 +132,7 @@ def collect_provenance(
         seconds=round(finished.seconds - started.seconds, 3),
         env_steps=env_steps,
         command=portable_command(argv),
+        experiment=experiment,
     )
 
 

@@ -19,7 +19,8 @@ from kickbench.reproduce.jobs import Jobs, Outcome, next_command
 from kickbench.reproduce.plan import PlannedRun
 from kickbench.reproduce.process import Process
 from kickbench.reproduce.record import RunRecord
-from kickbench.results.metrics import write_metrics
+from kickbench.results.integrity import write_also
+from kickbench.results.metrics import metrics_bytes
 from kickbench.results.store import RunDirectory
 
 from ..conftest import write_result
@@ -72,7 +73,7 @@ class Played:
                 write_result(self.folder, make_metrics(5))
             elif code == 0:
                 task = Path(self.arguments[3]).stem
-                write_metrics(RunDirectory(self.folder).also(task), make_metrics(5, task=task))
+                write_also(self.folder, f"also/{task}.json", metrics_bytes(make_metrics(5, task=task)))
 
         def stop(self, at_once: bool = False) -> None:
             self.all.stops.append(at_once)

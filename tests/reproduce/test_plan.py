@@ -69,6 +69,7 @@ def test_arms_and_seeds_are_chosen_and_the_record_keeps_the_whole(experiment, tm
 
 def test_the_runs_are_the_experiment_s_not_the_method_s(tmp_path):
     text = REPORTED.read_text().replace("../../", f"{ROOT}/")
+    text = text.replace("[home_field.yaml]", f"[{REPORTED.with_name('home_field.yaml')}]")
     own = tmp_path / "own.yaml"
     own.write_text(text + "\niterations: 60\nevaluation: {episodes: 500}\n")
     (run,) = plan(load_reported(own), tmp_path, seeds=(0,)).runs
@@ -126,6 +127,7 @@ def test_a_scaled_result_does_not_pass_for_a_full_one(experiment, tmp_path):
 
 def test_missing_evaluations_on_further_tasks_are_found(tmp_path):
     text = REPORTED.read_text().replace("../../", f"{ROOT}/")
+    text = text.replace("[home_field.yaml]", f"[{REPORTED.with_name('home_field.yaml')}]")
     own = tmp_path / "own.yaml"
     own.write_text(text + f"\nevaluation: {{also: [{ROOT}/tasks/mini_general.yaml]}}\n")
     (run,) = plan(load_reported(own), tmp_path, seeds=(0,)).runs

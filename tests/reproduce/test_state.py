@@ -61,7 +61,7 @@ def test_a_damaged_result_is_made_again_from_the_checkpoint(make_run):
     run.metrics.write_text("{")
     state = read_state(run, 450)
     assert (state.state, state.done) == (State.INTERRUPTED, 450)
-    assert state.note.startswith("metrics.json: no valid metrics")
+    assert state.note.startswith("metrics.json: damaged")
 
 
 def test_a_run_whose_folder_is_locked_is_running(make_run):

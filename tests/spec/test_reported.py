@@ -93,7 +93,7 @@ def test_a_wrong_seed_does_not_make_the_list_short(complaints):
 
 def test_a_kind_has_its_own_keys_only(complaints):
     (complaint,) = complaints(ReportedSpec, TEXT.replace("bound", "minus: {arm: baseline}, bound"))
-    keys = "statement, section, metric, terminations, reward, seeds, value, kind, bound"
+    keys = "statement, section, metric, terminations, reward, seeds, decidable, value, kind, bound"
     assert complaint == f"a.yaml:6:90: claims.c.minus: unknown key 'minus'; expected one of: {keys}"
 
 
