@@ -10,7 +10,7 @@ from pathlib import Path
 import torch
 
 from kickbench.env import KickEnv
-from kickbench.errors import KickbenchError, SpecError
+from kickbench.errors import KickbenchError, SpecError, shown
 from kickbench.evaluate.episodes import Policy, draw_starts, mirror_starts, run_episodes
 from kickbench.evaluate.equivariance import EquivarianceProbe
 from kickbench.experiment import Experiment, load_experiment
@@ -115,6 +115,7 @@ def run(request: RunRequest) -> RunOutcome:
         )
     _check_matmul(experiment, ranks.device.type)
     threads = request.threads or max(1, usable_cores() // ranks.local_size)
+    _check_text(request.out)
     default = Path("runs", experiment.task.name, experiment.method.name, f"seed{request.seed}")
     directory = RunDirectory(request.out or default)
     with joined(ranks), directory.occupied() if ranks.is_main else nullcontext():
@@ -126,6 +127,15 @@ def _experiment_ref(path: Path | None) -> ExperimentRef | None:
         return None
     experiment = load_reported(path)
     return ExperimentRef(name=experiment.name, claims=experiment.claims_hash)
+
+
+def _check_text(out: Path | None) -> None:
+    try:
+        str(out).encode()
+    except UnicodeEncodeError:
+        raise KickbenchError(
+            f"{shown(str(out))}: the path is not UTF-8, and MuJoCo could not read the run"
+        ) from None
 
 
 def _check_matmul(experiment: Experiment, device: str) -> None:

@@ -64,6 +64,8 @@ def read_robot(robot: Loaded[RobotSpec]) -> mujoco.MjSpec:
     """
     try:
         spec = mujoco.MjSpec.from_file(robot.spec.model)
+    except TypeError:
+        raise robot.document.error(("model",), "its path is not UTF-8, and MuJoCo cannot read it") from None
     except ValueError as error:
         raise _model_error(robot, "read this model", error) from None
     # Bodies that the robot file names would be merged into their parents.
