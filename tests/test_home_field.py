@@ -13,6 +13,7 @@ from kickbench.results.verdicts import judge
 
 ROOT = Path(__file__).parent.parent
 ARMS = ("baseline", "equivariant")
+CLAIMS = ("baseline_loses", "equivariant_keeps", "equivariant_keeps_to_half_a_point")
 # The claim of 15 points is about the mean of three seeds. Single trainings lost from 14.9 to 65 points: of one no more
 # than 10 can be asked.
 ONE_SEED = ("seeds=[0]", "claims.baseline_loses.bound=0.1")
@@ -37,11 +38,7 @@ def test_the_claims_about_baseline_and_equivariant_method_are_met_by_a_training_
     trained = runs_of(measured[measured.counted])
     assert set(trained.condition) == set(ARMS)
     assert (trained.success_rate > 0.25).all(), "it has learned the task"
-    verdicts = [
-        verdict
-        for verdict in judge(experiment, measured)
-        if {operand.arm for operand in verdict.claim.operands().values()} <= set(ARMS)
-    ]
+    verdicts = [verdict for verdict in judge(experiment, measured) if verdict.name in CLAIMS]
     print(*(verdict.sentence for verdict in verdicts), sep="\n")
-    assert {operand.arm for verdict in verdicts for operand in verdict.claim.operands().values()} == set(ARMS)
-    assert [verdict.outcome for verdict in verdicts] == ["met"] * len(verdicts)
+    # Of one training of each nothing is said of the methods: the claims hold for these two policies.
+    assert {verdict.name: verdict.outcome for verdict in verdicts} == dict.fromkeys(CLAIMS, "holds")
