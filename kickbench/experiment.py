@@ -48,12 +48,14 @@ class Experiment:
         method: The method as loaded.
         task: The compiled task.
         symmetry: The reflection, from robot and representation table.
+        initial_policy: Hash of the policy that the training begins with; None: a random one.
     """
 
     loaded_task: LoadedTask[TaskSpec]
     method: LoadedMethod
     task: CompiledTask
     symmetry: Symmetry
+    initial_policy: str | None = None
 
 
 def load_experiment(

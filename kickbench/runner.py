@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import torch
+from rsl_rl.models import MLPModel
 
 from kickbench.env import KickEnv
 from kickbench.errors import KickbenchError, SpecError, shown
@@ -30,6 +31,7 @@ from kickbench.results.provenance import ExperimentRef
 from kickbench.results.specs import update_specs
 from kickbench.results.store import RunDirectory
 from kickbench.train.checkpoint import Checkpoints, load_policy, save_policy
+from kickbench.train.initial import Initial, begin_from
 from kickbench.train.progress import ProgressGroup, standard_progress
 from kickbench.train.ranks import ALONE, Ranks, joined, read_ranks
 from kickbench.train.resume import Resume, begin, take_up
@@ -55,6 +57,8 @@ class RunRequest:
         force: Overwrite a run that is there.
         resume: Go on with a run that is there; begin it if there is none.
         command: The command line, for provenance.
+        init_from: Run directory whose policy it begins with; None: random networks.
+        init_std: Standard deviation of the actions to begin with instead of that policy's.
         experiment: Path of the experiment that the run is begun for; its claims are recorded. None: it is for itself.
     """
 
@@ -72,6 +76,8 @@ class RunRequest:
     force: bool = False
     resume: bool = False
     command: tuple[str, ...] = ()
+    init_from: Path | None = None
+    init_std: float | None = None
     experiment: Path | None = None
 
     def all_overrides(self) -> list[str]:
@@ -118,8 +124,12 @@ def run(request: RunRequest) -> RunOutcome:
     _check_text(request.out)
     default = Path("runs", experiment.task.name, experiment.method.name, f"seed{request.seed}")
     directory = RunDirectory(request.out or default)
+    initial = None
+    if request.init_from is not None:
+        source, policy = load_run(request.init_from)
+        experiment, initial = begin_from(experiment, source, policy, request.init_from, request.init_std)
     with joined(ranks), directory.occupied() if ranks.is_main else nullcontext():
-        return _run_in(directory, experiment, request, threads, ranks)
+        return _run_in(directory, experiment, request, threads, ranks, initial)
 
 
 def _experiment_ref(path: Path | None) -> ExperimentRef | None:
@@ -146,9 +156,14 @@ def _check_matmul(experiment: Experiment, device: str) -> None:
 
 
 def _run_in(
-    directory: RunDirectory, experiment: Experiment, request: RunRequest, threads: int, ranks: Ranks
+    directory: RunDirectory,
+    experiment: Experiment,
+    request: RunRequest,
+    threads: int,
+    ranks: Ranks,
+    initial: Initial | None,
 ) -> RunOutcome:
-    taken = _open_together(request, directory, experiment, ranks)
+    taken = _open_together(request, directory, experiment, ranks, initial)
     made = taken.directory or directory
     if taken.finished:
         metrics = load_metrics(directory.metrics) if ranks.is_main else None
@@ -163,12 +178,15 @@ def _run_in(
         device=request.device,
         argv=request.command,
         experiment=_experiment_ref(request.experiment),
+        initial=initial.ref if initial else None,
         earlier=earlier_parts(taken.state["run"]) if taken.state else (),
     )
     device = str(ranks.device)
     trainer = make_trainer(
         experiment, made, request.seed, threads, history, ranks, device=device, graph=request.graph
     )
+    if initial is not None:
+        trainer.ppo.get_policy().load_state_dict(initial.policy.state_dict())
     if taken.state:
         trainer.load_state_dict(taken.state)
         if ranks.is_main:
@@ -191,24 +209,32 @@ def _run_in(
     return RunOutcome(directory, training, metrics)
 
 
-def _open(request: RunRequest, directory: RunDirectory, experiment: Experiment) -> Resume:
+def _open(
+    request: RunRequest, directory: RunDirectory, experiment: Experiment, initial: Initial | None
+) -> Resume:
     directory.take_over()  # in case the process that was to do it has been killed
     if request.resume:
         extend = request.iterations is not None
-        return take_up(directory, experiment, request.seed, scale=request.scale, extend=extend)
-    return begin(directory.prepare(request.force), experiment)
+        return take_up(
+            directory, experiment, request.seed, scale=request.scale, extend=extend, initial=initial
+        )
+    return begin(directory.prepare(request.force), experiment, initial)
 
 
 def _open_together(
-    request: RunRequest, directory: RunDirectory, experiment: Experiment, ranks: Ranks
+    request: RunRequest,
+    directory: RunDirectory,
+    experiment: Experiment,
+    ranks: Ranks,
+    initial: Initial | None,
 ) -> Resume:
     """Rank 0 looks into the directory, and tells the others what it has found."""
     if ranks.size == 1:
-        return _open(request, directory, experiment)
+        return _open(request, directory, experiment, initial)
     taken, refusal = Resume(), None
     if ranks.is_main:
         try:
-            taken = _open(request, directory, experiment)
+            taken = _open(request, directory, experiment, initial)
         except KickbenchError as error:
             refusal = error
     if ranks.any(refusal is not None):
@@ -302,7 +328,7 @@ def evaluate(
     return EpisodeSides(home, mirrored), probe.result()
 
 
-def load_run(path: Path, task: Path | None = None) -> tuple[Experiment, Policy]:
+def load_run(path: Path, task: Path | None = None) -> tuple[Experiment, MLPModel]:
     """Loads experiment and policy of a run directory.
 
     Args:

@@ -100,6 +100,10 @@ def _add_run(verbs: argparse._SubParsersAction) -> None:
     _add_threads(verb)
     text = "experiment that the run is for: its claims are recorded"
     verb.add_argument("--experiment", type=Path, metavar="REPORTED", help=text)
+    text = "begin with the policy of this run: network, observation statistics, action noise; the critic begins anew"
+    verb.add_argument("--init-from", type=Path, metavar="RUN", help=text)
+    text = "standard deviation of all actions to begin with (default: that policy's)"
+    verb.add_argument("--init-std", type=_std, metavar="STD", help=text)
     taken = verb.add_mutually_exclusive_group()
     taken.add_argument("--force", action="store_true", help="overwrite a run that is there")
     taken.add_argument(
@@ -374,12 +378,20 @@ def _natural(text: str) -> int:
 
 
 def _scale(text: str) -> float:
+    return _between(text, 0.0, 1.0)
+
+
+def _std(text: str) -> float:
+    return _between(text, 1e-3, 10.0)
+
+
+def _between(text: str, low: float, high: float) -> float:
     try:
         value = float(text)
     except ValueError:
         value = math.nan
-    if not 0 < value < 1:
-        raise argparse.ArgumentTypeError(f"expected a number between 0 and 1, found {text!r}")
+    if not low < value < high:
+        raise argparse.ArgumentTypeError(f"expected a number between {low:g} and {high:g}, found {text!r}")
     return value
 
 

@@ -21,6 +21,8 @@ def run(arguments: argparse.Namespace) -> int:
     for flag, value in (("iterations", arguments.iterations), ("num_envs", arguments.num_envs)):
         values = None if value is None else [value]
         refuse_contradiction(arguments.overrides, f"algorithm.{flag}", f"--{flag.replace('_', '-')}", values)
+    if arguments.init_std is not None and arguments.init_from is None:
+        raise KickbenchError("--init-std replaces the standard deviation of a policy: it needs --init-from")
     outcome = run_experiment(
         RunRequest(
             task=arguments.task,
@@ -37,6 +39,8 @@ def run(arguments: argparse.Namespace) -> int:
             force=arguments.force,
             resume=arguments.resume,
             command=tuple(sys.argv),
+            init_from=arguments.init_from,
+            init_std=arguments.init_std,
             experiment=arguments.experiment,
         )
     )
