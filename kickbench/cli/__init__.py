@@ -248,13 +248,12 @@ def _add_bench(verbs: argparse._SubParsersAction) -> None:
 def _add_view(verbs: argparse._SubParsersAction) -> None:
     verb = _add_verb(verbs, "render", "kickbench.cli.view:render", "draw starts of a task, or film episodes")
     verb.add_argument("task", type=Path, metavar="TASK", help="task YAML")
-    verb.add_argument("--policy", type=Path, metavar="RUN", help="run directory (default: zero action)")
-    verb.add_argument(
-        "--out",
-        type=Path,
-        metavar="FILE",
-        help=".png: a sheet of starts; .gif or .mp4: episodes (default: <task>.png)",
-    )
+    text = "run directory (default: zero action); several are shown side by side"
+    verb.add_argument("--policy", type=Path, action="append", metavar="RUN", help=text)
+    text = ".png: a sheet of starts; .webp or .mp4: episodes (default: <task>.png)"
+    verb.add_argument("--out", type=Path, metavar="FILE", help=text)
+    text = "film the exact mirror images of the starts"
+    verb.add_argument("--mirrored", action="store_const", const=True, help=text)
     verb.add_argument("--starts", type=_positive, metavar="N", help="starts on a sheet (default: 9)")
     verb.add_argument("--episodes", type=_positive, metavar="N", help="episodes of a film (default: 3)")
     verb.add_argument("--seed", type=_natural, help="seed of the starts (default: the task's)")

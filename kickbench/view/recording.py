@@ -12,11 +12,11 @@ from torch import Tensor
 from kickbench.env import KickEnv
 from kickbench.errors import KickbenchError
 from kickbench.evaluate.episodes import Policy
+from kickbench.experiment import Experiment
 from kickbench.mdp.compile import CompiledTask
 from kickbench.mdp.engines import make_engine
 from kickbench.mdp.starts import Starts
 from kickbench.results.episodes import NON_FINITE
-from kickbench.runner import load_run
 
 
 @dataclass(frozen=True)
@@ -110,13 +110,12 @@ def _note(
         )
 
 
-def policy_for(task: CompiledTask, run: Path) -> Policy:
-    """Loads the policy of a run, for a task that need not be the one that it was trained on.
+def fitting(task: CompiledTask, run: Path, experiment: Experiment, policy: Policy) -> Policy:
+    """The policy of a run, if it fits a task that need not be the one that it was trained on.
 
     Raises:
-        KickbenchError: The folder holds no policy, or it sees or moves something else than the task has.
+        KickbenchError: It sees or moves something else than the task has.
     """
-    experiment, policy = load_run(run)
     trained = experiment.task
     if _sees(trained) != _sees(task):
         raise KickbenchError(
