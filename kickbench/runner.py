@@ -14,6 +14,7 @@ from kickbench.env import KickEnv
 from kickbench.errors import KickbenchError, SpecError, shown
 from kickbench.evaluate.episodes import Policy, draw_starts, mirror_starts, run_episodes
 from kickbench.evaluate.equivariance import EquivarianceProbe
+from kickbench.evaluate.progress import EVALUATING, Steps
 from kickbench.experiment import Experiment, load_experiment
 from kickbench.mdp.engines import make_engine
 from kickbench.mdp.starts import Starts
@@ -320,11 +321,15 @@ def evaluate(
     tables = {name: table.representation for name, table in experiment.symmetry.groups.items()}
     probe = EquivarianceProbe(policy, tables, experiment.symmetry.actions)
 
-    def episodes_from(starts: Starts) -> EpisodeTable:
-        return run_episodes(experiment.task, policy, starts, seed, num_threads=threads, probe=probe)
+    with Steps(EVALUATING, "episodes", len(starts) * (1 + protocol.mirrored)) as steps:
 
-    home = episodes_from(starts)
-    mirrored = episodes_from(mirror_starts(experiment, starts)) if protocol.mirrored else None
+        def episodes_from(starts: Starts) -> EpisodeTable:
+            return run_episodes(
+                experiment.task, policy, starts, seed, num_threads=threads, probe=probe, note=steps.advance
+            )
+
+        home = episodes_from(starts)
+        mirrored = episodes_from(mirror_starts(experiment, starts)) if protocol.mirrored else None
     return EpisodeSides(home, mirrored), probe.result()
 
 

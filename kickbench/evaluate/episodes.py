@@ -138,6 +138,7 @@ def run_episodes(
     num_envs: int = 512,
     num_threads: int | None = None,
     probe: EquivarianceProbe | None = None,
+    note: Callable[[int], None] | None = None,
 ) -> EpisodeTable:
     """Runs one episode from each start with a deterministic policy, on the CPU.
 
@@ -152,6 +153,7 @@ def run_episodes(
         num_envs: Envs at most.
         num_threads: Physics threads.
         probe: Shown every observation of the recorded episodes and the policy's answer.
+        note: Called after every step with the number of episodes that it has ended.
 
     Returns:
         Row i is the episode from start i.
@@ -165,6 +167,8 @@ def run_episodes(
             if probe is not None:
                 probe(running.observations, actions, running.env.episode.step, running.schedule.running >= 0)
             ended.append(running.step(actions))
+            if note is not None:
+                note(len(ended[-1]["running"]))
     return _table(task, starts, ended)
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pandas as pd
 
+from kickbench.evaluate.progress import EVALUATING
 from kickbench.results.atomic import read_regular
 from kickbench.results.frame import known, load_runs, runs_of
 from kickbench.results.integrity import find_damage, without_digest
@@ -127,7 +128,7 @@ def _training(
     tail = read_tail(directory.progress)
     done = done if done is not None else tail.done if tail else 0
     if state is State.RUNNING and total is not None and done >= total:
-        note = "evaluating"
+        note = EVALUATING
     return RunState(
         state,
         done,
