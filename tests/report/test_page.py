@@ -157,7 +157,7 @@ def test_an_experiment_names_missing_unfinished_and_smaller_runs(folder):
 
 
 def test_measured_results_of_the_repository_are_judged(tmp_path):
-    measured = ROOT / "results/measured/mini_home_field"
+    measured = ROOT / "results/measured/mini_home_field_first"
     out = tmp_path / "page.html"
     assert main(["report", str(measured), "--experiment", str(REPORTED), "-o", str(out)]) == 0
     text = Page(out.read_text()).text

@@ -83,7 +83,7 @@ def test_iterations_and_hardware_stand_beside_every_figure(results):
 
 
 def test_writing_twice_changes_nothing(tmp_path):
-    for name in ("results/reported", "results/measured/mini_home_field", "tasks", "methods", "assets"):
+    for name in ("results/reported", "results/measured/mini_home_field_first", "tasks", "methods", "assets"):
         shutil.copytree(ROOT / name, tmp_path / name)
     readme, more = tmp_path / "README.md", tmp_path / "results/README.md"
     for file in (readme, more):
