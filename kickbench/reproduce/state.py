@@ -105,11 +105,14 @@ def state_of(run: pd.Series, total: int | None = None) -> RunState:
         total = int(stored)
     if run.state == "running":
         return _training(State.RUNNING, directory, None, total)
-    if run.state == "finished" and (total is None or run.iterations >= total):
+    is_short = total is not None and run.iterations < total
+    # What has a result, but no checkpoint to go on from, stays as long as it is.
+    if run.state == "finished" and not (is_short and any(directory.checkpoints.glob("iteration_*.pt"))):
         return RunState(
             state=State.FINISHED,
             done=int(run.iterations),
             total=total,
+            note=f"stopped at {int(run.iterations):,} of {total:,} iterations" if is_short else "",
             progress=read_tail(directory.progress),
             success=run.success_rate,
             seconds_per_iteration=run.training_seconds / run.iterations if run.iterations else None,
