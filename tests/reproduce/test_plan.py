@@ -49,9 +49,7 @@ def begin(planned, *, finished: bool, **changes) -> None:
 
 def test_the_plan_is_every_seed_of_every_arm_seed_by_seed(experiment, tmp_path):
     made = make_plan(experiment, Selection(out=tmp_path))
-    assert [run.name for run in made.runs] == [
-        f"{arm}/seed{seed}" for seed in range(5) for arm in ARMS
-    ]
+    assert [run.name for run in made.runs] == [f"{arm}/seed{seed}" for seed in range(5) for arm in ARMS]
     record = made.runs[7].record
     assert (record.arm, record.seed, record.task, record.method) == (
         *("equivariant", 1),
