@@ -26,6 +26,7 @@ from kickbench.reported import load_reported
 from kickbench.results import integrity
 from kickbench.results.asymmetry import EquivarianceError
 from kickbench.results.episodes import EpisodeSides, EpisodeTable, write_episodes
+from kickbench.results.frame import SIDES
 from kickbench.results.history import RunHistory, earlier_parts
 from kickbench.results.metrics import Evaluation, Metrics, load_metrics, summarise_sides
 from kickbench.results.provenance import ExperimentRef
@@ -293,7 +294,30 @@ def make_trainer(
     update = update_threads(experiment.method.spec, threads)
     checkpoints = Checkpoints(directory.checkpoints)
     progress = shown or ProgressGroup(())
-    return Trainer(experiment, env, progress, checkpoints, history, update, graph=graph, ranks=ranks)
+
+    def success(trained: MLPModel) -> dict[str, float]:
+        return success_by_side(experiment, trained, threads)
+
+    return Trainer(
+        experiment, env, progress, checkpoints, history, update, graph=graph, ranks=ranks, evaluate=success
+    )
+
+
+def success_by_side(experiment: Experiment, trained: MLPModel, threads: int) -> dict[str, float]:
+    """Success by side of a policy in training, in the first episodes of the task's evaluation; changes nothing of it."""
+    protocol, symmetry = experiment.task.spec.evaluation, experiment.symmetry
+    with torch.random.fork_rng(devices=[]):
+        policy = build_actor(experiment.method.spec, symmetry.groups["actor"], symmetry.actions).eval()
+    policy.load_state_dict(trained.state_dict())
+    starts = draw_starts(experiment.task, max(protocol.episodes, protocol.every_episodes), protocol.seed)
+    home = starts.take(torch.arange(protocol.every_episodes))
+    sides = {SIDES[0]: home} | ({SIDES[1]: mirror_starts(experiment, home)} if protocol.mirrored else {})
+    return {
+        side: float(
+            run_episodes(experiment.task, policy, of, protocol.seed, num_threads=threads).success.mean()
+        )
+        for side, of in sides.items()
+    }
 
 
 def evaluate(

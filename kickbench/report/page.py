@@ -161,7 +161,8 @@ def _curves(study: Study, looks: Mapping[str, Look], anchor: str) -> Figure:
     pictures, absent, window = [], list(_without(study, study.curves, "training curve (progress.csv)")), 1
     for quantity in QUANTITIES:
         if study.curves and not has_quantity(study.curves, quantity):
-            absent.append(f"{quantity.title}: this task has no such ending.")
+            if quantity.column.startswith("termination/"):
+                absent.append(f"{quantity.title}: this task has no such ending.")
         for number, panel in enumerate(curve_panels(study.curves, quantity)):
             window = max(window, panel.window)
             pictures.append(draw_curves(panel, looks, f"{anchor}-{quantity.key}-{number}"))
