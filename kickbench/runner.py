@@ -304,7 +304,7 @@ def make_trainer(
 
 
 def success_by_side(experiment: Experiment, trained: MLPModel, threads: int) -> dict[str, float]:
-    """Success by side of a policy in training, in the first episodes of the task's evaluation; changes nothing of it."""
+    """Success by side of a policy in training, in the first episodes of the evaluation; changes nothing of it."""
     protocol, symmetry = experiment.task.spec.evaluation, experiment.symmetry
     with torch.random.fork_rng(devices=[]):
         policy = build_actor(experiment.method.spec, symmetry.groups["actor"], symmetry.actions).eval()
