@@ -12,6 +12,7 @@ from rsl_rl.env import VecEnv
 from tensordict import TensorDict
 from torch import Tensor
 
+from kickbench.errors import KickbenchError, shown
 from kickbench.mdp.compile import Bound, CompiledTask
 from kickbench.mdp.delay import ActionDelay
 from kickbench.mdp.draws import Draws
@@ -67,6 +68,9 @@ class KickEnv(VecEnv):
             resident: Whether no step may wait for the host to read a number back; default: on all devices but the
                 CPU, where it costs nothing to look. Starts are then drawn in another order.
         """
+        if task.spec.terms and not task.is_trusted:
+            file = shown(task.spec.terms)
+            raise KickbenchError(f"{file}: code that came with a run; --trust-code lets it be imported")
         self.task, self.engine = task, engine
         self.num_envs, self.num_actions = engine.num_worlds, len(task.scene.layout.actuator_names)
         self.max_episode_length = task.spec.episode.max_steps

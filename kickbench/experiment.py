@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from kickbench.errors import SpecError
-from kickbench.mdp.catalog import task_model
+from kickbench.mdp.catalog import model_of_task
 from kickbench.mdp.compile import CompiledTask, compile_task
 from kickbench.spec.load import Loaded, LoadedMethod, LoadedTask, load_method, load_task, split_overrides
 from kickbench.spec.method import MethodSpec
@@ -99,7 +99,7 @@ def _load(
     of_task, of_method = split_overrides(overrides)
     problems, loaded_task, loaded_method = [], None, None
     try:
-        loaded_task = load_task(task_model(), task, of_task)
+        loaded_task = load_task(model_of_task, task, of_task)
     except SpecError as error:
         problems += error.problems
     try:

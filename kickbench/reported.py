@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from kickbench.errors import KeyPath, Problem, SpecError, did_you_mean
-from kickbench.mdp.catalog import task_model
+from kickbench.mdp.catalog import model_of_task
 from kickbench.spec.claims import OF_A_RUN, AnyClaim, NearReported, Operand
 from kickbench.spec.load import LoadedMethod, LoadedTask, load, load_method, load_task
 from kickbench.spec.reported import ArmSpec, FiguresSpec, ReportedFiguresSpec, ReportedSpec
@@ -129,7 +129,7 @@ class _Files:
         self._read: dict[tuple[str, str], object] = {}
 
     def task(self, file: str, document: Document, path: KeyPath) -> LoadedTask[TaskSpec] | None:
-        return self._once("task", file, document, path, lambda: load_task(task_model(), file))
+        return self._once("task", file, document, path, lambda: load_task(model_of_task, file))
 
     def experiment(self, file: str, document: Document, path: KeyPath) -> ReportedSpec | None:
         return self._once("experiment", file, document, path, lambda: load(ReportedSpec, file).spec)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
@@ -357,12 +357,15 @@ def evaluate(
     return EpisodeSides(home, mirrored), probe.result()
 
 
-def load_run(path: Path, task: Path | None = None) -> tuple[Experiment, MLPModel]:
+def load_run(
+    path: Path, task: Path | None = None, *, trust_code: bool = False
+) -> tuple[Experiment, MLPModel]:
     """Loads experiment and policy of a run directory.
 
     Args:
         path: The run directory.
         task: Another task for the policy; default: the one it was trained on.
+        trust_code: Whether envs of the run's task may import terms that came with the run.
 
     Raises:
         KickbenchError: The directory holds no run with a policy, or one of its files is damaged.
@@ -372,6 +375,8 @@ def load_run(path: Path, task: Path | None = None) -> tuple[Experiment, MLPModel
         raise KickbenchError(f"{os.fspath(path)}: not a run directory (it has no {directory.task_spec.name})")
     integrity.check(directory)
     experiment = load_experiment(task or directory.task_spec, directory.method_spec)
+    if task is None and not trust_code:
+        experiment = replace(experiment, task=replace(experiment.task, is_trusted=False))
     symmetry = experiment.symmetry
     policy = build_actor(experiment.method.spec, symmetry.groups["actor"], symmetry.actions)
     load_policy(directory.policy, policy)
@@ -379,10 +384,16 @@ def load_run(path: Path, task: Path | None = None) -> tuple[Experiment, MLPModel
 
 
 def reevaluate(
-    path: Path, episodes: int | None, seed: int | None, threads: int | None, task: Path | None = None
+    path: Path,
+    episodes: int | None,
+    seed: int | None,
+    threads: int | None,
+    task: Path | None = None,
+    *,
+    trust_code: bool = False,
 ) -> tuple[Metrics, EpisodeSides]:
     """Evaluates the policy of a finished run again, on another task if there is one; the run is left as it is."""
-    experiment, policy = load_run(path, task)
+    experiment, policy = load_run(path, task, trust_code=trust_code)
     recorded = load_metrics(RunDirectory(path).metrics)
     sides, equivariance = evaluate(experiment, policy, episodes=episodes, seed=seed, threads=threads)
     evaluation = _summary(experiment, sides, equivariance)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from kickbench.errors import Mark, Problem, SpecError, did_you_mean
 from kickbench.experiment import read_symmetry
-from kickbench.mdp.catalog import task_model
+from kickbench.mdp.catalog import model_of_task, task_model
 from kickbench.mdp.compile import CompiledTask, compile_task
 from kickbench.reported import LoadedReported, load_reported
 from kickbench.scene.agree import check_symmetry
@@ -116,7 +116,7 @@ def _check(
     methods: list[LoadedMethod],
 ) -> None:
     if report.kind == "task":
-        task = compile_task(load_task(task_model(), path, overrides))
+        task = compile_task(load_task(model_of_task, path, overrides))
         tasks.append(task)
         _compare_with_geometry(task.robot, report)
     elif report.kind == "method":

@@ -16,7 +16,7 @@ import torch
 from scipy import stats
 
 from kickbench.env import KickEnv
-from kickbench.mdp.catalog import task_model
+from kickbench.mdp.catalog import model_of_task
 from kickbench.mdp.compile import CompiledTask, compile_task
 from kickbench.mdp.delay import ActionDelay
 from kickbench.mdp.engines import make_engine
@@ -32,7 +32,7 @@ NOISY = ("base_lin_vel", "base_ang_vel", "projected_gravity", "ball_position", "
 @cache
 def k1(timestep: float = 0.005) -> CompiledTask:
     return compile_task(
-        load_task(task_model(), ROOT / "tasks/k1_general.yaml", [f"simulation.timestep={timestep}"])
+        load_task(model_of_task, ROOT / "tasks/k1_general.yaml", [f"simulation.timestep={timestep}"])
     )
 
 

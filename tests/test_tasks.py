@@ -11,7 +11,7 @@ import torch
 
 from kickbench.cli import main
 from kickbench.env import KickEnv
-from kickbench.mdp.catalog import task_model
+from kickbench.mdp.catalog import model_of_task
 from kickbench.mdp.compile import CompiledTask, compile_task
 from kickbench.mdp.engines import make_engine
 from kickbench.spec.load import load_task
@@ -42,7 +42,7 @@ def test_every_shipped_file_is_valid(path, capsys):
 
 
 def load(name: str, *overrides: str) -> CompiledTask:
-    return compile_task(load_task(task_model(), ROOT / f"tasks/{name}.yaml", overrides))
+    return compile_task(load_task(model_of_task, ROOT / f"tasks/{name}.yaml", overrides))
 
 
 def leaves(data: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:

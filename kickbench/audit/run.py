@@ -21,7 +21,7 @@ from kickbench.audit.record import Recording, Reflection, record
 from kickbench.audit.report import Report, Row
 from kickbench.errors import KickbenchError, shown
 from kickbench.experiment import Symmetry, symmetry_of
-from kickbench.mdp.catalog import task_model
+from kickbench.mdp.catalog import model_of_task
 from kickbench.mdp.compile import CompiledTask, compile_task
 from kickbench.results.store import RunDirectory
 from kickbench.runner import load_run
@@ -67,7 +67,7 @@ def audit(request: AuditRequest) -> Report:
         KickbenchError: No representation table was found, or the run does not go with the task.
     """
     started = time.perf_counter()
-    task = compile_task(load_task(task_model(), request.task, request.overrides))
+    task = compile_task(load_task(model_of_task, request.task, request.overrides))
     table = load_table(request, task)
     symmetry = symmetry_of(task, table)
     policy = run = critic = None

@@ -151,6 +151,8 @@ def _add_eval(verbs: argparse._SubParsersAction) -> None:
     )
     verb.add_argument("run", type=Path, metavar="RUN", help="run directory")
     verb.add_argument("--task", type=Path, metavar="TASK", help="another task (default: the run's)")
+    text = "import the terms that came with the run: Python code, from whoever made the run"
+    verb.add_argument("--trust-code", action="store_true", help=text)
     verb.add_argument(
         "--save", action="store_true", help="keep the figures on another task in RUN/also/<task>.json"
     )

@@ -18,7 +18,7 @@ from kickbench.bench.training import Iterations
 from kickbench.cli.flags import override_of, refuse_contradiction
 from kickbench.errors import SpecError
 from kickbench.experiment import Experiment, load_experiment, read_symmetry
-from kickbench.mdp.catalog import task_model
+from kickbench.mdp.catalog import model_of_task
 from kickbench.mdp.compile import compile_task
 from kickbench.nets.threads import torch_threads
 from kickbench.physics.cpu import usable_cores
@@ -81,7 +81,7 @@ def _fitting_methods(arguments: argparse.Namespace) -> Path:
         SpecError: The task is wrong, or no folder fits.
     """
     of_task, _ = split_overrides(arguments.overrides)
-    task = compile_task(load_task(task_model(), arguments.task, of_task))
+    task = compile_task(load_task(model_of_task, arguments.task, of_task))
     files = sorted(_METHOD_FOLDER.rglob(f"{_METHODS[0]}.yaml"), key=lambda file: (len(file.parts), file))
     for file in files:
         with suppress(SpecError):

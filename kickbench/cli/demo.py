@@ -61,10 +61,9 @@ def sentence(runs: pd.DataFrame) -> str:
     Args:
         runs: Evaluated runs, one a method, as `load_runs` reads them.
     """
-    rates = runs.pivot_table(index="method", columns="side", values="success_rate", sort=False)
+    rates = {(run.method, run.side): float(run.success_rate) for _, run in runs.iterrows()}
     parts = [
-        _part(method, float(rates.loc[method, "in_distribution"]), float(rates.loc[method, "mirrored"]))
-        for method in CONDITIONS
+        _part(method, rates[method, "in_distribution"], rates[method, "mirrored"]) for method in CONDITIONS
     ]
     text = f"{'; '.join(parts)}."
     return f"{text[0].upper()}{text[1:]}\n(One seed: another one gives other figures of the same kind.)"

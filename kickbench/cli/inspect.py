@@ -36,7 +36,10 @@ def show(arguments: argparse.Namespace) -> int:
     from kickbench.yamlio import load_document
 
     kind = kind_of(load_document(arguments.file, arguments.overrides))
-    loaded = load(model_of(kind), arguments.file, arguments.overrides)
+    from kickbench.mdp.catalog import model_of_task
+
+    model = model_of_task if kind == "task" else model_of(kind)
+    loaded = load(model, arguments.file, arguments.overrides)
     print(explain(loaded.spec, loaded.document).rstrip("\n"))
     return 0
 

@@ -63,7 +63,12 @@ def evaluate(arguments: argparse.Namespace) -> int:
     if arguments.save and not arguments.task:
         raise KickbenchError("--save keeps the figures on another task beside the run: it needs --task")
     metrics, _ = reevaluate(
-        arguments.run, arguments.episodes, arguments.seed, arguments.threads, arguments.task
+        arguments.run,
+        arguments.episodes,
+        arguments.seed,
+        arguments.threads,
+        arguments.task,
+        trust_code=arguments.trust_code,
     )
     if arguments.save:
         directory = RunDirectory(arguments.run)

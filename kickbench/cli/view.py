@@ -21,11 +21,11 @@ def render(arguments: argparse.Namespace) -> int:
     """`kickbench render TASK`: a contact sheet of starts, or a film of episodes."""
     check_mujoco()
     draw = _render_of(arguments)
-    from kickbench.mdp.catalog import task_model
+    from kickbench.mdp.catalog import model_of_task
     from kickbench.mdp.compile import compile_task
     from kickbench.spec.load import load_task
 
-    task = compile_task(load_task(task_model(), arguments.task, arguments.overrides))
+    task = compile_task(load_task(model_of_task, arguments.task, arguments.overrides))
     out = arguments.out or Path(f"{task.name}.png")
     seed = task.spec.evaluation.seed if arguments.seed is None else arguments.seed
     draw(task, out, seed, arguments)
@@ -35,7 +35,7 @@ def render(arguments: argparse.Namespace) -> int:
 
 def plot(arguments: argparse.Namespace) -> int:
     """`kickbench show TASK --plot FILE`: sampling regions from above."""
-    from kickbench.mdp.catalog import task_model
+    from kickbench.mdp.catalog import model_of_task
     from kickbench.mdp.compile import compile_task
     from kickbench.spec.load import load_task
     from kickbench.speccheck import kind_of
@@ -47,7 +47,7 @@ def plot(arguments: argparse.Namespace) -> int:
         raise KickbenchError(
             f"--plot draws the sampling regions of a task; {arguments.file} is a {kind} file"
         )
-    plot_regions(compile_task(load_task(task_model(), arguments.file, arguments.overrides)), arguments.plot)
+    plot_regions(compile_task(load_task(model_of_task, arguments.file, arguments.overrides)), arguments.plot)
     print(shown(arguments.plot))
     return 0
 

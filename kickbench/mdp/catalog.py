@@ -8,22 +8,26 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
 from types import ModuleType
 from typing import Any, TypeVar
 
 from pydantic import Field, create_model
 
+from kickbench.errors import SpecError
 from kickbench.mdp import observations, randomizations, rewards, terminations
+from kickbench.mdp.own import read_terms
 from kickbench.mdp.term import Kind, Term
-from kickbench.spec.base import Spec
+from kickbench.spec.base import Spec, resolved
 from kickbench.spec.curriculum import RAMP, CurriculumSpec
 from kickbench.spec.task import ObservationSpec, TaskSpec
 from kickbench.spec.terms import RewardTable, TermTable
+from kickbench.yamlio import Document
 
 S = TypeVar("S", bound=Spec)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Catalog:
     """All terms by kind and name."""
 
@@ -38,26 +42,51 @@ class Catalog:
         return tuple(term for table in tables for term in table.values())
 
 
+def catalog(own: str | Path | None = None) -> Catalog:
+    """The terms that a task may use.
+
+    Args:
+        own: Its file of terms of its own, if it has one.
+
+    Raises:
+        SpecError: A term in the file is not one, or has a name that is taken.
+    """
+    return _catalog(read_terms(Path(own)) if own else ())
+
+
 @cache
-def catalog() -> Catalog:
-    """Reads the catalogue off the modules of terms."""
+def _catalog(own: tuple[Term[Any], ...]) -> Catalog:
     return Catalog(
-        _terms(observations, "observation"),
-        _terms(rewards, "reward"),
-        _terms(terminations, "termination"),
-        _terms(randomizations, "randomization"),
+        _terms(observations, "observation", own),
+        _terms(rewards, "reward", own),
+        _terms(terminations, "termination", own),
+        _terms(randomizations, "randomization", own),
     )
 
 
-def _terms(module: ModuleType, kind: Kind) -> dict[str, Term[Any]]:
-    found = (value for value in vars(module).values() if isinstance(value, Term))
-    return {term.name: term for term in found if term.kind == kind}
+def _terms(module: ModuleType, kind: Kind, own: tuple[Term[Any], ...]) -> dict[str, Term[Any]]:
+    shipped = [value for value in vars(module).values() if isinstance(value, Term)]
+    found = {term.name: term for term in shipped if term.kind == kind}
+    for term in own:
+        if term.kind == kind and term.name in found:
+            raise SpecError.of(str(term.function.file), f"{term.name}: kickbench has a {kind} of this name")
+    return found | {term.name: term for term in own if term.kind == kind}
+
+
+def model_of_task(document: Document) -> type[TaskSpec]:
+    """The model of a task file, with the terms that it brings itself."""
+    own = document.data.get("terms")
+    file = resolved(own, document.origin(("terms",))) if isinstance(own, str) else None
+    return task_model(file if file and file.is_file() else None)
+
+
+def task_model(own: Path | None = None) -> type[TaskSpec]:
+    """The task model whose tables accept exactly the terms that exist, with their parameters."""
+    return _task_model(catalog(own))
 
 
 @cache
-def task_model() -> type[TaskSpec]:
-    """The task model whose tables accept exactly the terms that exist, with their parameters."""
-    terms = catalog()
+def _task_model(terms: Catalog) -> type[TaskSpec]:
     group = _table("ObservationTable", TermTable, terms.observations)
     fields = {name: (group, _like(ObservationSpec, name)) for name in ("actor", "critic")}
     randomization = _table("Randomization", TermTable, terms.randomizations)

@@ -82,6 +82,7 @@ class CompiledTask:
         terminations: Termination terms.
         randomizers: Randomisation of episode starts, parameters bound.
         processes: Randomisation that acts during episodes.
+        is_trusted: Whether its own terms, if it has any, may be imported.
     """
 
     name: str
@@ -93,6 +94,7 @@ class CompiledTask:
     terminations: tuple[Bound, ...]
     randomizers: tuple[Callable[[Starts, Draw], Starts], ...]
     processes: tuple[Bound, ...]
+    is_trusted: bool = True
 
     def width(self, group: str) -> int:
         """Length of an observation group's vector."""
@@ -106,7 +108,7 @@ def compile_task(task: LoadedTask[Any]) -> CompiledTask:
         SpecError: A term needs a sensor that the robot's scene lacks, the robot's MJCF lacks a name, ...
     """
     spec: TaskSpec = task.spec
-    terms = catalog()
+    terms = catalog(spec.terms)
     check_task(task)
     rewards = bind_rewards(spec)
     terminations = _bind(terms.terminations, spec.terminations, TerminationParams)
@@ -158,7 +160,7 @@ def check_task(task: LoadedTask[Any]) -> None:
         SpecError: With a problem for every term it cannot serve, and for empty tables.
     """
     spec, document = task.spec, task.document
-    terms, problems = catalog(), list[Problem]()
+    terms, problems = catalog(spec.terms), list[Problem]()
     have = available_groups(task.robot.spec)
     tables: dict[tuple[str, ...], tuple[Mapping[str, Term[Any]], TermTable]] = {
         ("observations", "actor"): (terms.observations, spec.observations.actor),
@@ -205,12 +207,12 @@ def _bind(known: Mapping[str, Term[Any]], table: TermTable, kind: type[TermParam
 
 def bind_rewards(spec: TaskSpec) -> tuple[tuple[Bound, float], ...]:
     """Reward terms with their parameters and weights."""
-    bounds = _bind(catalog().rewards, spec.rewards, RewardParams)
+    bounds = _bind(catalog(spec.terms).rewards, spec.rewards, RewardParams)
     return tuple((bound, bound.params.weight) for bound in bounds if isinstance(bound.params, RewardParams))
 
 
 def _randomizations(spec: TaskSpec) -> tuple[Bound, ...]:
-    return _bind(catalog().randomizations, spec.randomization, RandomizationParams)
+    return _bind(catalog(spec.terms).randomizations, spec.randomization, RandomizationParams)
 
 
 def bind_start_randomizers(spec: TaskSpec) -> tuple[Callable[[Starts, Draw], Starts], ...]:

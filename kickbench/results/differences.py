@@ -11,7 +11,7 @@ from pydantic import BaseModel
 from kickbench.errors import KeyPath, dotted
 from kickbench.results.identity import identity_of, read_identity
 from kickbench.results.store import RunDirectory
-from kickbench.spec.annotations import FileMarker
+from kickbench.spec.annotations import names_file
 from kickbench.spec.load import LoadedMethod, LoadedTask, load_method, load_task
 from kickbench.spec.terms import TermParams, TermTable
 from kickbench.yamldump import flow_yaml
@@ -44,9 +44,9 @@ def stored_specs(directory: RunDirectory) -> Specs:
     Raises:
         KickbenchError: A file is missing or not valid.
     """
-    from kickbench.mdp.catalog import task_model
+    from kickbench.mdp.catalog import model_of_task
 
-    task, method = load_task(task_model(), directory.task_spec), load_method(directory.method_spec)
+    task, method = load_task(model_of_task, directory.task_spec), load_method(directory.method_spec)
     return Specs(_values(task, method), read_identity(directory.path).parts)
 
 
@@ -98,8 +98,7 @@ def _leaves(value: Any, path: KeyPath) -> Iterator[tuple[KeyPath, Any]]:
         yield (*path, "order"), list(value.active(TermParams))
     if isinstance(value, BaseModel):
         for name, info in type(value).model_fields.items():
-            is_file = any(isinstance(item, FileMarker) for item in info.metadata)
-            if not is_file and name != "description":
+            if not names_file(info) and name != "description":
                 yield from _leaves(getattr(value, name), (*path, name))
     elif isinstance(value, Mapping):
         yield (*path, "order"), list(value)

@@ -18,10 +18,11 @@ import numpy as np
 from pydantic import BaseModel, ValidationError
 
 from kickbench.errors import KeyPath, KickbenchError, shown
+from kickbench.mdp.own import canonical_source
 from kickbench.results.atomic import atomic_write_text
 from kickbench.results.record import Record
 from kickbench.scene.dynamics import dynamics_arrays
-from kickbench.spec.annotations import FileMarker
+from kickbench.spec.annotations import names_file
 from kickbench.spec.terms import TermParams, TermTable
 
 if TYPE_CHECKING:
@@ -68,8 +69,8 @@ def identity_of(experiment: Experiment) -> Identity:
     dynamics = dynamics_arrays(experiment.task.scene)
     arrays = {name: _digest(_plain(value))[:16] for name, value in dynamics if np.size(value)}
     parts = {name: _digest(_canonical(spec, ())) for name, spec in specs.items()}
-    # No term comes from a user's own file yet.
-    parts |= {"model": _digest(arrays), "terms": _digest([])}
+    own = [canonical_source(Path(task.spec.terms))] if task.spec.terms else []
+    parts |= {"model": _digest(arrays), "terms": _digest(own)}
     if experiment.initial_policy is not None:
         parts["initial_policy"] = _digest(experiment.initial_policy)
     return Identity(fingerprint=_digest(parts), parts=parts, model_arrays=arrays)
@@ -103,8 +104,7 @@ def read_identity(directory: PathLike[str] | str) -> Identity:
 def counted_fields(spec: BaseModel, path: KeyPath) -> Iterator[tuple[str, Any]]:
     """The fields of a spec at a path that belong to a run's identity, with their values."""
     for name, info in type(spec).model_fields.items():
-        is_file = any(isinstance(item, FileMarker) for item in info.metadata)
-        if not is_file and name != "description" and (*path, name) not in _UNCOUNTED:
+        if not names_file(info) and name != "description" and (*path, name) not in _UNCOUNTED:
             yield name, getattr(spec, name)
 
 

@@ -41,6 +41,7 @@ SPECS = tuple(
         "representations.yaml",
         "robot.xml",
         "initial_policy.pt",
+        "terms.py",
     )
 )
 FIXED = (*SPECS, identity.FILE, "progress.csv", *RESULTS)

@@ -12,7 +12,7 @@ from pydantic import BaseModel
 
 from kickbench.errors import KeyPath, KickbenchError, Problem
 from kickbench.experiment import Experiment, load_experiment
-from kickbench.mdp.catalog import task_model
+from kickbench.mdp.catalog import model_of_task
 from kickbench.results.atomic import atomic_write_bytes, atomic_write_text
 from kickbench.results.identity import Identity, counted_fields, identity_of, read_identity, write_identity
 from kickbench.results.integrity import MODEL_FOLDER, seal
@@ -47,6 +47,8 @@ def write_specs(directory: RunDirectory, experiment: Experiment) -> None:
     model = os.path.relpath(names[Path(task.robot.spec.model)], directory.specs.name)
     _write(directory.robot_spec, task.robot.document, {"model": model})
     _write(directory.representations_spec, method.representations.document, {})
+    if task.spec.terms:
+        atomic_write_bytes(directory.terms, Path(task.spec.terms).read_bytes())
     update_specs(directory, experiment)
     identity = identity_of(experiment)
     _check_copy(directory, experiment, contents, identity)
@@ -57,7 +59,10 @@ def write_specs(directory: RunDirectory, experiment: Experiment) -> None:
 def update_specs(directory: RunDirectory, experiment: Experiment) -> None:
     """Writes task and method of a run that goes on: its length may be another."""
     task, method = experiment.loaded_task, experiment.method
-    _write(directory.task_spec, task.document, {"robot": directory.robot_spec.name})
+    files = {"robot": directory.robot_spec.name} | (
+        {"terms": directory.terms.name} if task.spec.terms else {}
+    )
+    _write(directory.task_spec, task.document, files)
     _write(directory.method_spec, method.document, {"representations": directory.representations_spec.name})
 
 
@@ -108,7 +113,7 @@ def spec_differences(directory: RunDirectory, experiment: Experiment) -> list[Pr
     if not changed:
         return []
     task, method = experiment.loaded_task, experiment.method
-    old_task, old_method = load_task(task_model(), directory.task_spec), stored_method(directory)
+    old_task, old_method = load_task(model_of_task, directory.task_spec), stored_method(directory)
     pairs = (
         (task, old_task),
         (task.robot, old_task.robot),
@@ -122,6 +127,8 @@ def spec_differences(directory: RunDirectory, experiment: Experiment) -> list[Pr
     ]
     if "model" in changed:
         problems.append(task.robot.document.problem(("model",), _model_difference(ours, theirs)))
+    if "terms" in changed:
+        problems.append(task.document.problem(("terms",), "the run's terms have other code"))
     if "initial_policy" in changed:
         problems.append(Problem(None, ("--init-from",), "the run began with another policy"))
     return problems or [Problem(None, (part,), "not that of the run") for part in changed]
@@ -153,10 +160,11 @@ def _check_copy(
 
 
 def _differences(new: Any, old: Any, path: KeyPath) -> Iterator[tuple[KeyPath, str]]:
-    if isinstance(new, BaseModel) and type(new) is type(old):
+    # Models of tasks with terms of their own are made for each file.
+    if isinstance(new, BaseModel) and type(new).__name__ == type(old).__name__:
         yield from _order_of_terms(new, old, path)
         for name, value in counted_fields(new, path):
-            yield from _differences(value, getattr(old, name), (*path, name))
+            yield from _differences(value, getattr(old, name, None), (*path, name))
     elif isinstance(new, Mapping) and isinstance(old, Mapping):
         if set(new) == set(old) and list(new) != list(old):
             yield path, f"the run has them in another order: {', '.join(old)}"

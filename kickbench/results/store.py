@@ -82,6 +82,11 @@ class RunDirectory:
         return self.specs / "representations.yaml"
 
     @property
+    def terms(self) -> Path:
+        """The file of the task's own terms, if it has one."""
+        return self.specs / "terms.py"
+
+    @property
     def initial_policy(self) -> Path:
         """The policy that the run began with, if that was another run's."""
         return self.specs / "initial_policy.pt"

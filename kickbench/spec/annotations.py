@@ -9,6 +9,7 @@ from types import UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 from pydantic import BaseModel
+from pydantic.fields import FieldInfo
 
 from kickbench.errors import KeyPath
 
@@ -63,6 +64,12 @@ def unfold(annotation: Any, metadata: Sequence[Any] = ()) -> Iterator[Hint]:
             yield from unfold(arm, metadata)
     else:
         yield Hint(annotation, tuple(metadata))
+
+
+def names_file(field: FieldInfo) -> bool:
+    """Whether a field of a model holds the path of a file."""
+    hints = unfold(field.annotation, field.metadata)
+    return any(isinstance(mark, FileMarker) for hint in hints for mark in hint.metadata)
 
 
 def hints_below(hint: Hint, key: str | int) -> Iterator[Hint]:

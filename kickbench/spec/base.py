@@ -217,13 +217,14 @@ def _resolve_files(model: type[BaseModel], document: Document) -> tuple[Any, lis
         holder: Any = data
         for key in path[:-1]:
             holder = holder[key]
-        file = _absolute(holder[path[-1]], document.origin(path))
+        file = resolved(holder[path[-1]], document.origin(path))
         holder[path[-1]] = file.as_posix()
         problems += _file_problems(file, path, document)
     return data, problems
 
 
-def _absolute(name: str, origin: Path | None) -> Path:
+def resolved(name: str, origin: Path | None) -> Path:
+    """The absolute path that a name in a file means; origin is the file, None for an override."""
     # An override is typed in a shell, so it is relative to the working directory.
     return Path(os.path.abspath(origin.parent / name if origin else name))
 

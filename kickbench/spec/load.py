@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Generic, TypeVar
+from typing import Generic, TypeVar, cast
 
 from kickbench.errors import KeyPath, SpecError, nearest
 from kickbench.spec.base import Spec, validate
@@ -58,7 +58,10 @@ class LoadedMethod:
 
 
 def load(
-    model: type[S], path: str | Path, overrides: Sequence[str] = (), named_by: Naming | None = None
+    model: type[S] | Callable[[Document], type[S]],
+    path: str | Path,
+    overrides: Sequence[str] = (),
+    named_by: Naming | None = None,
 ) -> Loaded[S]:
     """Loads and validates one file.
 
@@ -66,11 +69,14 @@ def load(
         SpecError: With every problem of the file.
     """
     document = load_document(path, overrides, named_by=named_by)
-    return Loaded(validate(model, document), document)
+    known = model if isinstance(model, type) else model(document)
+    return Loaded(validate(cast("type[S]", known), document), document)
 
 
-def load_task(model: type[T], path: str | Path, overrides: Sequence[str] = ()) -> LoadedTask[T]:
-    """Loads a task and its robot; `model` is `mdp.catalog.task_model()`."""
+def load_task(
+    model: Callable[[Document], type[T]], path: str | Path, overrides: Sequence[str] = ()
+) -> LoadedTask[T]:
+    """Loads a task and its robot; `model` is `mdp.catalog.model_of_task`."""
     task = load(model, path, overrides)
     robot = load(RobotSpec, task.spec.robot, named_by=(task.document, ("robot",)))
     return LoadedTask(task.spec, task.document, robot)

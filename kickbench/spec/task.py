@@ -203,6 +203,8 @@ class TaskSpec(Spec):
     """One line for lists and reports."""
     robot: FileRef
     """Path of the robot's YAML file."""
+    terms: FileRef | None = None
+    """Path of a Python file with terms of one's own, which the tables may then name: `kickbench.mdp.own`."""
     ball: BallSpec
     """Ball."""
     floor: FloorSpec = FloorSpec()

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from kickbench.env import make_engine
-from kickbench.mdp.catalog import task_model
+from kickbench.mdp.catalog import model_of_task
 from kickbench.mdp.compile import CompiledTask, compile_task
 from kickbench.spec.load import load, load_task
 from kickbench.spec.robot import RobotSpec
@@ -45,7 +45,7 @@ def compiled(tmp_path):
         file = tmp_path / f"{robot}_{timestep}.yaml"
         base = ROOT / "tasks/mini_general.yaml"
         file.write_text(STANDING.format(base=base, robot=ROBOTS[robot], timestep=timestep))
-        return compile_task(load_task(task_model(), file))
+        return compile_task(load_task(model_of_task, file))
 
     return compile
 

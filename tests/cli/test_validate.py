@@ -54,7 +54,7 @@ MALFORMED = {
         [HOME],
         (HOME, "sampling:", "samplings:"),
         (HOME, "¦samplings:"),
-        "samplings: unknown key 'samplings'; expected one of: description, robot, ball, floor, field, simulation, "
+        "samplings: unknown key 'samplings'; expected one of: description, robot, terms, ball, floor, field, simulation, "
         "episode, sampling, observations, rewards, terminations, randomization, evaluation, curriculum "
         "(did you mean 'sampling'?)",
     ),

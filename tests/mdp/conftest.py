@@ -119,11 +119,11 @@ def world(mini, sensing):
 @pytest.fixture(scope="session")
 def k1():
     """The compiled general task of the Booster K1."""
-    from kickbench.mdp.catalog import task_model
+    from kickbench.mdp.catalog import model_of_task
     from kickbench.mdp.compile import compile_task
     from kickbench.spec.load import load_task
 
-    return compile_task(load_task(task_model(), ROOT / "tasks/k1_general.yaml"))
+    return compile_task(load_task(model_of_task, ROOT / "tasks/k1_general.yaml"))
 
 
 @pytest.fixture

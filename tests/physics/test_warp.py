@@ -53,14 +53,14 @@ TOLERANCE = {
 
 @cache
 def task_of(name: str, *overrides: str):
-    from kickbench.mdp.catalog import task_model
+    from kickbench.mdp.catalog import model_of_task
     from kickbench.mdp.compile import compile_task
     from kickbench.spec.load import load_task
 
     # The tolerances were measured with a thin-walled ball. Of a solid one, which a kick spins faster, one env of eight
     # was up to 2e-4 off in qpos after a step (single precision).
     room = ("simulation.max_contacts=24", "simulation.max_constraints=96", "ball.inertia=shell")
-    return compile_task(load_task(task_model(), ROOT / f"tasks/{name}.yaml", (*room, *overrides)))
+    return compile_task(load_task(model_of_task, ROOT / f"tasks/{name}.yaml", (*room, *overrides)))
 
 
 @cache

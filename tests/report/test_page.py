@@ -149,8 +149,7 @@ def test_an_experiment_names_missing_unfinished_and_smaller_runs(folder):
     assert "Not counted: baseline seed 0, equivariant seed 0." in page.text
     assert (
         "Not run: baseline seeds 1, 2, 3 and 4, augmentation seeds 0, 1, 3 and 4, equivariant seeds 1, 2, 3 and 4, "
-        "augmentation_stock seeds 0, 1, 2, 3 and 4, equivariant_matched seeds 0, 1, 2, 3 and 4."
-        in page.text
+        "augmentation_stock seeds 0, 1, 2, 3 and 4, equivariant_matched seeds 0, 1, 2, 3 and 4." in page.text
     )
     assert re.search(r"Of (\d+) claims: \1 without enough data to say\.", page.text)
     assert "The baseline loses at least 15 points of success on the mirrored side" in page.text

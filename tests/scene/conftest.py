@@ -13,7 +13,7 @@ FEETLESS = ("observations.critic.foot_position=null", "observations.critic.foot_
 @pytest.fixture
 def build(tmp_path, monkeypatch):
     """`build(mjcf, robot, *overrides)` compiles the mini task with another robot."""
-    from kickbench.mdp.catalog import task_model
+    from kickbench.mdp.catalog import model_of_task
     from kickbench.mdp.compile import compile_task
     from kickbench.spec.load import load_task
 
@@ -24,7 +24,7 @@ def build(tmp_path, monkeypatch):
         Path("robot.yaml").write_text(robot)
         feetless = () if "feet:" in robot else FEETLESS
         sets = ["robot=robot.yaml", *feetless, *overrides]
-        return compile_task(load_task(task_model(), ROOT / "tasks" / "mini_general.yaml", sets)).scene
+        return compile_task(load_task(model_of_task, ROOT / "tasks" / "mini_general.yaml", sets)).scene
 
     return build
 

@@ -219,7 +219,7 @@ def test_a_robot_whose_feet_alone_collide_never_touches_the_floor_with_the_rest(
     import torch
 
     from kickbench.env import KickEnv
-    from kickbench.mdp.catalog import task_model
+    from kickbench.mdp.catalog import model_of_task
     from kickbench.mdp.compile import compile_task
     from kickbench.mdp.engines import make_engine
     from kickbench.spec.load import load_task
@@ -232,7 +232,7 @@ def test_a_robot_whose_feet_alone_collide_never_touches_the_floor_with_the_rest(
         "rewards.illegal_contact.weight=-1.0",
         "rewards.foot_slip.weight=-1.0",
     ]
-    task = compile_task(load_task(task_model(), root / "tasks/mini_general.yaml", sets))
+    task = compile_task(load_task(model_of_task, root / "tasks/mini_general.yaml", sets))
     env = KickEnv(task, make_engine(task, 2, num_threads=1), seed=0)
     for _ in range(30):
         env.step(torch.zeros(2, env.num_actions))

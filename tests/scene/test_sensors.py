@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from kickbench.mdp.catalog import task_model
+from kickbench.mdp.catalog import model_of_task
 from kickbench.scene.build import build_scene
 from kickbench.scene.sensors import ALWAYS, FOOT_GROUPS, available_groups
 from kickbench.spec.load import load, load_task
@@ -31,7 +31,7 @@ def channels(build):
     """`channels(robot, *groups)` names the sensors of a scene that asks for some groups."""
 
     def channels(robot: str, *groups: str) -> list[str]:
-        task = load_task(task_model(), ROOT / "tasks" / "mini_general.yaml").spec
+        task = load_task(model_of_task, ROOT / "tasks" / "mini_general.yaml").spec
         Path("robot.xml").write_text(MJCF)
         Path("robot.yaml").write_text(robot)
         model = build_scene(task, load(RobotSpec, "robot.yaml"), frozenset(groups)).model
@@ -156,7 +156,7 @@ def test_a_foot_force_is_three_numbers_next_to_its_count(build):
         "feet: {left: {body: e}, right: {body: t, geoms: [g]}}\nsymmetry: {}\n"
     )
     build(mjcf, text)
-    task = load_task(task_model(), ROOT / "tasks" / "mini_general.yaml").spec
+    task = load_task(model_of_task, ROOT / "tasks" / "mini_general.yaml").spec
     scene = build_scene(task, load(RobotSpec, "robot.yaml"), frozenset({"foot_floor"}))
     forces = scene.layout.forces
     assert {name: places.shape for name, places in forces.items()} == {

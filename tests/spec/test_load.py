@@ -3,7 +3,7 @@ from pathlib import Path
 import pytest
 
 from kickbench.errors import SpecError
-from kickbench.mdp.catalog import task_model
+from kickbench.mdp.catalog import model_of_task
 from kickbench.spec.load import load, load_method, load_task, split_overrides
 from kickbench.spec.representation import RepresentationSpec
 from kickbench.spec.robot import RobotSpec
@@ -33,7 +33,7 @@ def messages(call, *arguments) -> list[str]:
 
 
 def test_a_task_comes_with_the_robot_it_names():
-    task = load_task(task_model(), ROOT / "tasks" / "mini_home_field.yaml")
+    task = load_task(model_of_task, ROOT / "tasks" / "mini_home_field.yaml")
     assert task.name == "mini_home_field"
     assert task.robot.spec.base == "trunk"
     assert Path(task.robot.spec.model) == ROOT / "assets" / "mini_kicker" / "mini_kicker.xml"

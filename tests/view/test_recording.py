@@ -8,7 +8,7 @@ import torch
 
 from kickbench.errors import KickbenchError
 from kickbench.evaluate.episodes import draw_starts, run_episodes
-from kickbench.mdp.catalog import task_model
+from kickbench.mdp.catalog import model_of_task
 from kickbench.mdp.compile import compile_task
 from kickbench.nets.build import build_actor
 from kickbench.results.specs import write_specs
@@ -80,6 +80,6 @@ def test_a_policy_runs_on_another_task_of_the_same_robot(task, run, starts):
 
 def test_a_policy_that_sees_other_fields_is_refused(run):
     path = ROOT / "tasks" / "mini_general.yaml"
-    other = compile_task(load_task(task_model(), path, ["observations.actor.base_ang_vel=null"]))
+    other = compile_task(load_task(model_of_task, path, ["observations.actor.base_ang_vel=null"]))
     with pytest.raises(KickbenchError, match=r"its policy sees .*base_ang_vel .*; the task mini_general has"):
         fitting(other, run, *load_run(run))
