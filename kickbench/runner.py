@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,12 +15,10 @@ from kickbench.evaluate.equivariance import EquivarianceProbe
 from kickbench.experiment import Experiment, load_experiment
 from kickbench.mdp.engines import make_engine
 from kickbench.mdp.starts import Starts
-from kickbench.nets.build import build_actor
 from kickbench.nets.threads import update_threads
 from kickbench.physics.cpu import usable_cores
 from kickbench.physics.devices import check_device
 from kickbench.reported import load_reported
-from kickbench.results import integrity
 from kickbench.results.asymmetry import EquivarianceError
 from kickbench.results.episodes import EpisodeSides, EpisodeTable, write_episodes
 from kickbench.results.history import RunHistory, earlier_parts
@@ -29,10 +26,11 @@ from kickbench.results.metrics import Evaluation, Metrics, load_metrics, summari
 from kickbench.results.provenance import ExperimentRef
 from kickbench.results.specs import update_specs
 from kickbench.results.store import RunDirectory
-from kickbench.train.checkpoint import Checkpoints, load_policy, save_policy
+from kickbench.train.checkpoint import Checkpoints, save_policy
 from kickbench.train.progress import ProgressGroup, standard_progress
 from kickbench.train.ranks import ALONE, Ranks, joined, read_ranks
 from kickbench.train.resume import Resume, begin, take_up
+from kickbench.train.trained import load_run
 from kickbench.train.trainer import Trainer, TrainingResult
 
 
@@ -302,34 +300,13 @@ def evaluate(
     return EpisodeSides(home, mirrored), probe.result()
 
 
-def load_run(path: Path, task: Path | None = None) -> tuple[Experiment, Policy]:
-    """Loads experiment and policy of a run directory.
-
-    Args:
-        path: The run directory.
-        task: Another task for the policy; default: the one it was trained on.
-
-    Raises:
-        KickbenchError: The directory holds no run with a policy, or one of its files is damaged.
-    """
-    directory = RunDirectory(path)
-    if not directory.task_spec.is_file():
-        raise KickbenchError(f"{os.fspath(path)}: not a run directory (it has no {directory.task_spec.name})")
-    integrity.check(directory)
-    experiment = load_experiment(task or directory.task_spec, directory.method_spec)
-    symmetry = experiment.symmetry
-    policy = build_actor(experiment.method.spec, symmetry.groups["actor"], symmetry.actions)
-    load_policy(directory.policy, policy)
-    return experiment, policy
-
-
 def reevaluate(
     path: Path, episodes: int | None, seed: int | None, threads: int | None, task: Path | None = None
 ) -> tuple[Metrics, EpisodeSides]:
     """Evaluates the policy of a finished run again, on another task if there is one; the run is left as it is."""
-    experiment, policy = load_run(path, task)
-    recorded = load_metrics(RunDirectory(path).metrics)
-    sides, equivariance = evaluate(experiment, policy, episodes=episodes, seed=seed, threads=threads)
+    run = load_run(path, task)
+    recorded, experiment = run.metrics, run.experiment
+    sides, equivariance = evaluate(experiment, run.policy, episodes=episodes, seed=seed, threads=threads)
     evaluation = _summary(experiment, sides, equivariance)
     # Where a run keeps its task, the file's name is not the task's.
     name = experiment.task.name if task else recorded.task

@@ -33,6 +33,7 @@ ROOMS = (
     ("runner",),
     ("audit",),
     ("view",),
+    ("deploy",),
     ("report",),
     ("reproduce",),
     ("cli",),

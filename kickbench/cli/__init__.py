@@ -60,6 +60,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_run(verbs)
     _add_reproduce(verbs)
     _add_eval(verbs)
+    _add_export(verbs)
     _add_inspection(verbs)
     _add_bench(verbs)
     _add_view(verbs)
@@ -146,6 +147,17 @@ def _add_eval(verbs: argparse._SubParsersAction) -> None:
     verb.add_argument("--seed", type=_natural, help="seed of the starts (default: the task's)")
     verb.add_argument("--json", action="store_true", help="print the metrics as JSON")
     _add_threads(verb)
+
+
+def _add_export(verbs: argparse._SubParsersAction) -> None:
+    text = "write a finished run's policy as ONNX, with a contract of inputs, outputs, gains and limits"
+    verb = _add_verb(verbs, "export", "kickbench.cli.export:export", text)
+    verb.add_argument("run", type=Path, metavar="RUN", help="run directory")
+    where = "folder to write (default: exported/<task>/<method>/seed<k>)"
+    verb.add_argument("-o", "--out", type=Path, metavar="FOLDER", help=where)
+    states = "write so many initial states of the evaluation, too"
+    verb.add_argument("--states", type=_positive, metavar="N", default=0, help=states)
+    verb.add_argument("--force", action="store_true", help="overwrite a policy that is there")
 
 
 def _add_inspection(verbs: argparse._SubParsersAction) -> None:

@@ -16,7 +16,7 @@ from kickbench.mdp.compile import CompiledTask
 from kickbench.mdp.engines import make_engine
 from kickbench.mdp.starts import Starts
 from kickbench.results.episodes import NON_FINITE
-from kickbench.runner import load_run
+from kickbench.train.trained import load_run
 
 
 @dataclass(frozen=True)
@@ -116,8 +116,8 @@ def policy_for(task: CompiledTask, run: Path) -> Policy:
     Raises:
         KickbenchError: The folder holds no policy, or it sees or moves something else than the task has.
     """
-    experiment, policy = load_run(run)
-    trained = experiment.task
+    loaded = load_run(run)
+    trained = loaded.experiment.task
     if _sees(trained) != _sees(task):
         raise KickbenchError(
             f"{run}: its policy sees {_words(_sees(trained))}; the task {task.name} has {_words(_sees(task))}"
@@ -127,7 +127,7 @@ def policy_for(task: CompiledTask, run: Path) -> Policy:
         raise KickbenchError(
             f"{run}: its policy moves {', '.join(moves)}; the task's robot has {', '.join(has)}"
         )
-    return policy
+    return loaded.policy
 
 
 def _sees(task: CompiledTask) -> list[tuple[str, int]]:
