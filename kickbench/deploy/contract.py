@@ -1,12 +1,12 @@
-"""The contract of an exported policy: everything that a robot or another simulator must do around the network.
+"""The contract of an exported policy: what a robot or a simulator must do around the network.
 
     x[i]      = clip((value[i] - offset[i]) * scale[i])     every observation, in the order of `observations`
     action    = network(x)                                  the observation normaliser is inside
     target[j] = clip(default[j] + scale[j] * action[j])     every actuator, in the order of `actions`
     tau       = servo(target)                               as `ActuatorSpec.kind` and `velocity_limit` say
 
-once in every `control_interval`. `value` is the quantity itself, in SI units: of `joint_pos` the positions of the joints,
-from which `offset`, the default pose, is subtracted.
+once in every `control_interval`. `value` is the quantity itself, in SI units: of `joint_pos` the positions of
+the joints, from which `offset`, the default pose, is subtracted.
 """
 
 from __future__ import annotations
@@ -62,8 +62,8 @@ class Joint(Spec):
 class Action(ActuatorSpec):
     """One number of the action vector: an actuator with its gains and limits.
 
-    A position servo with a `velocity_limit` has tau = clip(kp (u - q) - (kd - s) dq, +-effort) - s dq with
-    s = effort / velocity_limit and kd at least s; one without, and a velocity servo: tau = clip(law, +-effort).
+    A position servo with a `velocity_limit` has tau = clip(kp (u - q) - max(kd - s, 0) dq, +-effort) - s dq
+    with s = effort / velocity_limit; other servos have tau = clip(law, +-effort).
     """
 
     name: str

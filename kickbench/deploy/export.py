@@ -5,30 +5,23 @@ from __future__ import annotations
 import hashlib
 import io
 import warnings
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
 
 from kickbench import __version__
-from kickbench.deploy.contract import (
-    Action,
-    Contract,
-    Delay,
-    Joint,
-    Mirror,
-    Observation,
-    Origin,
-    SignedPermutation,
-    Training,
-)
+from kickbench.deploy import contract as parts
+from kickbench.deploy.contract import Contract, SignedPermutation
 from kickbench.errors import KickbenchError, shown
 from kickbench.evaluate.episodes import draw_starts
 from kickbench.mdp.compile import CompiledTask, Field
 from kickbench.nets.policy import TrainedPolicy
 from kickbench.results.atomic import atomic_file, atomic_write_bytes, atomic_write_text, check_writable
 from kickbench.results.identity import read_identity
+from kickbench.scene.layout import SceneLayout
 from kickbench.spec.terms import TerminationParams
 from kickbench.symmetry.representation import Representation
 from kickbench.train.trained import Run, load_run
@@ -36,11 +29,9 @@ from kickbench.view.extra import require
 
 OPSET = 13
 """ONNX operators of 2020: every runtime reads them."""
-_COMPONENTS = {
-    2: ("left", "right"),
-    3: ("x", "y", "z"),
-    6: tuple(f"{s}_{a}" for s in ("left", "right") for a in "xyz"),
-}
+_SIDES, _AXES = ("left", "right"), ("x", "y", "z")
+_COMPONENTS = {2: _SIDES, 3: _AXES, 6: tuple(f"{side}_{axis}" for side in _SIDES for axis in _AXES)}
+"""What the numbers of an observation are, by its size."""
 
 
 def export(
@@ -79,20 +70,16 @@ def export(
 def onnx_bytes(policy: TrainedPolicy, contract: Contract) -> bytes:
     """The policy as an ONNX file with the contract as metadata; equal policies give equal bytes."""
     onnx = require("onnx", "an export", "deploy")
-    module, buffer = policy.network.as_onnx(verbose=False).eval(), io.BytesIO()
+    module, buffer = policy.network.as_onnx(verbose=False).eval(), cast(Any, io.BytesIO())
+    example, name = torch.zeros(1, policy.network.obs_dim), contract.input
     with warnings.catch_warnings():
         # The exporter that torch prefers since 2.9 writes operators that runtimes before 2022 cannot read.
         warnings.simplefilter("ignore", DeprecationWarning)
         torch.onnx.export(
-            module,
-            (torch.zeros(1, policy.network.obs_dim),),
-            buffer,
-            input_names=[contract.input],
-            output_names=[contract.output],
-            dynamic_axes={contract.input: {0: "batch"}, contract.output: {0: "batch"}},
-            opset_version=OPSET,
-            dynamo=False,
-        )
+            module, (example,), buffer, input_names=[name], output_names=[contract.output],
+            dynamic_axes={name: {0: "batch"}, contract.output: {0: "batch"}},
+            opset_version=OPSET, dynamo=False,
+        )  # fmt: skip
     model = onnx.load_model_from_string(buffer.getvalue())
     onnx.checker.check_model(model)
     onnx.helper.set_model_props(model, {"kickbench": contract.text()})
@@ -105,82 +92,70 @@ def contract_of(run: Run) -> Contract:
     Raises:
         KickbenchError: The run has no result or no identity.
     """
-    experiment, specs = run.experiment, run.specs
-    task, robot = experiment.task, specs.robot
-    layout, symmetry = task.scene.layout, experiment.symmetry
-    actuators = zip(robot.actuators.items(), layout.default_target.tolist(), strict=True)
+    task, symmetry, robot = run.experiment.task, run.experiment.symmetry, run.specs.robot
+    defaults = zip(robot.actuators.items(), task.scene.layout.default_target.tolist(), strict=True)
     return Contract(
         base=robot.base,
         control_interval=task.spec.simulation.control_interval,
         observations=tuple(_observation(task, field) for field in task.groups["actor"]),
-        joints=tuple(_joints(task)),
+        joints=tuple(_joints(task.scene.layout)),
         actions=tuple(
-            Action(**spec.model_dump(), name=name, default=default) for (name, spec), default in actuators
+            parts.Action(**spec.model_dump(), name=name, default=default)
+            for (name, spec), default in defaults
         ),
-        mirror=Mirror(
+        mirror=parts.Mirror(
             observations=_signed(symmetry.groups["actor"].representation),
             actions=_signed(symmetry.actions),
-            equivariant=specs.method.network.type == "equivariant",
+            equivariant=run.specs.method.network.type == "equivariant",
         ),
         training=_training(task),
         origin=_origin(run),
     )
 
 
-def _observation(task: CompiledTask, field: Field) -> Observation:
+def _observation(task: CompiledTask, field: Field) -> parts.Observation:
     term, layout = field.bound.term, task.scene.layout
-    named = {"joints": layout.joint_names, "actions": layout.actuator_names}
-    components = (
-        named.get(str(term.size)) or _COMPONENTS.get(field.size) or tuple(map(str, range(field.size)))
-    )
-    default = layout.default_qpos[layout.joint_qpos]
-    offset = default if term.from_default else np.zeros(field.size)
-    return Observation(
+    names = {"joints": layout.joint_names, "actions": layout.actuator_names}.get(str(term.size))
+    default = layout.default_qpos[layout.joint_qpos].tolist()
+    return parts.Observation(
         name=field.name,
         description=" ".join(term.description.split()),
         units=term.units,
         frame=term.frame,
-        components=components,
-        offset=tuple(offset.tolist()),
+        components=names or _COMPONENTS.get(field.size) or tuple(map(str, range(field.size))),
+        offset=tuple(default) if term.from_default else (0.0,) * field.size,
         scale=(1.0,) * field.size,
         clip=field.params.clip,
         noise=field.params.noise,
     )
 
 
-def _joints(task: CompiledTask) -> list[Joint]:
-    layout = task.scene.layout
+def _joints(layout: SceneLayout) -> Iterator[parts.Joint]:
     defaults = layout.default_qpos[layout.joint_qpos].tolist()
-    return [
-        Joint(name=name, default=default, range=tuple(bounds.tolist()) if np.isfinite(bounds).all() else None)
-        for name, default, bounds in zip(layout.joint_names, defaults, layout.joint_range, strict=True)
-    ]
+    for name, default, bounds in zip(layout.joint_names, defaults, layout.joint_range, strict=True):
+        limits = tuple(bounds.tolist()) if np.isfinite(bounds).all() else None
+        yield parts.Joint(name=name, default=default, range=limits)
 
 
-def _training(task: CompiledTask) -> Training:
+def _training(task: CompiledTask) -> parts.Training:
     spec = task.spec
     delay: Any = next((bound.params for bound in task.processes if bound.term.stage == "command"), None)
     endings = spec.terminations.active(TerminationParams)
-    return Training(
-        simulation=spec.simulation,
-        ball=spec.ball,
-        floor=spec.floor,
+    return parts.Training(
+        **{name: getattr(spec, name) for name in ("simulation", "ball", "floor", "episode")},
         feet=task.robot.spec.feet,
-        episode=spec.episode,
         terminations={name: params.model_dump() for name, params in endings.items()},
         success_radius=spec.evaluation.success_radius,
-        action_delay=delay and Delay(delay=delay.delay, hold_probability=delay.hold_probability),
+        action_delay=delay and parts.Delay(delay=delay.delay, hold_probability=delay.hold_probability),
     )
 
 
-def _origin(run: Run) -> Origin:
+def _origin(run: Run) -> parts.Origin:
     metrics, directory = run.metrics, run.directory
-    return Origin(
+    return parts.Origin(
         kickbench=__version__,
         trained_with=metrics.provenance.versions,
-        task=metrics.task,
-        method=metrics.method,
-        seed=metrics.seed,
+        **{name: getattr(metrics, name) for name in ("task", "method", "seed")},
         samples=metrics.env_steps,
         identity=read_identity(directory).fingerprint,
         policy=hashlib.sha256(directory.policy.read_bytes()).hexdigest(),
@@ -194,6 +169,11 @@ def _signed(representation: Representation) -> SignedPermutation:
 def _write_states(path: Path, task: CompiledTask, count: int) -> None:
     """The initial states of the task's evaluation: those that `kickbench eval --episodes <count>` runs."""
     starts = draw_starts(task, count, task.spec.evaluation.seed)
-    arrays = {"qpos": starts.qpos, "qvel": starts.qvel, "target": starts.target, **starts.by_side}
+    arrays: dict[str, Any] = {
+        "qpos": starts.qpos,
+        "qvel": starts.qvel,
+        "target": starts.target,
+        **starts.by_side,
+    }
     with atomic_file(path) as file:
         np.savez(file, **{name: values.numpy() for name, values in arrays.items()})

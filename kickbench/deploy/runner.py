@@ -39,63 +39,49 @@ class Policy:
             raise KickbenchError(f"{shown(file)}: no such file; `kickbench export RUN` writes one")
         try:
             self._session = runtime.InferenceSession(file.read_bytes(), providers=["CPUExecutionProvider"])
-            self.contract: dict[str, Any] = json.loads(
-                self._session.get_modelmeta().custom_metadata_map["kickbench"]
-            )
-        except KeyError:
-            raise KickbenchError(f"{shown(file)}: not an export of kickbench: it has no contract") from None
-        except Exception as error:  # onnxruntime has no common class of errors
+            metadata = self._session.get_modelmeta().custom_metadata_map
+        except Exception as error:  # the classes of onnxruntime have nothing in common
             raise KickbenchError(f"{shown(file)}: damaged: {' '.join(str(error).split())}") from None
-        if self.contract["format"] != 1:
-            raise KickbenchError(f"{shown(file)}: format {self.contract['format']}; this version reads 1")
-        fields, self._actions = self.contract["observations"], self.contract["actions"]
-        self._fields = {field["name"]: field for field in fields}
-        clips = [field["clip"] or (-np.inf, np.inf) for field in fields for _ in field["components"]]
-        self._clip = np.array(clips, dtype=np.float32).T
-        self._default, self._scale = (
-            np.array([actuator[key] for actuator in self._actions]) for key in ("default", "scale")
-        )
-        limits = [actuator["limits"] or (-np.inf, np.inf) for actuator in self._actions]
-        self._limits = np.array(limits).T
+        self.contract: dict[str, Any] = json.loads(metadata.get("kickbench", "{}"))
+        if self.contract.get("format") != 1:
+            raise KickbenchError(f"{shown(file)}: expected a policy with a contract of format 1")
+        fields, actions = self.contract["observations"], self.contract["actions"]
+        self._sizes = {field["name"]: len(field["components"]) for field in fields}
+        self._offset, self._gain = (np.concatenate([f[key] for f in fields]) for key in ("offset", "scale"))
+        self._clip = _bounds([field["clip"] for field in fields for _ in field["components"]])
+        self._default, self._scale = (np.array([a[key] for a in actions]) for key in ("default", "scale"))
+        self._limits = _bounds([action["limits"] for action in actions])
         self.reset()
 
     def reset(self) -> None:
         """Begins an episode: the previous action is 0."""
-        self.action = np.zeros(len(self._actions), dtype=np.float32)
+        self.action = np.zeros(len(self._default), dtype=np.float32)
 
     def step(self, values: Mapping[str, Any]) -> np.ndarray:
         """Targets of the actuators [nu] for one control step.
 
         Args:
-            values: Value of every observation by name, as the contract describes it; `previous_action` is known.
+            values: Value of every observation by name, as the contract describes it, but `previous_action`.
         """
-        self.action = self(self.observation({"previous_action": self.action, **values}))
+        previous = {"previous_action": self.action} if "previous_action" in self._sizes else {}
+        self.action = self(self.observation({**previous, **values}))
         return self.targets(self.action)
 
     def observation(self, values: Mapping[str, Any]) -> np.ndarray:
-        """The observation vector [..., n] of values by name [..., components].
+        """The observation vector [..., n] of values by name [..., components], float32.
 
         Raises:
             ValueError: A value is missing, is not in the contract, or has another size.
         """
-        given = {name: values[name] for name in values if name in self._fields or name != "previous_action"}
-        if set(given) != set(self._fields):
-            raise ValueError(f"expected the observations {list(self._fields)}, found {list(given)}")
-        return np.clip(
-            np.concatenate([self._field(f, given[name]) for name, f in self._fields.items()], axis=-1),
-            *self._clip,
-        )
-
-    def _field(self, field: Mapping[str, Any], value: Any) -> np.ndarray:
-        array = np.asarray(value, dtype=np.float32)
-        if array.shape[-1:] != (len(field["components"]),):
-            expected = ", ".join(field["components"])
-            raise ValueError(f"{field['name']}: expected {expected}, found shape {list(array.shape)}")
-        return ((array - field["offset"]) * field["scale"]).astype(np.float32)
+        sizes = {name: np.shape(value)[-1] for name, value in values.items()}
+        if sizes != self._sizes:
+            raise ValueError(f"expected observations of the sizes {self._sizes}, found {sizes}")
+        vector = np.concatenate([values[name] for name in self._sizes], axis=-1)
+        return np.clip((vector - self._offset) * self._gain, *self._clip).astype(np.float32)
 
     def __call__(self, observations: np.ndarray) -> np.ndarray:
         """Actions [..., nu] of observation vectors [..., n], float32."""
-        rows = np.asarray(observations, dtype=np.float32).reshape(-1, self._clip.shape[1])
+        rows = np.asarray(observations, dtype=np.float32).reshape(-1, len(self._offset))
         actions = self._session.run([self.contract["output"]], {self.contract["input"]: rows})[0]
         return actions.reshape(*np.shape(observations)[:-1], -1)
 
@@ -107,3 +93,8 @@ class Policy:
         """The reflection of vectors [..., n]; `what` is "observations" or "actions"."""
         table = self.contract["mirror"][what]
         return np.asarray(vectors)[..., table["index"]] * np.array(table["sign"], dtype=np.float32)
+
+
+def _bounds(ranges: list[Any]) -> np.ndarray:
+    """Lowest and highest values [2, n]; infinite where there is no range."""
+    return np.array([bounds or (-np.inf, np.inf) for bounds in ranges]).T

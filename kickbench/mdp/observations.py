@@ -11,7 +11,7 @@ from kickbench.spec.terms import ObservationParams
 
 @observation(3, "m/s", "Table 3.2", frame="base")
 def base_lin_vel(state: State, params: ObservationParams) -> Tensor:
-    """Linear velocity of the base, at the origin of its frame, in its own frame: forward, lateral, vertical."""
+    """Linear velocity of the base's origin in the base frame: forward, lateral, vertical."""
     return state.base_lin_vel
 
 

@@ -1,4 +1,4 @@
-"""The scene of an exported policy in plain MuJoCo: the robot's MJCF with the contract's servos, floor and ball."""
+"""The scene of an exported policy: the robot's MJCF with the contract's servos, floor and ball."""
 
 import mujoco
 
@@ -43,7 +43,7 @@ def add_ball(scene: mujoco.MjSpec, ball: dict) -> None:
 
 
 def add_servo(scene: mujoco.MjSpec, action: dict) -> None:
-    """Adds an actuator with the law of the contract: tau = clip(kp (u - q) - (kd - s) dq, +-effort) - s dq."""
+    """Adds an actuator with the law of the contract: see `Action` in kickbench/deploy/contract.py."""
     servo = scene.add_actuator(name=action["name"])
     kp, kd, effort = action["kp"] or 0.0, action["kd"], action["effort"]
     slope = effort / action["velocity_limit"] if action["velocity_limit"] else 0.0

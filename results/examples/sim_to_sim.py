@@ -3,8 +3,8 @@
     kickbench export RUN -o FOLDER --states 200
     python results/examples/sim_to_sim.py FOLDER RUN/specs/robot.xml
 
-Prints the share of initial states from which the ball comes to rest in the target, as `kickbench eval` does. Needs
-mujoco, numpy and onnxruntime; copy it and `scene.py` freely.
+Prints the share of initial states from which the ball comes to rest in the target, as `kickbench eval` does.
+Needs mujoco, numpy and onnxruntime; copy it and `scene.py` freely.
 """
 
 import json

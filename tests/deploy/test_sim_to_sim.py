@@ -1,0 +1,78 @@
+"""A plain MuJoCo loop that knows the contract alone kicks as kickbench does."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from kickbench.deploy.contract import Contract
+from kickbench.runner import evaluate
+from kickbench.train.trained import load_run
+
+EXAMPLES = Path(__file__).parents[2] / "results/examples"
+
+
+@pytest.fixture
+def examples(monkeypatch):
+    monkeypatch.syspath_prepend(str(EXAMPLES))
+    import scene
+    import sim_to_sim
+
+    yield scene, sim_to_sim
+    for name in ("scene", "sim_to_sim"):
+        del sys.modules[name]
+
+
+@pytest.mark.parametrize("name", ["mini_home_field/equivariant/seed0", "k1_lite/equivariant/seed0"])
+def test_the_scene_is_that_of_the_env(exported, examples, name):
+    path, folder = exported(name)
+    run = load_run(path)
+    contract = Contract.model_validate_json((folder / "policy.json").read_bytes())
+    plain = examples[0].build(contract.model_dump(), str(run.specs.robot.model))
+    own = run.experiment.task.scene.model
+    arrays = (
+        *(
+            "body_mass",
+            "body_inertia",
+            "dof_armature",
+            "dof_damping",
+            "dof_frictionloss",
+            "jnt_range",
+            "jnt_actfrclimited",
+        ),
+        *("actuator_gainprm", "actuator_biasprm", "actuator_damping", "actuator_gear", "actuator_forcerange"),
+    )
+    for array in arrays:
+        mine = getattr(plain, array), getattr(own, array)
+        rows = (
+            len(mine[0]) if not array.startswith("body") else own.nbody - 1
+        )  # kickbench has the target's body, too
+        np.testing.assert_allclose(mine[0][:rows], mine[1][:rows], atol=1e-12, err_msg=array)
+    for geom in (
+        "ball",
+        "floor",
+        *(
+            f"robot/{g}"
+            for foot in (run.specs.robot.feet.left, run.specs.robot.feet.right)
+            for g in foot.geoms
+        ),
+    ):
+        for array in ("geom_friction", "geom_priority", "geom_condim", "geom_solref"):
+            mine = (getattr(model, array)[model.geom(geom).id] for model in (plain, own))
+            np.testing.assert_array_equal(*mine, err_msg=f"{geom} {array}")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["mini_home_field/baseline/seed0", "k1_lite/equivariant/seed0"])
+def test_it_kicks_as_kickbench_does(exported, examples, name):
+    path, folder = exported(name)
+    run = load_run(path)
+    hits = examples[1].main(folder, str(run.specs.robot.model))
+    sides, _ = evaluate(run.experiment, run.policy, episodes=200)
+    own = sides.in_distribution.success
+    assert 0.2 < own.mean() < 1.0
+    assert abs(np.mean(hits) - own.mean()) <= 0.02
+    assert np.mean(np.array(hits) == own) >= 0.95, "the same episodes, too"
