@@ -10,8 +10,8 @@ import torch
 
 from kickbench.env import KickEnv
 from kickbench.errors import KickbenchError, SpecError, shown
-from kickbench.evaluate.episodes import Policy, draw_starts, mirror_starts, run_episodes
-from kickbench.evaluate.equivariance import EquivarianceProbe
+from kickbench.evaluation.episodes import Policy, draw_starts, mirror_starts, run_episodes
+from kickbench.evaluation.equivariance import EquivarianceProbe
 from kickbench.experiment import Experiment, load_experiment
 from kickbench.mdp.engines import make_engine
 from kickbench.mdp.starts import Starts
@@ -26,12 +26,12 @@ from kickbench.results.metrics import Evaluation, Metrics, load_metrics, summari
 from kickbench.results.provenance import ExperimentRef
 from kickbench.results.specs import update_specs
 from kickbench.results.store import RunDirectory
-from kickbench.train.checkpoint import Checkpoints, save_policy
-from kickbench.train.progress import ProgressGroup, standard_progress
-from kickbench.train.ranks import ALONE, Ranks, joined, read_ranks
-from kickbench.train.resume import Resume, begin, take_up
-from kickbench.train.trained import load_run
-from kickbench.train.trainer import Trainer, TrainingResult
+from kickbench.training.checkpoint import Checkpoints, save_policy
+from kickbench.training.progress import ProgressGroup, standard_progress
+from kickbench.training.ranks import ALONE, Ranks, joined, read_ranks
+from kickbench.training.resume import Resume, begin, take_up
+from kickbench.training.trained import load_run
+from kickbench.training.trainer import Trainer, TrainingResult
 
 
 @dataclass(frozen=True)

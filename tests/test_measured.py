@@ -16,7 +16,7 @@ from scipy import stats
 from kickbench.results.episodes import EpisodeTable
 from kickbench.results.metrics import EvaluationMetrics, load_metrics
 from kickbench.runner import evaluate
-from kickbench.train.trained import load_run
+from kickbench.training.trained import load_run
 
 ROOT = Path(__file__).parent.parent
 MEASURED = ROOT / "results/measured"

@@ -15,8 +15,8 @@ from kickbench.results.metrics import Evaluation, EvaluationMetrics, load_metric
 from kickbench.results.statistics import mcnemar, two_proportions, wilson
 from kickbench.results.verdict_file import read_verdicts, recorded_form
 from kickbench.results.verdicts import judge
-from kickbench.train.trained import load_run
 from kickbench.spec.terms import TerminationParams
+from kickbench.training.trained import load_run
 
 ROOT = Path(__file__).parent.parent
 MEASURED, REPORTED = ROOT / "results/measured", ROOT / "results/reported"

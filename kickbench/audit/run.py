@@ -29,7 +29,7 @@ from kickbench.spec.representation import RepresentationSpec
 from kickbench.speccheck import kind_of
 from kickbench.symmetry.derive import Derivation
 from kickbench.symmetry.mirror import Image
-from kickbench.train.trained import load_run
+from kickbench.training.trained import load_run
 from kickbench.yamlio import load_document
 
 STATES = 4096

@@ -16,7 +16,7 @@ from kickbench import __version__
 from kickbench.deploy import contract as parts
 from kickbench.deploy.contract import Contract, SignedPermutation
 from kickbench.errors import KickbenchError, shown
-from kickbench.evaluate.episodes import draw_starts
+from kickbench.evaluation.episodes import draw_starts
 from kickbench.mdp.compile import CompiledTask, Field
 from kickbench.nets.policy import TrainedPolicy
 from kickbench.results.atomic import atomic_file, atomic_write_bytes, atomic_write_text, check_writable
@@ -24,7 +24,7 @@ from kickbench.results.identity import read_identity
 from kickbench.scene.layout import SceneLayout
 from kickbench.spec.terms import TerminationParams
 from kickbench.symmetry.representation import Representation
-from kickbench.train.trained import Run, load_run
+from kickbench.training.trained import Run, load_run
 from kickbench.view.extra import require
 
 OPSET = 13

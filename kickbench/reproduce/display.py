@@ -11,7 +11,7 @@ from kickbench.errors import shown
 from kickbench.reproduce.estimate import Remaining, estimate
 from kickbench.reproduce.jobs import Display, Job, Outcome
 from kickbench.reproduce.tables import figures, iteration
-from kickbench.train.progress import Clock, duration, percent
+from kickbench.training.progress import Clock, duration, percent
 
 
 class PlainDisplay:

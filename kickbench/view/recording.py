@@ -11,12 +11,12 @@ from torch import Tensor
 
 from kickbench.env import KickEnv
 from kickbench.errors import KickbenchError
-from kickbench.evaluate.episodes import Policy
+from kickbench.evaluation.episodes import Policy
 from kickbench.mdp.compile import CompiledTask
 from kickbench.mdp.engines import make_engine
 from kickbench.mdp.starts import Starts
 from kickbench.results.episodes import NON_FINITE
-from kickbench.train.trained import load_run
+from kickbench.training.trained import load_run
 
 
 @dataclass(frozen=True)

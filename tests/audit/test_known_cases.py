@@ -243,7 +243,7 @@ def test_a_policy_is_measured_and_only_an_equivariant_one_must_be_equivariant(me
 
 def test_a_broken_equivariant_policy_fails(mini):
     from kickbench.audit.policy import policy_rows
-    from kickbench.train.trained import load_run
+    from kickbench.training.trained import load_run
 
     loaded = load_run(RUNS / "equivariant/seed0")
 
@@ -258,7 +258,7 @@ def test_a_broken_equivariant_policy_fails(mini):
 def test_the_value_is_measured_where_there_is_a_critic(mini):
     from kickbench.audit.policy import policy_rows
     from kickbench.nets.build import build_critic
-    from kickbench.train.trained import load_run
+    from kickbench.training.trained import load_run
 
     loaded = load_run(RUNS / "equivariant/seed0")
     run = loaded.experiment
@@ -269,7 +269,7 @@ def test_the_value_is_measured_where_there_is_a_critic(mini):
 
 def test_a_policy_of_another_robot_is_refused(k1):
     from kickbench.audit.policy import check_run
-    from kickbench.train.trained import load_run
+    from kickbench.training.trained import load_run
 
     run = load_run(RUNS / "baseline/seed0").experiment
     with pytest.raises(KickbenchError, match="which is not what k1_general_fast shows"):

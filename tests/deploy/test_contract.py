@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from kickbench.deploy.contract import Contract
 from kickbench.deploy.export import contract_of
 from kickbench.results.identity import read_identity
-from kickbench.train.trained import load_run
+from kickbench.training.trained import load_run
 
 RUNS = ["mini_home_field/equivariant/seed0", "k1_lite/baseline/seed0"]
 

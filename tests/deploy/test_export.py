@@ -14,7 +14,7 @@ from kickbench.cli import main
 from kickbench.deploy.runner import Policy
 from kickbench.env import KickEnv
 from kickbench.mdp.engines import make_engine
-from kickbench.train.trained import load_run
+from kickbench.training.trained import load_run
 
 EQUIVARIANT, BASELINE = "mini_home_field/equivariant/seed0", "mini_home_field/baseline/seed0"
 METHODS = ("baseline", "augmentation", "equivariant")

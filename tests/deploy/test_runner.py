@@ -14,7 +14,7 @@ from kickbench.deploy.runner import Policy
 from kickbench.env import KickEnv
 from kickbench.errors import KickbenchError
 from kickbench.mdp.engines import make_engine
-from kickbench.train.trained import load_run
+from kickbench.training.trained import load_run
 
 RUN = "mini_home_field/equivariant/seed0"
 

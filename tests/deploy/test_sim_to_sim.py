@@ -10,7 +10,7 @@ import pytest
 
 from kickbench.deploy.contract import Contract
 from kickbench.runner import evaluate
-from kickbench.train.trained import load_run
+from kickbench.training.trained import load_run
 
 EXAMPLES = Path(__file__).parents[2] / "results/examples"
 

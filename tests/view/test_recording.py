@@ -7,14 +7,14 @@ import pytest
 import torch
 
 from kickbench.errors import KickbenchError
-from kickbench.evaluate.episodes import draw_starts, run_episodes
+from kickbench.evaluation.episodes import draw_starts, run_episodes
 from kickbench.mdp.catalog import task_model
 from kickbench.mdp.compile import compile_task
 from kickbench.nets.build import build_actor
 from kickbench.results.specs import write_specs
 from kickbench.results.store import RunDirectory
 from kickbench.spec.load import load_task
-from kickbench.train.checkpoint import save_policy
+from kickbench.training.checkpoint import save_policy
 from kickbench.view.recording import policy_for, record_episodes
 
 ROOT = Path(__file__).parents[2]

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from kickbench.env import KickEnv
-from kickbench.evaluate.episodes import draw_starts, mirror_starts, run_episodes
+from kickbench.evaluation.episodes import draw_starts, mirror_starts, run_episodes
 from kickbench.nets.build import build_actor
 
 

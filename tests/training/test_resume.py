@@ -26,9 +26,9 @@ from kickbench.results import specs
 from kickbench.results.history import RunHistory
 from kickbench.results.integrity import check
 from kickbench.results.metrics import load_metrics
-from kickbench.train.checkpoint import FORMAT, Checkpoints
-from kickbench.train.progress_files import CsvProgress
-from kickbench.train.trainer import Trainer
+from kickbench.training.checkpoint import FORMAT, Checkpoints
+from kickbench.training.progress_files import CsvProgress
+from kickbench.training.trainer import Trainer
 
 ROOT = Path(__file__).parents[2]
 # Episodes so short that every world uses up its share of the pool of starts.
@@ -322,10 +322,10 @@ def run_and_kill(where: str, count: int, arguments: list[str]) -> None:
     ("where", "count", "iterations_kept"),
     [
         # Two rows beyond the checkpoint of iteration 50 are there.
-        ("kickbench.train.progress_files:CsvProgress.update", 53, 50),
+        ("kickbench.training.progress_files:CsvProgress.update", 53, 50),
         # The next one after that of the start is to be written.
-        ("kickbench.train.checkpoint:atomic_write_bytes", 2, 0),
-        ("kickbench.evaluate.episodes:_ended", 3, 53),
+        ("kickbench.training.checkpoint:atomic_write_bytes", 2, 0),
+        ("kickbench.evaluation.episodes:_ended", 3, 53),
     ],
 )
 def test_a_killed_run_goes_on_to_the_same_result(
@@ -481,7 +481,7 @@ def test_a_killed_forced_run_leaves_the_old_one_whole_and_goes_on(copy, undistur
     (copy / "notes.txt").write_text("mine")
     before = snapshot(copy)
     forced = command(copy, "--set", "algorithm.gamma=0.9")
-    run_and_kill("kickbench.train.progress_files:CsvProgress.update", 53, [*forced, "--force"])
+    run_and_kill("kickbench.training.progress_files:CsvProgress.update", 53, [*forced, "--force"])
     assert snapshot(copy) == before
     for verb in ("table", "list"):
         assert main([verb, str(copy.parent)]) == 0

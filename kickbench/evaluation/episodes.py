@@ -15,8 +15,8 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from kickbench.env import KickEnv
-from kickbench.evaluate.equivariance import EquivarianceProbe
-from kickbench.evaluate.kick import KickRecord
+from kickbench.evaluation.equivariance import EquivarianceProbe
+from kickbench.evaluation.kick import KickRecord
 from kickbench.experiment import Experiment
 from kickbench.mdp.compile import CompiledTask
 from kickbench.mdp.draws import EpisodeDraws

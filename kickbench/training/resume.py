@@ -15,8 +15,8 @@ from kickbench.results.integrity import find_damage
 from kickbench.results.metrics import load_metrics
 from kickbench.results.specs import spec_differences, stored_method, write_specs
 from kickbench.results.store import RunDirectory
-from kickbench.train.checkpoint import Checkpoints
-from kickbench.train.progress_files import rows_before
+from kickbench.training.checkpoint import Checkpoints
+from kickbench.training.progress_files import rows_before
 
 
 @dataclass(frozen=True)

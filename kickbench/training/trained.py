@@ -19,7 +19,7 @@ from kickbench.spec.method import MethodSpec
 from kickbench.spec.representation import RepresentationSpec
 from kickbench.spec.robot import RobotSpec
 from kickbench.spec.task import TaskSpec
-from kickbench.train.checkpoint import load_policy
+from kickbench.training.checkpoint import load_policy
 
 
 class Specs(NamedTuple):
