@@ -48,12 +48,14 @@ class Experiment:
         method: The method as loaded.
         task: The compiled task.
         symmetry: The reflection, from robot and representation table.
+        initial_policy: Hash of the policy that the training begins with; None: a random one.
     """
 
     loaded_task: LoadedTask[TaskSpec]
     method: LoadedMethod
     task: CompiledTask
     symmetry: Symmetry
+    initial_policy: str | None = None
 
 
 def load_experiment(
@@ -144,9 +146,12 @@ def symmetry_of(task: CompiledTask, representations: Loaded[RepresentationSpec])
         problems.append(document.problem(("actions",), what))
     if problems:
         raise SpecError(tuple(problems))
-    return Symmetry(
-        qpos=mirror_qpos(layout.coordinates, image | {"ball": ("ball", 1)}),
-        qvel=mirror_qvel(layout.coordinates, image | {"ball": ("ball", 1)}),
-        groups=groups,
-        actions=actions,
-    )
+    qpos, qvel = state_symmetry(task)
+    return Symmetry(qpos=qpos, qvel=qvel, groups=groups, actions=actions)
+
+
+def state_symmetry(task: CompiledTask) -> tuple[Representation, Representation]:
+    """Representations of the reflection on qpos [nq] and qvel [nv], from the robot's joint table."""
+    image = task.robot.spec.symmetry.image() | {"ball": ("ball", 1)}
+    coordinates = task.scene.layout.coordinates
+    return mirror_qpos(coordinates, image), mirror_qvel(coordinates, image)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,27 +11,28 @@ import torch
 
 from kickbench.env import KickEnv
 from kickbench.errors import KickbenchError, SpecError, shown
-from kickbench.evaluation.episodes import Policy, draw_starts, mirror_starts, run_episodes
-from kickbench.evaluation.equivariance import EquivarianceProbe
+from kickbench.evaluation.episodes import Policy, run_sides
 from kickbench.experiment import Experiment, load_experiment
+from kickbench.mdp.compile import CompiledTask, read_task
 from kickbench.mdp.engines import make_engine
-from kickbench.mdp.starts import Starts
 from kickbench.nets.threads import update_threads
 from kickbench.physics.cpu import usable_cores
 from kickbench.physics.devices import check_device
 from kickbench.reported import load_reported
 from kickbench.results.asymmetry import EquivarianceError
-from kickbench.results.episodes import EpisodeSides, EpisodeTable, write_episodes
+from kickbench.results.episodes import EpisodeSides, write_episodes
 from kickbench.results.history import RunHistory, earlier_parts
 from kickbench.results.metrics import Evaluation, Metrics, load_metrics, summarise_sides
 from kickbench.results.provenance import ExperimentRef
 from kickbench.results.specs import update_specs
 from kickbench.results.store import RunDirectory
+from kickbench.spec.load import find_file
 from kickbench.training.checkpoint import Checkpoints, save_policy
+from kickbench.training.initial import Initial, begin_from
 from kickbench.training.progress import ProgressGroup, standard_progress
 from kickbench.training.ranks import ALONE, Ranks, joined, read_ranks
 from kickbench.training.resume import Resume, begin, take_up
-from kickbench.training.trained import load_run
+from kickbench.training.trained import Run, load_run
 from kickbench.training.trainer import Trainer, TrainingResult
 
 
@@ -53,6 +55,8 @@ class RunRequest:
         force: Overwrite a run that is there.
         resume: Go on with a run that is there; begin it if there is none.
         command: The command line, for provenance.
+        init_from: Run directory whose policy it begins with; None: random networks.
+        init_std: Standard deviation of the actions to begin with instead of that policy's.
         experiment: Path of the experiment that the run is begun for; its claims are recorded. None: it is for itself.
     """
 
@@ -70,6 +74,8 @@ class RunRequest:
     force: bool = False
     resume: bool = False
     command: tuple[str, ...] = ()
+    init_from: Path | None = None
+    init_std: float | None = None
     experiment: Path | None = None
 
     def all_overrides(self) -> list[str]:
@@ -116,8 +122,11 @@ def run(request: RunRequest) -> RunOutcome:
     _check_text(request.out)
     default = Path("runs", experiment.task.name, experiment.method.name, f"seed{request.seed}")
     directory = RunDirectory(request.out or default)
+    initial = None
+    if request.init_from is not None:
+        experiment, initial = begin_from(experiment, load_run(request.init_from), request.init_std)
     with joined(ranks), directory.occupied() if ranks.is_main else nullcontext():
-        return _run_in(directory, experiment, request, threads, ranks)
+        return _run_in(directory, experiment, request, threads, ranks, initial)
 
 
 def _experiment_ref(path: Path | None) -> ExperimentRef | None:
@@ -144,9 +153,14 @@ def _check_matmul(experiment: Experiment, device: str) -> None:
 
 
 def _run_in(
-    directory: RunDirectory, experiment: Experiment, request: RunRequest, threads: int, ranks: Ranks
+    directory: RunDirectory,
+    experiment: Experiment,
+    request: RunRequest,
+    threads: int,
+    ranks: Ranks,
+    initial: Initial | None,
 ) -> RunOutcome:
-    taken = _open_together(request, directory, experiment, ranks)
+    taken = _open_together(request, directory, experiment, ranks, initial)
     made = taken.directory or directory
     if taken.finished:
         metrics = load_metrics(directory.metrics) if ranks.is_main else None
@@ -161,12 +175,15 @@ def _run_in(
         device=request.device,
         argv=request.command,
         experiment=_experiment_ref(request.experiment),
+        initial=initial.ref if initial else None,
         earlier=earlier_parts(taken.state["run"]) if taken.state else (),
     )
     device = str(ranks.device)
     trainer = make_trainer(
         experiment, made, request.seed, threads, history, ranks, device=device, graph=request.graph
     )
+    if initial is not None:
+        trainer.ppo.get_policy().load_state_dict(initial.policy.state_dict())
     if taken.state:
         trainer.load_state_dict(taken.state)
         if ranks.is_main:
@@ -179,7 +196,7 @@ def _run_in(
     policy = trainer.ppo.get_policy().eval().cpu()
     save_policy(made.policy, policy)
     try:
-        sides, equivariance = evaluate(experiment, policy, threads=threads)
+        sides, equivariance = run_sides(experiment.task, policy, experiment.symmetry, num_threads=threads)
     except KeyboardInterrupt:
         return RunOutcome(directory, training, None)
     write_episodes(made.episodes, sides)
@@ -189,24 +206,32 @@ def _run_in(
     return RunOutcome(directory, training, metrics)
 
 
-def _open(request: RunRequest, directory: RunDirectory, experiment: Experiment) -> Resume:
+def _open(
+    request: RunRequest, directory: RunDirectory, experiment: Experiment, initial: Initial | None
+) -> Resume:
     directory.take_over()  # in case the process that was to do it has been killed
     if request.resume:
         extend = request.iterations is not None
-        return take_up(directory, experiment, request.seed, scale=request.scale, extend=extend)
-    return begin(directory.prepare(request.force), experiment)
+        return take_up(
+            directory, experiment, request.seed, scale=request.scale, extend=extend, initial=initial
+        )
+    return begin(directory.prepare(request.force), experiment, initial)
 
 
 def _open_together(
-    request: RunRequest, directory: RunDirectory, experiment: Experiment, ranks: Ranks
+    request: RunRequest,
+    directory: RunDirectory,
+    experiment: Experiment,
+    ranks: Ranks,
+    initial: Initial | None,
 ) -> Resume:
     """Rank 0 looks into the directory, and tells the others what it has found."""
     if ranks.size == 1:
-        return _open(request, directory, experiment)
+        return _open(request, directory, experiment, initial)
     taken, refusal = Resume(), None
     if ranks.is_main:
         try:
-            taken = _open(request, directory, experiment)
+            taken = _open(request, directory, experiment, initial)
         except KickbenchError as error:
             refusal = error
     if ranks.any(refusal is not None):
@@ -229,15 +254,13 @@ def _metrics(
         env_steps=training.env_steps,
         training_seconds=round(training.seconds, 3),
         schedule_iterations=training.horizon if extended else None,
-        evaluation=_summary(experiment, sides, equivariance),
+        evaluation=_summary(experiment.task, sides, equivariance),
         provenance=history.provenance(training.env_steps),
     )
 
 
-def _summary(
-    experiment: Experiment, sides: EpisodeSides, equivariance: EquivarianceError | None
-) -> Evaluation:
-    spec = experiment.task.spec
+def _summary(task: CompiledTask, sides: EpisodeSides, equivariance: EquivarianceError | None) -> Evaluation:
+    spec = task.spec
     radius, interval = spec.evaluation.success_radius, spec.simulation.control_interval
     return summarise_sides(sides, radius, interval, equivariance)
 
@@ -267,47 +290,93 @@ def make_trainer(
     return Trainer(experiment, env, progress, checkpoints, history, update, graph=graph, ranks=ranks)
 
 
+def train(
+    task: Path | str,
+    method: Path | str,
+    *,
+    seed: int = 0,
+    out: Path | str | None = None,
+    overrides: Sequence[str] = (),
+    iterations: int | None = None,
+    num_envs: int | None = None,
+    device: str = "cpu",
+    force: bool = False,
+    resume: bool = False,
+) -> Run:
+    """Trains and evaluates a run, as `kickbench run` does, and loads it.
+
+    Args:
+        task: Path or name of a task: `mini_home_field`.
+        method: Path or name of a method: `mini/equivariant`.
+        seed: Seed of networks, exploration and initial states.
+        out: Run directory; default: `runs/<task>/<method>/seed<k>`.
+        overrides: `key.path=value` texts.
+        iterations: Iterations; default: the method's.
+        num_envs: Parallel environments; default: the method's.
+        device: Where to train.
+        force: Overwrite a run that is there.
+        resume: Go on with a run that is there; begin it if there is none.
+
+    Raises:
+        SpecError: A specification is wrong; nothing has been written.
+        KickbenchError: A run is in the way, or cannot be gone on with, or training diverged.
+        KeyboardInterrupt: It was interrupted; `resume` goes on.
+    """
+    task, method = find_file("tasks", task), find_file("methods", method)
+    settings = [text for override in overrides for text in ("--set", override)]
+    outcome = run(
+        RunRequest(
+            task,
+            method,
+            seed,
+            overrides=tuple(overrides),
+            iterations=iterations,
+            num_envs=num_envs,
+            out=None if out is None else Path(out),
+            device=device,
+            force=force,
+            resume=resume,
+            command=("kickbench", "run", str(task), str(method), "--seed", str(seed), *settings),
+        )
+    )
+    if outcome.training is not None and outcome.training.interrupted:
+        raise KeyboardInterrupt
+    return load_run(outcome.directory.path)
+
+
 def evaluate(
-    experiment: Experiment,
-    policy: Policy,
+    policy: Run | Policy | Path | str,
+    task: Path | str | None = None,
     *,
     episodes: int | None = None,
     seed: int | None = None,
     threads: int | None = None,
-) -> tuple[EpisodeSides, EquivarianceError | None]:
-    """Evaluates a policy by the task's protocol, on the mirrored side too where it asks for it.
-
-    The equivariance error comes with the episodes: it is measured at the states visited in them.
+) -> Evaluation:
+    """Evaluates a policy by a task's protocol, on the mirrored side too where it asks for it.
 
     Args:
-        experiment: The experiment.
-        policy: Deterministic policy.
+        policy: A run or its directory, which is left as it is; or a function from the observations of `make`'s envs
+            {"actor": [B, n], ...} to actions [B, nu].
+        task: Path or name of a task; default: the one that the run was trained on.
         episodes: Episodes a side; default: the task's.
-        seed: Seed of the starts; default: the task's.
-        threads: Physics threads.
+        seed: Seed of the initial states; default: the task's.
+        threads: Physics threads; default: the cores that this process may use.
+
+    Raises:
+        KickbenchError: The directory holds no run with a policy, or the task does not suit it.
+        TypeError: A function is given without a task.
     """
-    protocol = experiment.task.spec.evaluation
-    seed = protocol.seed if seed is None else seed
-    starts = draw_starts(experiment.task, episodes or protocol.episodes, seed)
-    tables = {name: table.representation for name, table in experiment.symmetry.groups.items()}
-    probe = EquivarianceProbe(policy, tables, experiment.symmetry.actions)
-
-    def episodes_from(starts: Starts) -> EpisodeTable:
-        return run_episodes(experiment.task, policy, starts, seed, num_threads=threads, probe=probe)
-
-    home = episodes_from(starts)
-    mirrored = episodes_from(mirror_starts(experiment, starts)) if protocol.mirrored else None
-    return EpisodeSides(home, mirrored), probe.result()
-
-
-def reevaluate(
-    path: Path, episodes: int | None, seed: int | None, threads: int | None, task: Path | None = None
-) -> tuple[Metrics, EpisodeSides]:
-    """Evaluates the policy of a finished run again, on another task if there is one; the run is left as it is."""
-    run = load_run(path, task)
-    recorded, experiment = run.metrics, run.experiment
-    sides, equivariance = evaluate(experiment, run.policy, episodes=episodes, seed=seed, threads=threads)
-    evaluation = _summary(experiment, sides, equivariance)
-    # Where a run keeps its task, the file's name is not the task's.
-    name = experiment.task.name if task else recorded.task
-    return recorded.model_copy(update={"task": name, "evaluation": evaluation}), sides
+    if isinstance(policy, str | Path):
+        policy = load_run(policy, task)
+    elif isinstance(policy, Run) and task is not None:
+        policy = load_run(policy.directory.path, task)
+    if isinstance(policy, Run):
+        compiled, symmetry, function = policy.experiment.task, policy.experiment.symmetry, policy.policy
+    elif task is not None:
+        compiled, symmetry, function = read_task(task), None, policy
+    else:
+        raise TypeError("evaluate: a policy that is no run needs a `task`")
+    sides, equivariance = run_sides(
+        compiled, function, symmetry, episodes=episodes, seed=seed, num_threads=threads
+    )
+    return _summary(compiled, sides, equivariance)

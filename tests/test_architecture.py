@@ -33,6 +33,7 @@ ROOMS = (
     ("runner",),
     ("audit",),
     ("view",),
+    ("gym",),
     ("deploy",),
     ("report",),
     ("reproduce",),

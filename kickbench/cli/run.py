@@ -12,8 +12,10 @@ from kickbench.results.integrity import write_also
 from kickbench.results.metrics import metrics_bytes
 from kickbench.results.store import RunDirectory
 from kickbench.results.table import render_table
-from kickbench.runner import RunRequest, reevaluate
+from kickbench.runner import RunRequest
+from kickbench.runner import evaluate as measure
 from kickbench.runner import run as run_experiment
+from kickbench.training.trained import load_run
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -21,6 +23,8 @@ def run(arguments: argparse.Namespace) -> int:
     for flag, value in (("iterations", arguments.iterations), ("num_envs", arguments.num_envs)):
         values = None if value is None else [value]
         refuse_contradiction(arguments.overrides, f"algorithm.{flag}", f"--{flag.replace('_', '-')}", values)
+    if arguments.init_std is not None and arguments.init_from is None:
+        raise KickbenchError("--init-std replaces the standard deviation of a policy: it needs --init-from")
     outcome = run_experiment(
         RunRequest(
             task=arguments.task,
@@ -37,6 +41,8 @@ def run(arguments: argparse.Namespace) -> int:
             force=arguments.force,
             resume=arguments.resume,
             command=tuple(sys.argv),
+            init_from=arguments.init_from,
+            init_std=arguments.init_std,
             experiment=arguments.experiment,
         )
     )
@@ -58,9 +64,11 @@ def evaluate(arguments: argparse.Namespace) -> int:
     """`kickbench eval RUN`."""
     if arguments.save and not arguments.task:
         raise KickbenchError("--save keeps the figures on another task beside the run: it needs --task")
-    metrics, _ = reevaluate(
-        arguments.run, arguments.episodes, arguments.seed, arguments.threads, arguments.task
-    )
+    loaded = load_run(arguments.run, arguments.task)
+    figures = measure(loaded, episodes=arguments.episodes, seed=arguments.seed, threads=arguments.threads)
+    # Where a run keeps its task, the file's name is not the task's.
+    task = loaded.experiment.task.name if arguments.task else loaded.metrics.task
+    metrics = loaded.metrics.model_copy(update={"task": task, "evaluation": figures})
     if arguments.save:
         directory = RunDirectory(arguments.run)
         with directory.occupied():

@@ -61,12 +61,12 @@ def _render_of(arguments: argparse.Namespace) -> Callable[..., None]:
     out = arguments.out
     suffix = out.suffix.lower() if out else ".png"
     if suffix == ".png":
-        _refuse(arguments, "a .png shows starts", "policy", "episodes")
+        _refuse(arguments, "a .png shows starts", "policy", "episodes", "mirrored")
         return _sheet
-    if suffix in (".gif", ".mp4"):
+    if suffix in (".webp", ".mp4"):
         _refuse(arguments, f"a {suffix} shows episodes", "starts")
         return _film
-    raise KickbenchError(f"{out}: pictures are .png, .gif or .mp4")
+    raise KickbenchError(f"{out}: pictures are .png, .webp or .mp4")
 
 
 def _refuse(arguments: argparse.Namespace, reason: str, *options: str) -> None:
@@ -85,14 +85,7 @@ def _sheet(task: CompiledTask, out: Path, seed: int, arguments: argparse.Namespa
 
 
 def _film(task: CompiledTask, out: Path, seed: int, arguments: argparse.Namespace) -> None:
-    from kickbench.view.recording import policy_for, record_episodes
-    from kickbench.view.starts import evaluation_starts
-    from kickbench.view.video import check_mp4, film, frame_time, write_gif, write_mp4
+    from kickbench.view.film import film_runs
 
-    size, is_mp4 = arguments.size or _FILM_SIZE, out.suffix.lower() == ".mp4"
-    if is_mp4:
-        check_mp4(*size)
-    policy = policy_for(task, arguments.policy) if arguments.policy else None
-    starts = evaluation_starts(task, arguments.episodes or _EPISODES, seed)
-    frames = film(task, record_episodes(task, policy, starts, seed), *size)
-    (write_mp4 if is_mp4 else write_gif)(out, frames, frame_time(task))
+    size, episodes = arguments.size or _FILM_SIZE, arguments.episodes or _EPISODES
+    film_runs(task, arguments.policy or [], out, episodes, seed, size, mirrored=arguments.mirrored or False)

@@ -23,7 +23,11 @@ EPISODES = "task: evaluation.episodes"
 _ITERATIONS = "method: algorithm.iterations"
 _MOST = 4
 """Keys that are named; of others it is said how many there are."""
-_BY_HASH = {"model": "the compiled model of the robot", "terms": "the source of the terms"}
+_BY_HASH = {
+    "model": "the compiled model of the robot",
+    "terms": "the source of the terms",
+    "initial_policy": "the policy begun with",
+}
 
 
 @dataclass(frozen=True)

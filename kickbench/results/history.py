@@ -5,7 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from kickbench.results.provenance import ExperimentRef, Moment, Provenance, code_state, collect_provenance
+from kickbench.results.provenance import (
+    ExperimentRef,
+    InitialRef,
+    Moment,
+    Provenance,
+    code_state,
+    collect_provenance,
+)
 
 
 class RunHistory:
@@ -27,6 +34,7 @@ class RunHistory:
         device: str = "cpu",
         argv: Sequence[str] = (),
         experiment: ExperimentRef | None = None,
+        initial: InitialRef | None = None,
         earlier: Sequence[Provenance] = (),
     ) -> None:
         """Begins this process' part.
@@ -41,11 +49,12 @@ class RunHistory:
             device: Torch device.
             argv: The command as `sys.argv` has it.
             experiment: The experiment that the run is begun for.
+            initial: The run whose policy it begins with.
             earlier: The parts before this one.
         """
         self.labels: dict[str, Any] = {"task": task, "method": method, "seed": seed, "scale": scale}
         self._seed, self._threads, self._device, self._argv = seed, num_threads, device, tuple(argv)
-        self._earlier, self._experiment = tuple(earlier), experiment
+        self._earlier, self._experiment, self._initial = tuple(earlier), experiment, initial
         self._processes = num_processes
         self._started, self._code = Moment.now(), code_state()
 
@@ -84,6 +93,7 @@ class RunHistory:
             argv=self._argv,
             code=self._code,
             experiment=self._experiment,
+            initial=self._initial,
         )
 
 

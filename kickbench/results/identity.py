@@ -49,7 +49,8 @@ class Identity(Record):
     fingerprint: str
     """SHA-256 of the parts."""
     parts: dict[str, str]
-    """SHA-256 of each: `task`, `method`, `representations`, `robot`, `model`, `terms`."""
+    """SHA-256 of each: `task`, `method`, `representations`, `robot`, `model`, `terms`; `initial_policy` of a run that
+    began with the policy of another one."""
     model_arrays: dict[str, str]
     """What the part `model` is made of: the beginning of the SHA-256 of each array of the compiled model."""
 
@@ -68,6 +69,8 @@ def identity_of(experiment: Experiment) -> Identity:
     parts = {name: _digest(_canonical(spec, ())) for name, spec in specs.items()}
     # No term comes from a user's own file yet.
     parts |= {"model": _digest(arrays), "terms": _digest([])}
+    if experiment.initial_policy is not None:
+        parts["initial_policy"] = _digest(experiment.initial_policy)
     return Identity(fingerprint=_digest(parts), parts=parts, model_arrays=arrays)
 
 

@@ -34,7 +34,14 @@ RESULTS = ("metrics.json", "episodes.csv", "policy.pt")
 """What a run makes again from its last checkpoint."""
 SPECS = tuple(
     f"specs/{name}"
-    for name in ("task.yaml", "method.yaml", "robot.yaml", "representations.yaml", "robot.xml")
+    for name in (
+        "task.yaml",
+        "method.yaml",
+        "robot.yaml",
+        "representations.yaml",
+        "robot.xml",
+        "initial_policy.pt",
+    )
 )
 FIXED = (*SPECS, identity.FILE, "progress.csv", *RESULTS)
 """Files that every run may have, what is kept when it goes on first."""

@@ -36,6 +36,20 @@ class ExperimentRef(Record):
     claims: str = Field(description="SHA-256 of its claims as they were when the run began")
 
 
+class InitialRef(Record):
+    """The run whose policy another run began with."""
+
+    task: str
+    method: str
+    seed: int
+    env_steps: NonNegativeInt = Field(description="control steps that it was trained for")
+    fingerprint: str = Field(description="its identity")
+    policy: str = Field(description="SHA-256 of the policy as it began, the standard deviation included")
+    std: float | None = Field(
+        description="standard deviation that its own was replaced by; null: it was kept"
+    )
+
+
 class Provenance(Record):
     """Where a result comes from. Holds no path of the machine that made it."""
 
@@ -59,6 +73,9 @@ class Provenance(Record):
     experiment: ExperimentRef | None = Field(
         default=None,
         description="experiment that the run was begun for; null: none, or a run of an older version",
+    )
+    initial: InitialRef | None = Field(
+        default=None, description="run whose policy it began with; null: it began with random networks"
     )
     resumed_from: tuple[Provenance, ...] = Field(
         default=(),
@@ -98,6 +115,7 @@ def collect_provenance(
     finished: Moment | None = None,
     code: tuple[str | None, bool | None] | None = None,
     experiment: ExperimentRef | None = None,
+    initial: InitialRef | None = None,
 ) -> Provenance:
     """Look at this process and its machine.
 
@@ -112,6 +130,7 @@ def collect_provenance(
         finished: end of the run, now if left out.
         code: what `code_state` said when the code was loaded; now if left out.
         experiment: the experiment that the run was begun for.
+        initial: the run whose policy it began with.
 
     Returns:
         The record.
@@ -133,6 +152,7 @@ def collect_provenance(
         env_steps=env_steps,
         command=portable_command(argv),
         experiment=experiment,
+        initial=initial,
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -103,7 +104,7 @@ def spec_differences(directory: RunDirectory, experiment: Experiment) -> list[Pr
         KickbenchError: The run has no identity.
     """
     ours, theirs = identity_of(experiment), read_identity(directory)
-    changed = [part for part in ours.parts if ours.parts[part] != theirs.parts.get(part)]
+    changed = [part for part in ours.parts | theirs.parts if ours.parts.get(part) != theirs.parts.get(part)]
     if not changed:
         return []
     task, method = experiment.loaded_task, experiment.method
@@ -121,6 +122,8 @@ def spec_differences(directory: RunDirectory, experiment: Experiment) -> list[Pr
     ]
     if "model" in changed:
         problems.append(task.robot.document.problem(("model",), _model_difference(ours, theirs)))
+    if "initial_policy" in changed:
+        problems.append(Problem(None, ("--init-from",), "the run began with another policy"))
     return problems or [Problem(None, (part,), "not that of the run") for part in changed]
 
 
@@ -145,7 +148,7 @@ def _check_copy(
             f"this model reads {min(outside)} by an absolute path, which a run that is moved would not find"
         )
         raise robot.error(("model",), what, "write paths in the MJCF relative to it")
-    if identity_of(stored) != identity:
+    if identity_of(replace(stored, initial_policy=experiment.initial_policy)) != identity:
         raise robot.error(("model",), "the copy of this model in the run is another model")
 
 

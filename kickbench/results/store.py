@@ -81,6 +81,11 @@ class RunDirectory:
         return self.specs / "representations.yaml"
 
     @property
+    def initial_policy(self) -> Path:
+        """The policy that the run began with, if that was another run's."""
+        return self.specs / "initial_policy.pt"
+
+    @property
     def model(self) -> Path:
         """Folder of the robot's MJCF and of every file it reads, as the run used them."""
         return self.path / integrity.MODEL_FOLDER

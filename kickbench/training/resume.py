@@ -11,11 +11,12 @@ from typing import Any
 from kickbench.errors import KickbenchError, Problem, SpecError, shown
 from kickbench.experiment import Experiment
 from kickbench.results.identity import ITERATIONS
-from kickbench.results.integrity import find_damage
+from kickbench.results.integrity import find_damage, seal
 from kickbench.results.metrics import load_metrics
 from kickbench.results.specs import spec_differences, stored_method, write_specs
 from kickbench.results.store import RunDirectory
-from kickbench.training.checkpoint import Checkpoints
+from kickbench.training.checkpoint import Checkpoints, save_policy
+from kickbench.training.initial import Initial
 from kickbench.training.progress_files import rows_before
 
 
@@ -34,10 +35,13 @@ class Resume:
     directory: RunDirectory | None = None
 
 
-def begin(directory: RunDirectory, experiment: Experiment) -> Resume:
+def begin(directory: RunDirectory, experiment: Experiment, initial: Initial | None = None) -> Resume:
     """Begins a run in a directory without one, which stays as it was if the experiment cannot be stored."""
     try:
         write_specs(directory, experiment)
+        if initial is not None:
+            save_policy(directory.initial_policy, initial.policy)
+            seal(directory)
     except BaseException:
         directory.clear()
         with suppress(OSError):  # of a folder in which something is left
@@ -47,7 +51,13 @@ def begin(directory: RunDirectory, experiment: Experiment) -> Resume:
 
 
 def take_up(
-    directory: RunDirectory, experiment: Experiment, seed: int, *, scale: float | None = None, extend: bool
+    directory: RunDirectory,
+    experiment: Experiment,
+    seed: int,
+    *,
+    scale: float | None = None,
+    extend: bool,
+    initial: Initial | None = None,
 ) -> Resume:
     """Checks that the run in a directory is this one, and finds where it stands.
 
@@ -60,6 +70,7 @@ def take_up(
         seed: Its seed.
         scale: What it is scaled down by.
         extend: Whether the experiment may have more iterations than the run.
+        initial: What the run begins with.
 
     Raises:
         SpecError: The run is another one; every key that differs is a problem.
@@ -67,13 +78,13 @@ def take_up(
     """
     if directory.beside.holds_a_run:
         try:
-            return take_up(directory.beside, experiment, seed, scale=scale, extend=extend)
+            return take_up(directory.beside, experiment, seed, scale=scale, extend=extend, initial=initial)
         except KickbenchError:
             print(
                 f"{shown(directory.beside.path)}: another run that --force began is left out", file=sys.stderr
             )
     if not directory.holds_a_run:
-        return begin(directory, experiment)
+        return begin(directory, experiment, initial)
     if directory.metrics.exists() and _is_intact(directory):
         recorded = load_metrics(directory.metrics)
         _check_same(directory, experiment, seed, scale, recorded.model_dump(), extend)
@@ -86,7 +97,7 @@ def take_up(
                 f"{directory.path}: holds a run without a checkpoint; --force starts it again"
             )
         directory.clear()
-        return begin(directory, experiment)
+        return begin(directory, experiment, initial)
     _check_same(directory, experiment, seed, scale, state["run"], extend)
     rows_before(directory.progress, state["iteration"])  # before anything is removed
     return Resume(state, directory=directory)

@@ -15,6 +15,7 @@ from kickbench.nets.policy import TrainedPolicy
 from kickbench.results import integrity
 from kickbench.results.metrics import Metrics, load_metrics
 from kickbench.results.store import RunDirectory
+from kickbench.spec.load import find_file
 from kickbench.spec.method import MethodSpec
 from kickbench.spec.representation import RepresentationSpec
 from kickbench.spec.robot import RobotSpec
@@ -66,7 +67,7 @@ def load_run(path: Path | str, task: Path | str | None = None) -> Run:
 
     Args:
         path: The run directory.
-        task: Path of another task for the policy; default: the one it was trained on.
+        task: Path or name of another task for the policy; default: the one it was trained on.
 
     Raises:
         KickbenchError: The directory holds no run with a policy, or one of its files is damaged.
@@ -75,7 +76,8 @@ def load_run(path: Path | str, task: Path | str | None = None) -> Run:
     if not directory.task_spec.is_file():
         raise KickbenchError(f"{os.fspath(path)}: not a run directory (it has no {directory.task_spec.name})")
     integrity.check(directory)
-    experiment = load_experiment(task or directory.task_spec, directory.method_spec)
+    own = directory.task_spec if task is None else find_file("tasks", task)
+    experiment = load_experiment(own, directory.method_spec)
     symmetry = experiment.symmetry
     network = build_actor(experiment.method.spec, symmetry.groups["actor"], symmetry.actions)
     load_policy(directory.policy, network)

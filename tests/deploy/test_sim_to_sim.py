@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from kickbench.deploy.contract import Contract
-from kickbench.runner import evaluate
+from kickbench.evaluation.episodes import run_sides
 from kickbench.training.trained import load_run
 
 EXAMPLES = Path(__file__).parents[2] / "results/examples"
@@ -71,7 +71,7 @@ def test_it_kicks_as_kickbench_does(exported, examples, name):
     path, folder = exported(name)
     run = load_run(path)
     hits = examples[1].main(folder, str(run.specs.robot.model))
-    sides, _ = evaluate(run.experiment, run.policy, episodes=200)
+    sides, _ = run_sides(run.experiment.task, run.policy, episodes=200)
     own = sides.in_distribution.success
     assert 0.2 < own.mean() < 1.0
     assert abs(np.mean(hits) - own.mean()) <= 0.02

@@ -558,3 +558,65 @@ def test_comments_and_line_ends_do_not_keep_a_run_from_going_on(copy, tmp_path):
     arguments = [str(task) if argument == TASK else argument for argument in command(copy, "--resume")]
     assert main(arguments) == 0
     check(copy)
+
+
+@pytest.fixture(scope="module")
+def begun(tmp_path_factory) -> tuple[Path, list[str]]:
+    """A tiny finished run, and the command line of another one of the same method."""
+    folder = tmp_path_factory.mktemp("begun")
+    task, method = ROOT / "tasks/mini_home_field.yaml", ROOT / "methods/mini/equivariant.yaml"
+    command = ["run", str(task), str(method), "--iterations", "1", "--set", "evaluation.episodes=4"]
+    for setting in SMALL:
+        command += ["--set", setting]
+    assert main([*command, "--out", str(folder / "first")]) == 0
+    return folder, command
+
+
+def test_a_run_begins_with_the_policy_of_another_one(begun):
+    folder, command = begun
+    run = [
+        *command,
+        "--init-from",
+        str(folder / "first"),
+        "--init-std",
+        "0.25",
+        "--out",
+        str(folder / "second"),
+    ]
+    assert main(run) == 0
+    source, second = (
+        runner.load_run(folder / "first").policy.network,
+        Checkpoints(folder / "second/checkpoints").files(),
+    )
+    assert second
+    stored = torch.load(folder / "second/specs/initial_policy.pt", weights_only=True)["actor_state_dict"]
+    for name, value in source.state_dict().items():
+        expected = torch.full_like(value, 0.25) if name.endswith("std_param") else value
+        torch.testing.assert_close(stored[name], expected, rtol=0, atol=0)
+    ref = load_metrics(folder / "second/metrics.json").provenance.initial
+    assert ref is not None
+    assert (ref.std, ref.task) == (0.25, "mini_home_field")
+    check(folder / "second")  # the policy that it began with is among its files
+
+
+def test_the_policy_that_a_run_began_with_is_part_of_its_identity(begun, capsys):
+    folder, command = begun
+    out = ["--out", str(folder / "third")]
+    assert main([*command, "--init-from", str(folder / "first"), *out]) == 0
+    assert main([*command, *out, "--resume"]) == 2
+    assert "began with another policy" in capsys.readouterr().err
+    assert main([*command, "--init-from", str(folder / "first"), *out, "--resume"]) == 0
+
+
+def test_a_policy_of_another_network_is_refused_and_nothing_is_written(begun, capsys):
+    folder, command = begun
+    wider = [*command, "--set", "network.actor_hidden=[32]", "--init-from", str(folder / "first")]
+    assert main([*wider, "--out", str(folder / "fourth")]) == 2
+    assert "network.actor_hidden (32,), there (16,)" in capsys.readouterr().err
+    assert not (folder / "fourth").exists()
+
+
+def test_a_standard_deviation_needs_a_policy(begun, capsys):
+    folder, command = begun
+    assert main([*command, "--init-std", "0.5", "--out", str(folder / "fifth")]) == 2
+    assert "needs --init-from" in capsys.readouterr().err

@@ -15,7 +15,8 @@ from kickbench.results.specs import write_specs
 from kickbench.results.store import RunDirectory
 from kickbench.spec.load import load_task
 from kickbench.training.checkpoint import save_policy
-from kickbench.view.recording import policy_for, record_episodes
+from kickbench.training.trained import load_run
+from kickbench.view.recording import fitting, record_episodes
 
 ROOT = Path(__file__).parents[2]
 
@@ -73,7 +74,7 @@ def run(experiment, tmp_path):
 
 
 def test_a_policy_runs_on_another_task_of_the_same_robot(task, run, starts):
-    recordings = record_episodes(task, policy_for(task, run), starts, seed=7)
+    recordings = record_episodes(task, fitting(task, load_run(run)), starts, seed=7)
     assert len(recordings) == len(starts)
 
 
@@ -81,9 +82,4 @@ def test_a_policy_that_sees_other_fields_is_refused(run):
     path = ROOT / "tasks" / "mini_general.yaml"
     other = compile_task(load_task(task_model(), path, ["observations.actor.base_ang_vel=null"]))
     with pytest.raises(KickbenchError, match=r"its policy sees .*base_ang_vel .*; the task mini_general has"):
-        policy_for(other, run)
-
-
-def test_a_folder_that_is_no_run_is_named(task, tmp_path):
-    with pytest.raises(KickbenchError, match="not a run directory"):
-        policy_for(task, tmp_path)
+        fitting(other, load_run(run))

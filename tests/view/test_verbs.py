@@ -42,8 +42,8 @@ def test_the_same_seed_draws_the_same_sheet_and_another_one_another(opengl):
 
 def test_render_films_a_short_episode(opengl):
     short = ["--set", "episode.max_steps=6", "--episodes", "1", "--size", "96x72"]
-    assert main(["render", TASK, "--out", "a.gif", *short]) == 0
-    assert Image.open("a.gif").n_frames >= 3
+    assert main(["render", TASK, "--out", "a.webp", *short]) == 0
+    assert Image.open("a.webp").n_frames >= 3
     assert main(["render", TASK, "--out", "a.mp4", *short]) == 0
     assert Path("a.mp4").read_bytes()[4:8] == b"ftyp"
 
@@ -57,16 +57,16 @@ def test_show_plots_instead_of_printing(capsys):
 ERRORS = {
     "unknown kind of picture": (
         ["render", TASK, "--out", "a.jpg"],
-        "a.jpg: pictures are .png, .gif or .mp4",
+        "a.jpg: pictures are .png, .webp or .mp4",
     ),
     "policy for a sheet": (["render", TASK, "--policy", "runs/x"], "--policy: a .png shows starts"),
     "episodes for a sheet": (["render", TASK, "--episodes", "2"], "--episodes: a .png shows starts"),
     "starts for a film": (
-        ["render", TASK, "--out", "a.gif", "--starts", "2"],
-        "--starts: a .gif shows episodes",
+        ["render", TASK, "--out", "a.webp", "--starts", "2"],
+        "--starts: a .webp shows episodes",
     ),
     "no such run": (
-        ["render", TASK, "--out", "a.gif", "--policy", "runs/x"],
+        ["render", TASK, "--out", "a.webp", "--policy", "runs/x"],
         "runs/x: not a run directory (it has no task.yaml)",
     ),
     "odd sides": (
@@ -83,8 +83,8 @@ ERRORS = {
         f"--plot draws the sampling regions of a task; {ROOT}/methods/mini/baseline.yaml is a method file",
     ),
     "plot of another kind": (
-        ["show", TASK, "--plot", "a.gif"],
-        "a.gif: sampling regions are drawn as .png or .svg",
+        ["show", TASK, "--plot", "a.webp"],
+        "a.webp: sampling regions are drawn as .png or .svg",
     ),
 }
 

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 
 import imageio_ffmpeg
 import numpy as np
@@ -11,14 +12,15 @@ from kickbench.errors import KickbenchError
 from kickbench.view.recording import Recording
 from kickbench.view.starts import evaluation_starts
 from kickbench.view.video import (
+    Take,
     check_mp4,
     film,
     frame_stride,
     frame_time,
     verdict,
     worth_seeing,
-    write_gif,
     write_mp4,
+    write_webp,
 )
 
 
@@ -53,12 +55,16 @@ def bar_of(image: Image.Image) -> float:
     return float(np.nonzero(pixels[24, :, 0] > 150)[0].mean())
 
 
-def test_a_gif_has_every_frame_in_order_and_repeats(frames, tmp_path):
-    write_gif(tmp_path / "a.gif", frames, 0.04)
-    image = Image.open(tmp_path / "a.gif")
-    assert (image.info["duration"], image.info["loop"]) == (40, 0)
-    read = [bar_of(frame) for frame in ImageSequence.Iterator(image)]
-    assert read == pytest.approx([bar_of(frame) for frame in frames], abs=0.5)
+def test_a_webp_has_every_frame_in_order_and_repeats(frames, tmp_path):
+    write_webp(tmp_path / "a.webp", frames, 0.04)
+    image = Image.open(tmp_path / "a.webp")
+    assert image.info["loop"] == 0
+    read, durations = [], []
+    for frame in ImageSequence.Iterator(image):
+        read.append(bar_of(frame))
+        durations.append(frame.info["duration"])
+    assert durations == [40] * len(frames)
+    assert read == pytest.approx([bar_of(frame) for frame in frames], abs=1.0)
 
 
 def test_an_mp4_has_every_frame_in_order(frames, tmp_path):
@@ -70,7 +76,7 @@ def test_an_mp4_has_every_frame_in_order(frames, tmp_path):
     assert read == pytest.approx([bar_of(frame) for frame in frames], abs=1.5)
 
 
-@pytest.mark.parametrize("write", [write_gif, write_mp4])
+@pytest.mark.parametrize("write", [write_webp, write_mp4])
 def test_a_film_that_tears_leaves_nothing_behind(frames, tmp_path, write):
     with pytest.raises(KickbenchError, match="the film tore"):
         write(tmp_path / "a", broken(frames), 0.04)
@@ -94,12 +100,22 @@ def test_films_run_at_the_speed_of_the_world(task):
 
 
 def test_a_film_shows_every_second_state_and_holds_the_last(opengl, task, recording):
-    frames = list(film(task, [recording, recording], 96, 72))
+    frames = list(film(task, [Take("", [recording, recording])], 96, 72))
     assert len(frames) == 2 * (11 + 20)
     assert all(frame.size == (96, 72) for frame in frames)
     first, last = (np.asarray(frames[i]).astype(int) for i in (0, 10))
     assert (np.abs(first - last).sum(axis=2) > 60).sum() > 20, "the ball has moved"
     np.testing.assert_array_equal(frames[10], frames[30])
+
+
+def test_policies_are_shown_side_by_side_until_the_last_has_ended(opengl, task, recording):
+    shorter = replace(recording, qpos=recording.qpos[:7])
+    frames = list(film(task, [Take("one", [recording]), Take("other", [shorter])], 96, 72))
+    assert len(frames) == 11 + 20
+    assert all(frame.size == (192, 72) for frame in frames)
+    right = [np.asarray(frame)[:, 96:] for frame in frames]
+    np.testing.assert_array_equal(right[3], right[10])
+    assert (np.asarray(frames[3])[:, :96] != np.asarray(frames[10])[:, :96]).any()
 
 
 def test_a_ball_that_strays_far_beyond_the_target_does_not_move_the_camera_away(task, recording):
