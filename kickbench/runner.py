@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 
 import torch
@@ -323,7 +324,9 @@ def train(
         KeyboardInterrupt: It was interrupted; `resume` goes on.
     """
     task, method = find_file("tasks", task), find_file("methods", method)
-    settings = [text for override in overrides for text in ("--set", override)]
+    flags = {"--iterations": iterations, "--num-envs": num_envs}
+    settings = [(flag, str(value)) for flag, value in flags.items() if value is not None]
+    settings += [("--set", override) for override in overrides]
     outcome = run(
         RunRequest(
             task,
@@ -336,7 +339,7 @@ def train(
             device=device,
             force=force,
             resume=resume,
-            command=("kickbench", "run", str(task), str(method), "--seed", str(seed), *settings),
+            command=("kickbench", "run", str(task), str(method), "--seed", str(seed), *chain(*settings)),
         )
     )
     if outcome.training is not None and outcome.training.interrupted:
