@@ -88,7 +88,7 @@ class KickVectorEnv(VectorEnv):
         """What Gymnasium says of envs that are reset in the same step."""
         outcome, infos = self.env.outcome, dict[str, Any]()
         assert outcome is not None
-        for env in np.flatnonzero(done):
+        for env in np.flatnonzero(done).tolist():
             facts = {"success": bool(outcome.success[env]), "distance": float(outcome.distance[env])}
             infos = self._add_info(infos, {"final_obs": final[env], "final_info": facts}, env)
         return infos

@@ -369,7 +369,7 @@ def test_an_interrupted_evaluation_is_made_again_without_training(copy, undistur
 
     monkeypatch.setattr(Trainer, "_iterate", never)
     with monkeypatch.context() as patch:
-        patch.setattr(runner, "evaluate", interrupted)
+        patch.setattr(runner, "run_sides", interrupted)
         assert main(command(copy, "--resume")) == 130
     assert "--resume" in capsys.readouterr().err
     assert not (copy / "metrics.json").exists()
