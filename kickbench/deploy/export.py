@@ -61,7 +61,7 @@ def export(
     network = onnx_bytes(loaded.policy, contract)
     check_writable(folder / "policy.onnx")
     if states:
-        _write_states(folder / "initial_states.npz", loaded.experiment.task, states)
+        write_states(folder / "initial_states.npz", loaded.experiment.task, states)
     atomic_write_bytes(folder / "policy.onnx", network)
     atomic_write_text(folder / "policy.json", contract.text())
     return folder
@@ -166,7 +166,7 @@ def _signed(representation: Representation) -> SignedPermutation:
     return SignedPermutation(index=representation.permutation, sign=representation.signs)
 
 
-def _write_states(path: Path, task: CompiledTask, count: int) -> None:
+def write_states(path: Path, task: CompiledTask, count: int) -> None:
     """The initial states of the task's evaluation: those that `kickbench eval --episodes <count>` runs."""
     starts = draw_starts(task, count, task.spec.evaluation.seed)
     arrays: dict[str, Any] = {

@@ -73,10 +73,11 @@ class Policy:
         Raises:
             ValueError: A value is missing, is not in the contract, or has another size.
         """
-        sizes = {name: np.shape(value)[-1] for name, value in values.items()}
+        arrays = {name: np.atleast_1d(value) for name, value in values.items()}
+        sizes = {name: array.shape[-1] for name, array in arrays.items()}
         if sizes != self._sizes:
             raise ValueError(f"expected observations of the sizes {self._sizes}, found {sizes}")
-        vector = np.concatenate([values[name] for name in self._sizes], axis=-1)
+        vector = np.concatenate([arrays[name] for name in self._sizes], axis=-1)
         return np.clip((vector - self._offset) * self._gain, *self._clip).astype(np.float32)
 
     def __call__(self, observations: np.ndarray) -> np.ndarray:

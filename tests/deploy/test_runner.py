@@ -74,7 +74,10 @@ def test_batches_and_single_vectors_agree(exported):
     np.testing.assert_allclose(policy(batch[1, 2]), policy(batch)[1, 2], rtol=1e-5, atol=1e-5)
 
 
-@pytest.mark.parametrize("change", [{"ball_position": None}, {"ball": [0.0]}, {"ball_position": [0.0, 1.0]}])
+@pytest.mark.parametrize(
+    "change",
+    [{"ball_position": None}, {"ball": [0.0]}, {"ball_position": [0.0, 1.0]}, {"ball_position": 1.0}],
+)
 def test_wrong_observations_are_refused(exported, change):
     policy = Policy(exported(RUN)[1])
     values = {name: np.zeros(size) for name, size in policy._sizes.items()} | change

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from kickbench.deploy.contract import Contract
+from kickbench.deploy.export import contract_of, onnx_bytes, write_states
 from kickbench.evaluation.episodes import run_sides
 from kickbench.training.trained import load_run
 
@@ -76,3 +77,28 @@ def test_it_kicks_as_kickbench_does(exported, examples, name):
     assert 0.2 < own.mean() < 1.0
     assert abs(np.mean(hits) - own.mean()) <= 0.02
     assert np.mean(np.array(hits) == own) >= 0.95, "the same episodes, too"
+
+
+@pytest.mark.slow
+def test_delayed_targets_arrive_as_in_the_env(exported, examples, tmp_path):
+    """The lags are drawn from other numbers, so that only the shares can be compared."""
+    path, _ = exported("mini_home_field/equivariant/seed0")
+    task = tmp_path / "delayed.yaml"
+    task.write_text(
+        f"extends: {EXAMPLES.parents[1] / 'tasks/mini_home_field.yaml'}\n"
+        "randomization: {action_delay: {delay: [0.01, 0.02], hold_probability: 0.3}}\n"
+    )
+    run = load_run(path, task)
+    contract = contract_of(run)
+    (tmp_path / "policy.json").write_text(contract.text())
+    (tmp_path / "policy.onnx").write_bytes(onnx_bytes(run.policy, contract))
+    write_states(tmp_path / "initial_states.npz", run.experiment.task, 400)
+    hits = examples[1].main(tmp_path, str(run.specs.robot.model))
+    shares = [
+        run_sides(load_run(path, which).experiment.task, run.policy, episodes=400)[
+            0
+        ].in_distribution.success.mean()
+        for which in (task, None)
+    ]
+    assert abs(shares[0] - shares[1]) > 0.15, "the delay matters"
+    assert abs(np.mean(hits) - shares[0]) < 0.07
