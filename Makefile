@@ -4,37 +4,29 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
-
-RUNS ?= runs
-DEMO_TASK := tasks/mini_home_field.yaml
-DEMO_METHODS := baseline augmentation equivariant
-DEMO_FOLDER := $(RUNS)/mini_home_field
-DEMO_METRICS := $(DEMO_METHODS:%=$(DEMO_FOLDER)/%/seed0/metrics.json)
+RUNTIME := $(VENV)/.runtime
 
 .DEFAULT_GOAL := help
 .PHONY: help install demo test test-fast lint format schemas clean
-# One training uses every core already; two at once would only slow each other and spoil the figures.
-.NOTPARALLEL:
 
 help:  ## list the targets
 	@awk -F ':.*## *' '/^[a-z-]+:.*##/ { printf "  make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
-install: $(INSTALLED)  ## make .venv with the pinned dependencies
+install: $(INSTALLED)  ## make .venv with the pinned dependencies, those of the tests too
 
 $(INSTALLED): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/pip install --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	@touch $@ $(RUNTIME)
+
+$(RUNTIME): pyproject.toml constraints.txt
+	@echo "installing kickbench into $(VENV) ..."
+	@$(PYTHON) -m venv $(VENV)
+	@$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[report,view]'
 	@touch $@
 
-demo: $(DEMO_METRICS)  ## train and evaluate three methods on the mini home-field task
-	@echo
-	@$(BIN)/kickbench table $(DEMO_FOLDER)
-	@echo
-	@echo "Results: $(DEMO_FOLDER)/<method>/seed0/ (metrics.json, episodes.csv, progress.csv, policy.pt)"
-
-# metrics.json is the last file of a run and is written atomically: a finished run is not run again.
-$(DEMO_FOLDER)/%/seed0/metrics.json: | $(INSTALLED)
-	$(BIN)/kickbench run $(DEMO_TASK) methods/mini/$*.yaml --seed 0 --out $(DEMO_FOLDER)/$*/seed0 --resume
+demo: $(RUNTIME)  ## train three methods on the mini home-field task; table, page and film
+	@$(BIN)/kickbench demo
 
 test: $(INSTALLED)  ## every test, the trainings too
 	$(BIN)/pytest

@@ -9,13 +9,15 @@ from itertools import chain
 from pathlib import Path
 
 import torch
+from rsl_rl.models import MLPModel
 
 from kickbench.env import KickEnv
 from kickbench.errors import KickbenchError, SpecError, shown
-from kickbench.evaluation.episodes import Policy, run_sides
+from kickbench.evaluation.episodes import Policy, run_sides, success_by_side
 from kickbench.experiment import Experiment, load_experiment
 from kickbench.mdp.compile import CompiledTask, read_task
 from kickbench.mdp.engines import make_engine
+from kickbench.nets.build import build_actor
 from kickbench.nets.threads import update_threads
 from kickbench.physics.cpu import usable_cores
 from kickbench.physics.devices import check_device
@@ -288,7 +290,18 @@ def make_trainer(
     update = update_threads(experiment.method.spec, threads)
     checkpoints = Checkpoints(directory.checkpoints)
     progress = shown or ProgressGroup(())
-    return Trainer(experiment, env, progress, checkpoints, history, update, graph=graph, ranks=ranks)
+
+    def success(trained: MLPModel) -> dict[str, float]:
+        """Success of the policy in training; changes nothing of it."""
+        symmetry = experiment.symmetry
+        with torch.random.fork_rng(devices=[]):
+            policy = build_actor(experiment.method.spec, symmetry.groups["actor"], symmetry.actions).eval()
+        policy.load_state_dict(trained.state_dict())
+        return success_by_side(experiment.task, policy, threads)
+
+    return Trainer(
+        experiment, env, progress, checkpoints, history, update, graph=graph, ranks=ranks, evaluate=success
+    )
 
 
 def train(

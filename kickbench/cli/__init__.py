@@ -59,6 +59,7 @@ def _parser() -> argparse.ArgumentParser:
     verbs = parser.add_subparsers(required=True, metavar="VERB")
     _add_run(verbs)
     _add_reproduce(verbs)
+    _add_demo(verbs)
     _add_eval(verbs)
     _add_export(verbs)
     _add_inspection(verbs)
@@ -138,6 +139,13 @@ def _add_reproduce(verbs: argparse._SubParsersAction) -> None:
     verb.add_argument("--dry-run", action="store_true", help="show the plan, write nothing")
     verb = _add_verb(verbs, "status", "kickbench.cli.status:status", "say how far the runs of a folder are")
     verb.add_argument("root", type=Path, metavar="DIR", help="folder of runs")
+
+
+def _add_demo(verbs: argparse._SubParsersAction) -> None:
+    text = "train three methods on the mini home-field task and show what came of them"
+    verb = _add_verb(verbs, "demo", "kickbench.cli.demo:demo", text)
+    verb.add_argument("--out", type=Path, default=Path("runs/demo"), metavar="DIR", help="default: runs/demo")
+    _add_scale(verb)
 
 
 def _add_eval(verbs: argparse._SubParsersAction) -> None:

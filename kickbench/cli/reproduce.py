@@ -39,12 +39,19 @@ def reproduce(arguments: argparse.Namespace) -> int:
     _print_plan(plan, arguments.jobs, threads)
     if arguments.dry_run:
         return 0
+    jobs = carry_out(plan, arguments.jobs, threads, arguments.device)
+    _print_results(plan, jobs)
+    return exit_code(jobs)
+
+
+def carry_out(plan: Plan, at_a_time: int, threads: int, device: str = "cpu") -> Jobs:
+    """Runs what is left of a plan, in its folder, and shows how far it is."""
     with RunDirectory(plan.folder).occupied():
         write_record(plan.folder, plan.record)
-        jobs = Jobs(plan.runs, arguments.jobs, threads, arguments.device)
+        jobs = Jobs(plan.runs, at_a_time, threads, device)
         if not all(job.has_ended for job in jobs.jobs):
-            jobs.carry_out(standard_display(arguments.jobs))
-    return _conclude(plan, jobs)
+            jobs.carry_out(standard_display(at_a_time))
+    return jobs
 
 
 def _print_plan(plan: Plan, jobs: int, threads: int) -> None:
@@ -72,13 +79,16 @@ def _verdicts(plan: Plan) -> str:
     return "\n".join(verdict_lines(plan.experiment, verdicts)).rstrip()
 
 
-def _conclude(plan: Plan, jobs: Jobs) -> int:
-    """Prints what came of it; the exit code."""
+def _print_results(plan: Plan, jobs: Jobs) -> None:
     runs = load_runs(plan.folder)
     asked = runs[runs.path.isin([job.run.directory.path for job in jobs.jobs])]
     if (asked.state == "finished").any():
         print(f"\n{render_table(asked)}\n\n{_verdicts(plan)}\n")
     print(f"runs: {shown(plan.folder)}")
+
+
+def exit_code(jobs: Jobs) -> int:
+    """0, or another number if a run has failed or not ended; which is printed."""
     failed = [job for job in jobs.jobs if job.outcome is Outcome.FAILED]
     for job in failed:
         print(f"{job.run.name} failed: {job.reason} ({shown(job.run.directory.log)})", file=sys.stderr)

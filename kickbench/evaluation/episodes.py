@@ -17,6 +17,7 @@ from torch import Tensor
 from kickbench.env import KickEnv
 from kickbench.evaluation.equivariance import EquivarianceProbe
 from kickbench.evaluation.kick import KickRecord
+from kickbench.evaluation.progress import EVALUATING, Steps
 from kickbench.experiment import Symmetry, state_symmetry
 from kickbench.mdp.compile import CompiledTask
 from kickbench.mdp.draws import EpisodeDraws
@@ -26,6 +27,7 @@ from kickbench.mdp.starts import Starts, StartSampler
 from kickbench.nets.threads import torch_threads
 from kickbench.results.asymmetry import EquivarianceError
 from kickbench.results.episodes import NON_FINITE, EpisodeSides, EpisodeTable
+from kickbench.results.frame import SIDES
 from kickbench.symmetry.torch_ops import Mirror
 
 Policy = Callable[[TensorDict], Tensor]
@@ -139,6 +141,7 @@ def run_episodes(
     num_envs: int = 512,
     num_threads: int | None = None,
     probe: EquivarianceProbe | None = None,
+    note: Callable[[int], None] | None = None,
 ) -> EpisodeTable:
     """Runs one episode from each start with a deterministic policy, on the CPU.
 
@@ -153,6 +156,7 @@ def run_episodes(
         num_envs: Envs at most.
         num_threads: Physics threads.
         probe: Shown every observation of the recorded episodes and the policy's answer.
+        note: Called after every step with the number of episodes that it has ended.
 
     Returns:
         Row i is the episode from start i.
@@ -166,6 +170,8 @@ def run_episodes(
             if probe is not None:
                 probe(running.observations, actions, running.env.episode.step, running.schedule.running >= 0)
             ended.append(running.step(actions))
+            if note is not None:
+                note(len(ended[-1]["running"]))
     return _table(task, starts, ended)
 
 
@@ -196,12 +202,28 @@ def run_sides(
         tables = {name: table.representation for name, table in symmetry.groups.items()}
         probe = EquivarianceProbe(policy, tables, symmetry.actions)
 
-    def episodes_from(starts: Starts) -> EpisodeTable:
-        return run_episodes(task, policy, starts, seed, num_threads=num_threads, probe=probe)
+    with Steps(EVALUATING, "episodes", len(starts) * (1 + protocol.mirrored)) as steps:
 
-    home = episodes_from(starts)
-    mirrored = episodes_from(mirror_starts(task, starts)) if protocol.mirrored else None
+        def episodes_from(starts: Starts) -> EpisodeTable:
+            return run_episodes(
+                task, policy, starts, seed, num_threads=num_threads, probe=probe, note=steps.advance
+            )
+
+        home = episodes_from(starts)
+        mirrored = episodes_from(mirror_starts(task, starts)) if protocol.mirrored else None
     return EpisodeSides(home, mirrored), probe.result() if probe else None
+
+
+def success_by_side(task: CompiledTask, policy: Policy, num_threads: int | None = None) -> dict[str, float]:
+    """Success by side of a policy, in the first episodes of the evaluation: as many as the task's `every_episodes`."""
+    protocol = task.spec.evaluation
+    starts = draw_starts(task, max(protocol.episodes, protocol.every_episodes), protocol.seed)
+    home = starts.take(torch.arange(protocol.every_episodes))
+    sides = {SIDES[0]: home} | ({SIDES[1]: mirror_starts(task, home)} if protocol.mirrored else {})
+    return {
+        side: float(run_episodes(task, policy, of, protocol.seed, num_threads=num_threads).success.mean())
+        for side, of in sides.items()
+    }
 
 
 def _ended(env: KickEnv, running: Tensor, before: Tensor, kick: dict[str, Tensor]) -> dict[str, np.ndarray]:

@@ -9,6 +9,9 @@ from typing import TypeVar
 
 T = TypeVar("T")
 
+EVALUATING = "evaluating"
+"""Title of the steps of an evaluation."""
+
 _EVERY_SECONDS = 10.0
 
 

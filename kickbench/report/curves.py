@@ -39,6 +39,8 @@ class Quantity:
 
 QUANTITIES = (
     Quantity("return", "Return of an episode", "mean_return", share=False),
+    Quantity("success", "Success in evaluation", "evaluation/in_distribution"),
+    Quantity("success-mirrored", "Success in evaluation, mirrored", "evaluation/mirrored"),
     Quantity("hit", "Hit", "termination/target_hit"),
     Quantity("missed", "Missed", "termination/target_missed"),
     Quantity("double-touch", "Double touch", "termination/double_touch"),
@@ -46,7 +48,7 @@ QUANTITIES = (
     Quantity("fall-down", "Fall down", "termination/fell_down"),
     Quantity("fell-over", "Fell over", "termination/fell_over"),
 )
-"""What the thesis shows, in its order: Fig. 4.5, Fig. 4.6 and Fig. 4.7."""
+"""What the thesis shows, in its order: Fig. 4.5, Fig. 4.6 and Fig. 4.7; and evaluations during the training."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -160,7 +160,8 @@ def _results(study: Study, looks: Mapping[str, Look], anchor: str) -> Figure:
 def _curves(study: Study, looks: Mapping[str, Look], anchor: str) -> Figure:
     pictures, absent, window = [], list(_without(study, study.curves, "training curve (progress.csv)")), 1
     for quantity in QUANTITIES:
-        if study.curves and not has_quantity(study.curves, quantity):
+        is_ending = quantity.column.startswith("termination/")
+        if study.curves and is_ending and not has_quantity(study.curves, quantity):
             absent.append(f"{quantity.title}: this task has no such ending.")
         for number, panel in enumerate(curve_panels(study.curves, quantity)):
             window = max(window, panel.window)

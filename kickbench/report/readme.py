@@ -1,4 +1,6 @@
-"""`kickbench report --readme`: the README's results, from `results/measured`, between two marks.
+"""`kickbench report --readme`: what was measured, from `results/measured`, between two marks of two files.
+
+`README.md` has one table and one picture; `results/README.md` has every figure, verdict and effort.
 
 Everything is a function of the files in `results/`: the same files give the same text.
 """
@@ -12,9 +14,10 @@ from kickbench.errors import KickbenchError
 from kickbench.report.figures.canvas import Picture
 from kickbench.report.figures.dots import draw_dots
 from kickbench.report.figures.legs import draw_legs, legs_of
+from kickbench.report.figures.slopes import Pair, draw_slopes
 from kickbench.report.headline import Claimed, warnings
 from kickbench.report.palette import looks_of
-from kickbench.report.spread import SUCCESS, Spread, spreads
+from kickbench.report.spread import DISTANCE, SUCCESS, Measure, Spread, spreads
 from kickbench.report.study import Study, studies
 from kickbench.report.tables import (
     Cell,
@@ -39,7 +42,7 @@ Result = tuple[Study, tuple[Claimed, ...]]
 
 
 def write_readme(root: Path) -> tuple[Path, ...]:
-    """Writes the results of the README and their pictures.
+    """Writes the results of both READMEs and their pictures.
 
     Args:
         root: The checkout, with `README.md`, `results/reported` and `results/measured`.
@@ -50,15 +53,21 @@ def write_readme(root: Path) -> tuple[Path, ...]:
     Raises:
         KickbenchError: The README has no marks, or there are no results.
     """
-    readme = root / "README.md"
     results = measured_results(root)
-    text = replaced(_read(readme), section(results), str(readme))
+    texts = {
+        file: replaced(_read(file), body, str(file))
+        for file, body in (
+            (root / "README.md", summary(results)),
+            (root / "results/README.md", section(results)),
+        )
+    }
     files = []
-    for picture in pictures(results):
+    for picture in (*pictures(results), slopes(results)):
         files.append(root / PICTURES / f"{picture.name}.svg")
         atomic_write_text(files[-1], picture.svg + "\n")
-    atomic_write_text(readme, text)
-    return (*files, readme)
+    for file, text in texts.items():
+        atomic_write_text(file, text)
+    return (*files, *texts)
 
 
 def measured_results(root: Path) -> tuple[Result, ...]:
@@ -93,10 +102,62 @@ def replaced(readme: str, body: str, name: str) -> str:
     return f"{before}{BEGIN}\n\n{body}\n\n{END}{after}"
 
 
+def summary(results: tuple[Result, ...]) -> str:
+    """The text between the marks of `README.md`: success of every condition, and the picture of what it loses."""
+    head = ["Task", "Method", "Seeds", "Success [%]", "Mirrored [%]", "Distance [m]"]
+    lines = [_row(head), _row(["---"] * len(head))]
+    for study, _ in results:
+        own = study.counted()
+        for condition in dict.fromkeys(own.condition):
+            cells = [
+                _mean(study, condition, side, measure)
+                for side, measure in (
+                    ("in_distribution", SUCCESS),
+                    ("mirrored", SUCCESS),
+                    ("in_distribution", DISTANCE),
+                )
+            ]
+            seeds = str(own[own.condition == condition].seed.nunique())
+            lines.append(_row([study.name, condition, seeds, *cells]))
+    return "\n".join([*lines, "", _image(slopes(results))])
+
+
+def _mean(study: Study, condition: str, side: str, measure: Measure) -> str:
+    """Mean over seeds, with their standard deviation."""
+    found = [
+        of for of in spreads(study.rows, [condition], measure) if of.side == side and of.mean is not None
+    ]
+    if not found:
+        return "-"
+    (spread,) = found
+    std = "" if spread.std is None else f" ± {measure.text(spread.std)}"
+    return f"{measure.text(spread.mean or 0.0)}{std}"
+
+
+def slopes(results: tuple[Result, ...]) -> Picture:
+    """Success of every method in distribution and mirrored, where both were measured."""
+    groups: dict[str, list[Pair]] = {}
+    for study, _ in results:
+        found = spreads(study.rows, study.conditions, SUCCESS)
+        for condition in study.conditions:
+            sides = {of.side: of for of in found if of.arm == condition and of.seeds}
+            if len(sides) == 2:
+                pair = (condition, sides["in_distribution"], sides["mirrored"])
+                groups.setdefault(study.name, []).append(pair)
+    conditions = {name: method for study, _ in results for name, method in study.conditions.items()}
+    return draw_slopes(
+        groups, SUCCESS, looks_of(conditions.items()), "home-field", width=_WIDTH, themed=False
+    )
+
+
 def section(results: tuple[Result, ...]) -> str:
-    """The text between the marks: tables, verdicts, what to know before believing them, pictures."""
+    """The text between the marks of `results/README.md`: tables, verdicts, what to know before believing them."""
     parts = [_study_text(study, claims) for study, claims in results]
-    return "\n\n".join([*parts, *(f"![{of.title}]({PICTURES}/{of.name}.svg)" for of in pictures(results))])
+    return "\n\n".join([*parts, *(_image(of, "pictures") for of in pictures(results))])
+
+
+def _image(picture: Picture, folder: str = PICTURES) -> str:
+    return f"![{picture.title}]({folder}/{picture.name}.svg)"
 
 
 def pictures(results: tuple[Result, ...]) -> tuple[Picture, Picture]:

@@ -10,6 +10,7 @@ from typing import TextIO
 from kickbench.errors import shown
 from kickbench.reproduce.estimate import Remaining, estimate
 from kickbench.reproduce.jobs import Display, Job, Outcome
+from kickbench.reproduce.state import State
 from kickbench.reproduce.tables import figures, iteration
 from kickbench.training.progress import Clock, duration, percent
 
@@ -18,6 +19,7 @@ class PlainDisplay:
     """A line when a run begins, every tenth of it or minute, and when it has ended.
 
     Args:
+        at_a_time: Runs at a time, for the time left.
         stream: Where the lines go.
         clock: Seconds that only grow; another one in tests.
     """
@@ -25,24 +27,26 @@ class PlainDisplay:
     _EVERY_SECONDS = 60.0
     _EVERY_FRACTION = 0.1
 
-    def __init__(self, stream: TextIO | None = None, clock: Clock = time.monotonic) -> None:
-        self._stream, self._clock = stream or sys.stdout, clock
+    def __init__(
+        self, at_a_time: int = 1, stream: TextIO | None = None, clock: Clock = time.monotonic
+    ) -> None:
+        self._at_a_time, self._stream, self._clock = at_a_time, stream or sys.stdout, clock
         self._known: dict[str, tuple[Outcome, str]] = {}
-        self._printed: dict[str, tuple[float, int]] = {}
+        self._printed: dict[str, tuple[float, int, str]] = {}
 
     def update(self, jobs: Sequence[Job]) -> None:
         """Prints what is new."""
         first = not self._known
-        for job in jobs:
-            name, now = job.run.name, (job.outcome, job.reason)
+        for number, job in enumerate(jobs, start=1):
+            name, now = f"[{number}/{len(jobs)}] {job.run.name}", (job.outcome, job.reason)
             if self._known.get(name) != now:
                 self._known[name] = now
                 if text := _event(job, first):
                     self.say(f"{name}: {text}")
-                self._printed[name] = self._clock(), job.state.done
-            elif job.outcome is Outcome.RUNNING and self._is_due(job):
-                self._printed[name] = self._clock(), job.state.done
-                self.say(f"{name}: {_progress(job)}")
+                self._printed[name] = self._clock(), job.state.done, job.state.note
+            elif job.outcome is Outcome.RUNNING and self._is_due(name, job):
+                self._printed[name] = self._clock(), job.state.done, job.state.note
+                self.say(f"{name}: {_progress(job)}; all runs: {_left(jobs, self._at_a_time)} left")
 
     def say(self, text: str) -> None:
         """Prints a line."""
@@ -51,10 +55,12 @@ class PlainDisplay:
     def close(self) -> None:
         """There is nothing to close."""
 
-    def _is_due(self, job: Job) -> bool:
-        when, done = self._printed[job.run.name]
-        if job.state.done == done:
+    def _is_due(self, name: str, job: Job) -> bool:
+        when, done, note = self._printed[name]
+        if job.state.state is not State.RUNNING or (job.state.done, job.state.note) == (done, note):
             return False
+        if job.state.note != note:
+            return True
         step = self._EVERY_FRACTION * (job.state.total or 1)
         return job.state.done - done >= step or self._clock() - when >= self._EVERY_SECONDS
 
@@ -103,7 +109,7 @@ class TerminalDisplay:
         from rich.table import Table
         from rich.text import Text
 
-        left = estimate([Remaining(job.run.record.arm, job.state) for job in jobs], self._at_a_time)
+        left = _left(jobs, self._at_a_time)
         done = sum(job.outcome is Outcome.DONE for job in jobs)
         caption = f"{done} of {len(jobs)} runs done" + ("" if done == len(jobs) else f"; time left: {left}")
         table = Table(box=None, pad_edge=False, caption=caption, caption_justify="left")
@@ -122,7 +128,11 @@ _TO_THE_RIGHT = ("iteration", "success", "steps/s", "time left")
 def standard_display(at_a_time: int, stream: TextIO | None = None) -> Display:
     """The display that fits the output."""
     output = stream or sys.stdout
-    return TerminalDisplay(at_a_time, output) if output.isatty() else PlainDisplay(output)
+    return (TerminalDisplay if output.isatty() else PlainDisplay)(at_a_time, output)
+
+
+def _left(jobs: Sequence[Job], at_a_time: int) -> str:
+    return str(estimate([Remaining(job.run.record.arm, job.state) for job in jobs], at_a_time))
 
 
 def _words(job: Job) -> str:
@@ -151,5 +161,7 @@ def _event(job: Job, first: bool) -> str:
 
 
 def _progress(job: Job) -> str:
-    success, speed, left = figures(job.state)
-    return f"iteration {iteration(job.state)}  success {success}  {speed} steps/s  left {left}"
+    if job.state.note:
+        return job.state.note
+    success, speed, _ = figures(job.state)
+    return f"{iteration(job.state)}, success {success}, {speed} steps/s"

@@ -22,26 +22,21 @@ class Estimate:
     """Time that the rest takes.
 
     Attributes:
-        seconds: Of the runs whose arm has been measured, s.
-        unmeasured: Arms with work left of which no iteration has been timed.
-        with_evaluation: Whether evaluations are in it: they are once one has been timed for every arm.
+        seconds: Expected time, s; None: not one iteration of the plan has been timed.
+        with_evaluation: Whether evaluations are in it: they are once one has been timed.
     """
 
-    seconds: float
-    unmeasured: tuple[str, ...]
+    seconds: float | None
     with_evaluation: bool
 
     def __str__(self) -> str:
-        if not self.seconds and self.unmeasured:
+        if self.seconds is None:
             return "unknown until the first iterations have been timed"
-        least = "at least " if self.unmeasured else ""
-        notes = [] if self.with_evaluation else ["evaluations not counted"]
-        notes += [f"not yet timed: {', '.join(self.unmeasured)}"] if self.unmeasured else []
-        return f"{least}about {duration(self.seconds)}" + (f" ({'; '.join(notes)})" if notes else "")
+        return f"about {duration(self.seconds)}{'' if self.with_evaluation else ' and evaluation'}"
 
 
 def estimate(runs: Sequence[Remaining], jobs: int = 1) -> Estimate:
-    """Estimates from each arm's mean pace over its runs.
+    """Estimates from each arm's mean pace over its runs; an arm that has none is given the mean of the others.
 
     Args:
         runs: All runs of the plan, those that are finished among them.
@@ -50,18 +45,18 @@ def estimate(runs: Sequence[Remaining], jobs: int = 1) -> Estimate:
     pace = _means(runs, lambda state: state.seconds_per_iteration)
     evaluation = _means(runs, lambda state: state.evaluation_seconds)
     left = [run for run in runs if run.state.state is not State.FINISHED]
-    seconds, unmeasured = [], {}
-    for run in left:
-        total = run.state.total
-        if run.arm in pace and total is not None:
-            seconds.append(pace[run.arm] * max(0, total - run.state.done) + evaluation.get(run.arm, 0.0))
-        else:
-            unmeasured[run.arm] = None
-    return Estimate(
-        seconds=max(sum(seconds) / jobs, max(seconds, default=0.0)),
-        unmeasured=tuple(unmeasured),
-        with_evaluation=all(run.arm in evaluation for run in left),
-    )
+    if left and not pace:
+        return Estimate(None, False)
+    seconds = [
+        _of(run.arm, pace) * max(0, (run.state.total or 0) - run.state.done) + _of(run.arm, evaluation)
+        for run in left
+    ]
+    return Estimate(max(sum(seconds) / jobs, max(seconds, default=0.0)), not left or bool(evaluation))
+
+
+def _of(arm: str, means: Mapping[str, float]) -> float:
+    """The mean of an arm, or that of the others; 0: nothing has been measured."""
+    return means.get(arm, sum(means.values()) / max(1, len(means)))
 
 
 def _means(runs: Sequence[Remaining], of_run: Callable[[RunState], float | None]) -> Mapping[str, float]:

@@ -5,11 +5,12 @@ from __future__ import annotations
 import signal
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from types import FrameType
 from typing import Any, Protocol
 
+from kickbench.evaluation.progress import EVALUATING
 from kickbench.reproduce.plan import PlannedRun
 from kickbench.reproduce.process import Process
 from kickbench.reproduce.state import RunState, State
@@ -152,6 +153,8 @@ class Jobs:
         code = job.process.poll()
         if code is None:
             job.state = job.run.read_state()
+            if job.state.note == EVALUATING and (words := job.process.last_words()).startswith(EVALUATING):
+                job.state = replace(job.state, note=words)
             return
         job.seconds += time.monotonic() - job.started
         job.state = job.run.read_state()

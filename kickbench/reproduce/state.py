@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pandas as pd
 
+from kickbench.evaluation.progress import EVALUATING
 from kickbench.results.atomic import read_regular
 from kickbench.results.frame import known, load_runs, runs_of
 from kickbench.results.integrity import find_damage, without_digest
@@ -104,11 +105,14 @@ def state_of(run: pd.Series, total: int | None = None) -> RunState:
         total = int(stored)
     if run.state == "running":
         return _training(State.RUNNING, directory, None, total)
-    if run.state == "finished" and (total is None or run.iterations >= total):
+    is_short = total is not None and run.iterations < total
+    # What has a result, but no checkpoint to go on from, stays as long as it is.
+    if run.state == "finished" and not (is_short and any(directory.checkpoints.glob("iteration_*.pt"))):
         return RunState(
             state=State.FINISHED,
             done=int(run.iterations),
             total=total,
+            note=f"stopped at {int(run.iterations):,} of {total:,} iterations" if is_short else "",
             progress=read_tail(directory.progress),
             success=run.success_rate,
             seconds_per_iteration=run.training_seconds / run.iterations if run.iterations else None,
@@ -127,7 +131,7 @@ def _training(
     tail = read_tail(directory.progress)
     done = done if done is not None else tail.done if tail else 0
     if state is State.RUNNING and total is not None and done >= total:
-        note = "evaluating"
+        note = EVALUATING
     return RunState(
         state,
         done,

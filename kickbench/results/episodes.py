@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import csv
+import gzip
 import io
+import zlib
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -12,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kickbench.errors import KickbenchError
-from kickbench.results.atomic import atomic_write_text, read_regular
+from kickbench.results.atomic import atomic_write_bytes, read_regular
 
 NON_FINITE = "non_finite"
 """What ended an episode whose state became NaN or infinite, in the place of a termination's name."""
@@ -111,6 +113,12 @@ _KINDS: dict[str, type[np.generic]] = {
 }
 
 
+def episodes_file(folder: Path) -> Path:
+    """The table of a run's episodes: `episodes.csv`, or `episodes.csv.gz` where that alone is there."""
+    plain, packed = folder / "episodes.csv", folder / "episodes.csv.gz"
+    return packed if packed.exists() and not plain.exists() else plain
+
+
 def write_episodes(path: Path, sides: EpisodeSides) -> None:
     """Write both sides to one CSV file, atomically.
 
@@ -118,7 +126,7 @@ def write_episodes(path: Path, sides: EpisodeSides) -> None:
     Floats have six decimals (a micrometre), truth values are 0 or 1: equal tables give equal bytes.
 
     Args:
-        path: the file, `episodes.csv` in a run directory.
+        path: the file, as `episodes_file` names it; `.gz` is compressed.
         sides: the episodes.
     """
     buffer = io.StringIO()
@@ -128,7 +136,8 @@ def write_episodes(path: Path, sides: EpisodeSides) -> None:
         if table is not None:
             texts = [_format_column(column) for column in table.columns().values()]
             writer.writerows([side, *row] for row in zip(*texts, strict=True))
-    atomic_write_text(path, buffer.getvalue())
+    data = buffer.getvalue().encode()
+    atomic_write_bytes(path, gzip.compress(data, mtime=0) if path.suffix == ".gz" else data)
 
 
 def read_episodes(path: Path) -> EpisodeSides:
@@ -144,8 +153,10 @@ def read_episodes(path: Path) -> EpisodeSides:
         KickbenchError: the file is missing or is no episode table; the message names the file and the line.
     """
     try:
-        rows = list(csv.reader(io.StringIO(read_regular(path).decode("utf-8"), newline="")))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        data = read_regular(path)
+        text = (gzip.decompress(data) if path.suffix == ".gz" else data).decode("utf-8")
+        rows = list(csv.reader(io.StringIO(text, newline="")))
+    except (OSError, EOFError, zlib.error, UnicodeDecodeError, csv.Error) as error:
         raise KickbenchError(f"{path}: cannot read the episode table: {error}") from error
     _check_rows(path, rows)
     try:

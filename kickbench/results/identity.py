@@ -34,6 +34,7 @@ ITERATIONS: KeyPath = ("algorithm", "iterations")
 """The one key of a method that a run may have more of later."""
 _UNCOUNTED = {
     ITERATIONS,
+    *(("evaluation", key) for key in ("every", "every_episodes")),
     *(("simulation", key) for key in ("jacobian", "max_contacts", "max_constraints", "allowed_overflow")),
 }
 """Keys that decide how long or how fast a run computes, not what."""

@@ -22,7 +22,7 @@ from kickbench.errors import KickbenchError, shown
 from kickbench.results import identity
 from kickbench.results.asymmetry import mirrored_pairs
 from kickbench.results.atomic import TEMPORARY_PREFIX, atomic_write_bytes, sync_folder
-from kickbench.results.episodes import EpisodeSides, EpisodeTable, read_episodes
+from kickbench.results.episodes import EpisodeSides, EpisodeTable, episodes_file, read_episodes
 from kickbench.results.metrics import EvaluationMetrics, Metrics, figures_of, load_metrics
 
 FILE = "SHA256SUMS"
@@ -30,7 +30,7 @@ MODEL_FOLDER = "specs/model/"
 """Where a run keeps the files of its robot's model."""
 ALSO_FOLDER = "also/"
 """Where a run keeps what its policy does on further tasks."""
-RESULTS = ("metrics.json", "episodes.csv", "policy.pt")
+RESULTS = ("metrics.json", "episodes.csv", "episodes.csv.gz", "policy.pt")
 """What a run makes again from its last checkpoint."""
 SPECS = tuple(
     f"specs/{name}"
@@ -281,13 +281,14 @@ def _figure_damage(path: Path) -> Damage | None:
         metrics = load_metrics(path / "metrics.json")
     except KickbenchError as error:
         return Damage(path, "metrics.json", _reason(error, path / "metrics.json"))
-    if not (path / "episodes.csv").is_file():
+    file = episodes_file(path)
+    if not file.is_file():
         return None
     try:
-        figure = _disagreement(metrics, read_episodes(path / "episodes.csv"))
+        figure = _disagreement(metrics, read_episodes(file))
     except (KickbenchError, ValueError) as error:
-        return Damage(path, "episodes.csv", _reason(error, path / "episodes.csv"))
-    return Damage(path, "metrics.json", f"{figure} does not agree with episodes.csv") if figure else None
+        return Damage(path, file.name, _reason(error, file))
+    return Damage(path, "metrics.json", f"{figure} does not agree with {file.name}") if figure else None
 
 
 def _reason(error: Exception, file: Path) -> str:

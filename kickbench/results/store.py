@@ -19,6 +19,7 @@ from kickbench.results.atomic import (
     atomic_write_text,
     sync_folder,
 )
+from kickbench.results.episodes import episodes_file
 from kickbench.results.metrics import Metrics, metrics_bytes
 
 __all__ = [
@@ -103,7 +104,7 @@ class RunDirectory:
     @property
     def episodes(self) -> Path:
         """The per-episode table of the evaluation."""
-        return self.path / "episodes.csv"
+        return episodes_file(self.path)
 
     @property
     def progress(self) -> Path:

@@ -189,6 +189,11 @@ class EvaluationSpec(Spec):
     """Apply the observation noise of the task."""
     pushes: bool = False
     """Apply the pushes of the task; starts and the action delay are always randomised as in training."""
+    every: PositiveInt | None = None
+    """Iterations between two evaluations during the training, whose success is logged beside that of exploration;
+    default: none. They do not change the training."""
+    every_episodes: PositiveInt = 200
+    """Episodes a side of such an evaluation: the first of the whole."""
 
 
 class TaskSpec(Spec):

@@ -41,6 +41,7 @@ class IterationRecord:
         load: most contacts a world and constraint rows in a substep, and the share of the control steps that lacked
             room for them; empty on a CPU, which makes room.
         curriculum: level of every value that the task's curriculum moves, from 0 to 1 for the task's own.
+        evaluation: success of the policy in evaluations during the training, by side; NaN in iterations without one.
     """
 
     iteration: int
@@ -61,6 +62,7 @@ class IterationRecord:
     residual_shares: Mapping[str, float] = field(default_factory=dict)
     load: Mapping[str, float] = field(default_factory=dict)
     curriculum: Mapping[str, float] = field(default_factory=dict)
+    evaluation: Mapping[str, float] = field(default_factory=dict)
 
 
 class Progress(Protocol):
@@ -222,6 +224,7 @@ def plain_line(record: IterationRecord, countdown: Countdown) -> str:
         f"success {percent(record.success_rate):>6}",
         f"left {duration(countdown.seconds_left):>7}",
         describe_terminations(record.terminations),
+        ", ".join(f"{side} {percent(rate)}" for side, rate in record.evaluation.items() if rate == rate),
     ]
     if record.resets_nonfinite:
         parts.append(f"NON-FINITE WORLDS RESET: {record.resets_nonfinite}")

@@ -44,6 +44,7 @@ def flatten(record: IterationRecord) -> dict[str, float]:
         "residual_share": record.residual_shares,
         "load": record.load,
         "curriculum": record.curriculum,
+        "evaluation": record.evaluation,
     }
     for group, values in groups.items():
         flat.update({f"{group}/{name}": value for name, value in values.items()})

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
+from rsl_rl.models import MLPModel
 from torch import Tensor
 
 from kickbench.env import KickEnv
@@ -18,6 +20,7 @@ from kickbench.mdp.compile import grown
 from kickbench.mdp.curriculum import Growth
 from kickbench.nets.relaxed import residual_share
 from kickbench.nets.threads import torch_threads
+from kickbench.results.frame import SIDES
 from kickbench.results.history import RunHistory
 from kickbench.training.checkpoint import Checkpoints
 from kickbench.training.guard import check_samples, checked_update
@@ -66,6 +69,7 @@ class Trainer:
         checkpoint_seconds: float = 300.0,
         graph: bool = True,
         ranks: Ranks = ALONE,
+        evaluate: Callable[[MLPModel], Mapping[str, float]] | None = None,
     ) -> None:
         """Builds the networks; seed torch before.
 
@@ -80,12 +84,13 @@ class Trainer:
             checkpoint_seconds: Time between two checkpoints, at most (to the end of an iteration), s.
             graph: Whether steps are recorded and replayed on devices that can.
             ranks: The processes that train together; each has its share of the environments.
+            evaluate: Success of the policy by side, for the task's evaluations during the training.
         """
         self.experiment, self.env, self.progress = experiment, env, progress
         self._graph, self._levels = graph, dict[str, float]()
         self._steps = fastest_steps(env, graph=graph)
         self.ppo: BoundedPPO = build_ppo(experiment, env.get_observations(), torch.device(env.device), ranks)
-        self._ranks = ranks
+        self._ranks, self._evaluate = ranks, evaluate
         self.iteration = 0
         curriculum = experiment.task.spec.curriculum
         self._growth = Growth(curriculum) if curriculum else None
@@ -296,7 +301,18 @@ class Trainer:
             residual_shares=self._residual_shares(),
             load=self._load(),
             curriculum=self._levels,
+            evaluation=self._evaluation(),
         )
+
+    def _evaluation(self) -> Mapping[str, float]:
+        """Success by side, NaN between evaluations; nothing if there are none."""
+        protocol = self.experiment.task.spec.evaluation
+        if protocol.every is None or self._evaluate is None:
+            return {}
+        sides = SIDES if protocol.mirrored else SIDES[:1]
+        if self.iteration % protocol.every or not self._ranks.is_main:
+            return dict.fromkeys(sides, math.nan)
+        return self._evaluate(self.ppo.get_policy())
 
     def _load(self) -> dict[str, float]:
         load = self.env.engine.take_load()

@@ -33,7 +33,7 @@ def test_one_policy_meets_no_claim_of_a_method_not_even_strictly(capsys):
 def test_the_readme_shows_what_is_printed(capsys):
     assert main(["claims", MINI]) == 0
     table = capsys.readouterr().out.split("\n\n")[1]
-    assert table in (ROOT / "README.md").read_text()
+    assert table in (ROOT / "results/README.md").read_text()
 
 
 def test_as_json_they_are_the_file_that_the_repository_keeps(capsys, tmp_path):

@@ -246,7 +246,7 @@ def test_a_table_of_no_runs_is_an_error(place, capsys):
 @pytest.fixture
 def runs(place):
     """Two finished runs, and one whose result is damaged."""
-    measured = ROOT / "results/measured/mini_home_field/baseline"
+    measured = ROOT / "results/measured/mini_home_field_first/baseline"
     for name in ("a/seed0", "b/seed1"):
         shutil.copytree(measured / Path(name).name, place / name)
     Path("a/seed2").mkdir()

@@ -10,7 +10,8 @@ from kickbench.report.figures.learning import draw_curves
 from kickbench.report.palette import looks_of
 from kickbench.results.progress import Progress
 
-RETURN, HIT = QUANTITIES[0], QUANTITIES[1]
+BY_KEY = {quantity.key: quantity for quantity in QUANTITIES}
+RETURN, HIT = BY_KEY["return"], BY_KEY["hit"]
 
 
 def progress(iterations: int, offset: float = 0.0) -> Progress:
@@ -64,7 +65,7 @@ def test_long_lines_are_thinned():
 
 
 def test_what_no_training_tells_has_no_panels():
-    falls = QUANTITIES[-1]
+    falls = BY_KEY["fell-over"]
     assert not has_quantity(arm(progress(60)), falls)
     assert curve_panels(arm(progress(60)), falls) == ()
     assert curve_panels(arm(), RETURN) == ()

@@ -142,14 +142,14 @@ def test_an_experiment_names_missing_unfinished_and_smaller_runs(folder):
     unfinished.mkdir(parents=True)
     (unfinished / "progress.csv").write_text("iteration,mean_return\n0,1\n1,2\n")
     page, _ = page_of(folder.path, "--experiment", str(REPORTED))
-    assert "2 of 15 runs are finished." in page.text
-    assert "Unfinished: 2 of 450 iterations, not evaluated: augmentation seed 2." in page.text
-    assert "Scaled to 0.1, 45 of 450 iterations, 60 of 2,000 episodes, another identity: equiv" in page.text
+    assert "2 of 25 runs are finished." in page.text
+    assert "Unfinished: 2 of 390 iterations, not evaluated: augmentation seed 2." in page.text
+    assert "Scaled to 0.1, 45 of 390 iterations, 60 of 2,000 episodes, another identity: equiv" in page.text
     assert "60 of 2,000 episodes, another identity: baseline seed 0." in page.text
     assert "Not counted: baseline seed 0, equivariant seed 0." in page.text
     assert (
-        "Not run: baseline seeds 1, 2, 3 and 4, augmentation seeds 0, 1, 3 and 4, equivariant seeds 1, 2, 3 and 4."
-        in page.text
+        "Not run: baseline seeds 1, 2, 3 and 4, augmentation seeds 0, 1, 3 and 4, equivariant seeds 1, 2, 3 and 4, "
+        "augmentation_stock seeds 0, 1, 2, 3 and 4, equivariant_matched seeds 0, 1, 2, 3 and 4." in page.text
     )
     assert re.search(r"Of (\d+) claims: \1 without enough data to say\.", page.text)
     assert "The baseline loses at least 15 points of success on the mirrored side" in page.text
@@ -161,7 +161,7 @@ def test_measured_results_of_the_repository_are_judged(tmp_path):
     out = tmp_path / "page.html"
     assert main(["report", str(measured), "--experiment", str(REPORTED), "-o", str(out)]) == 0
     text = Page(out.read_text()).text
-    assert re.search(r"Of 14 claims: \d+ met, \d+ without enough data to say\.", text)
+    assert re.search(r"Of 17 claims: \d+ met, (\d+ not met, )?\d+ without enough data to say\.", text)
 
 
 def test_reported_figures_stand_beside_measured_ones(tmp_path):
@@ -204,7 +204,7 @@ def test_a_mean_says_of_how_many_seeds_it_is(folder):
     for seed in range(3):
         folder.add("baseline", seed, identity=identity if seed else None, curves=None, table=False)
     page, _ = page_of(folder.path, "--experiment", str(REPORTED))
-    assert "3 of 15 runs are finished." in page.text
+    assert "3 of 25 runs are finished." in page.text
     assert "baseline: success 66.7 % in distribution, 66.7 % mirrored (mean of 2 seeds)." in page.text
     assert "another identity: baseline seed 0." in page.text
 

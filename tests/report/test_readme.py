@@ -17,6 +17,8 @@ from kickbench.report.readme import (
     pictures,
     replaced,
     section,
+    slopes,
+    summary,
     write_readme,
 )
 
@@ -36,16 +38,25 @@ def described(svg: str) -> tuple[str | None, str | None]:
 
 
 def test_the_readme_is_up_to_date(results):
-    readme = (ROOT / "README.md").read_text()
-    assert readme == replaced(readme, section(results), "README.md"), HINT
+    for name, body in (("README.md", summary(results)), ("results/README.md", section(results))):
+        text = (ROOT / name).read_text()
+        assert text == replaced(text, body, name), HINT
+
+
+def test_the_readme_is_short():
+    assert len((ROOT / "README.md").read_text().splitlines()) <= 150
+    columns = [
+        line.count("|") - 1 for line in summary(measured_results(ROOT)).splitlines() if line.startswith("|")
+    ]
+    assert set(columns) == {6}
 
 
 def test_its_pictures_show_what_was_measured(results):
     """Compared by the figures that they tell, since their strokes depend on matplotlib's version."""
-    for picture in pictures(results):
+    for picture in (*pictures(results), slopes(results)):
         stored = (ROOT / PICTURES / f"{picture.name}.svg").read_text()
         assert described(stored) == (picture.title, picture.text), HINT
-        assert f"]({PICTURES}/{picture.name}.svg)" in section(results)
+        assert f"pictures/{picture.name}.svg)" in section(results) + summary(results)
 
 
 def test_every_measured_run_is_in_a_picture(results):
@@ -72,10 +83,11 @@ def test_iterations_and_hardware_stand_beside_every_figure(results):
 
 
 def test_writing_twice_changes_nothing(tmp_path):
-    for name in ("results/reported", "results/measured/mini_home_field", "tasks", "methods", "assets"):
+    for name in ("results/reported", "results/measured/mini_home_field_first", "tasks", "methods", "assets"):
         shutil.copytree(ROOT / name, tmp_path / name)
-    readme = tmp_path / "README.md"
-    readme.write_text(f"before\n\n{BEGIN}\n\nold\n\n{END}\n\nafter\n")
+    readme, more = tmp_path / "README.md", tmp_path / "results/README.md"
+    for file in (readme, more):
+        file.write_text(f"before\n\n{BEGIN}\n\nold\n\n{END}\n\nafter\n")
     files = write_readme(tmp_path)
     first = [file.read_bytes() for file in files]
     assert write_readme(tmp_path) == files
@@ -84,7 +96,8 @@ def test_writing_twice_changes_nothing(tmp_path):
     assert text.startswith("before\n")
     assert text.endswith("after\n")
     assert "old" not in text
-    assert "| baseline | mirrored | 32.3 ± 18.2" in text
+    assert "| mini_home_field | baseline | 5 | 73.8 ± 16.1 | 32.3 ± 18.2 |" in text
+    assert "| baseline | mirrored | 32.3 ± 18.2" in more.read_text()
 
 
 @pytest.mark.parametrize("readme", ["", BEGIN, END, f"{END}\n{BEGIN}", f"{BEGIN}\n{END}\n{BEGIN}\n{END}"])

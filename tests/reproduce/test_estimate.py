@@ -22,12 +22,12 @@ def test_the_pace_of_an_arm_is_that_of_its_runs(make_run):
     assert str(estimate([finished])) == "about 0:00"
 
 
-def test_an_arm_that_has_not_been_measured_is_named_and_not_guessed(make_run):
+def test_an_arm_that_has_not_been_measured_takes_what_the_others_take(make_run):
     begun = Remaining("a", read_state(make_run("0", rows=400, checkpoints=(400,)), 450))
     other = Remaining("b", read_state(make_run("1"), 450))
     left = estimate([begun, other])
-    assert left.seconds == pytest.approx(50 * 2.0)
-    assert str(left) == "at least about 1:40 (evaluations not counted; not yet timed: b)"
+    assert left.seconds == pytest.approx((50 + 450) * 2.0)
+    assert str(left) == "about 16:40 and evaluation"
 
 
 def test_runs_at_a_time_share_the_time_but_none_ends_before_its_own(make_run):

@@ -104,7 +104,7 @@ def outcomes(jobs: Jobs) -> list[Outcome]:
 @pytest.mark.parametrize("at_a_time", [1, 2, 3])
 def test_so_many_run_at_a_time_in_the_order_of_the_plan(runs, played, at_a_time):
     jobs, out = Jobs(runs, at_a_time, 1), io.StringIO()
-    jobs.carry_out(PlainDisplay(out), no_sleep)
+    jobs.carry_out(PlainDisplay(1, out), no_sleep)
     assert outcomes(jobs) == [Outcome.DONE] * 4
     assert played.most == at_a_time
     assert [command[4].rpartition("/")[2] for command in played.started] == [f"seed{k}" for k in range(4)]
@@ -113,7 +113,7 @@ def test_so_many_run_at_a_time_in_the_order_of_the_plan(runs, played, at_a_time)
 
 def test_what_is_finished_is_not_run_again(runs, played):
     write_result(runs[1].directory.path, make_metrics(5))
-    Jobs(runs, 1, 1).carry_out(PlainDisplay(io.StringIO()), no_sleep)
+    Jobs(runs, 1, 1).carry_out(PlainDisplay(1, io.StringIO()), no_sleep)
     assert len(played.started) == 3
     again = Jobs(runs, 1, 1)
     assert outcomes(again) == [Outcome.DONE] * 4
@@ -122,7 +122,7 @@ def test_what_is_finished_is_not_run_again(runs, played):
 def test_a_run_that_fails_does_not_stop_the_others(runs, played):
     played.codes = {"seed1": 2, "seed2": -signal.SIGKILL}
     jobs, out = Jobs(runs, 2, 1), io.StringIO()
-    jobs.carry_out(PlainDisplay(out), no_sleep)
+    jobs.carry_out(PlainDisplay(1, out), no_sleep)
     assert outcomes(jobs) == [Outcome.DONE, Outcome.FAILED, Outcome.FAILED, Outcome.DONE]
     assert [job.reason for job in jobs.jobs[1:3]] == ["the last line", "killed by SIGKILL"]
     assert "a/seed1: failed: the last line; its output:" in out.getvalue()
@@ -131,7 +131,7 @@ def test_a_run_that_fails_does_not_stop_the_others(runs, played):
 def test_a_command_that_leaves_nothing_has_failed_and_is_not_repeated_for_ever(runs, played, monkeypatch):
     monkeypatch.setattr(module, "next_command", lambda run, *how: ("run", "x"))
     jobs = Jobs(runs[:1], 1, 1)
-    jobs.carry_out(PlainDisplay(io.StringIO()), no_sleep)
+    jobs.carry_out(PlainDisplay(1, io.StringIO()), no_sleep)
     assert outcomes(jobs) == [Outcome.FAILED]
     assert len(played.started) == 1
 
@@ -139,7 +139,7 @@ def test_a_command_that_leaves_nothing_has_failed_and_is_not_repeated_for_ever(r
 def test_a_finished_run_is_evaluated_on_the_further_tasks(runs, played):
     run = replace(runs[0], also={"near": Path("near.yaml"), "far": Path("far.yaml")})
     jobs, out = Jobs([run], 1, 3), io.StringIO()
-    jobs.carry_out(PlainDisplay(out), no_sleep)
+    jobs.carry_out(PlainDisplay(1, out), no_sleep)
     assert outcomes(jobs) == [Outcome.DONE]
     where = str(run.directory.path)
     rest = ("--save", "--episodes", "100", "--threads", "3")
@@ -152,7 +152,7 @@ def test_a_finished_run_is_evaluated_on_the_further_tasks(runs, played):
 
 def test_runs_train_on_the_device_that_is_asked_for(runs, played):
     jobs = Jobs(runs[:1], 1, 1, "cuda")
-    jobs.carry_out(PlainDisplay(io.StringIO()), no_sleep)
+    jobs.carry_out(PlainDisplay(1, io.StringIO()), no_sleep)
     command = played.started[0]
     assert command[command.index("--device") + 1] == "cuda"
 
@@ -167,10 +167,10 @@ def test_a_run_that_another_process_is_at_is_waited_for(runs, played):
                 raise Interrupted
 
         with pytest.raises(Interrupted):
-            jobs.carry_out(PlainDisplay(out), sleep)
+            jobs.carry_out(PlainDisplay(1, out), sleep)
     assert set(naps) == {"another process runs in it"}
     assert outcomes(jobs) == [Outcome.WAITING, Outcome.DONE]
-    jobs.carry_out(PlainDisplay(out), no_sleep)
+    jobs.carry_out(PlainDisplay(1, out), no_sleep)
     assert outcomes(jobs) == [Outcome.DONE, Outcome.DONE]
 
 
@@ -187,7 +187,7 @@ def test_one_signal_stops_every_run_and_starts_no_other(runs, played, number):
         if not jobs.interrupted:
             signal.raise_signal(number)
 
-    jobs.carry_out(PlainDisplay(out), sleep)
+    jobs.carry_out(PlainDisplay(1, out), sleep)
     assert outcomes(jobs) == [Outcome.STOPPED] * 4
     assert (len(played.started), played.stops) == (2, [False, False])
     assert jobs.interrupted

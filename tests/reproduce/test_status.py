@@ -42,7 +42,7 @@ def test_a_plan_tells_what_is_missing(make_run, tmp_path, capsys):
         "other/seed9 damaged 0/- 0.4 % - - no checkpoint; not in the plan",
     ]
     assert " ".join(counts) == "1 finished, 1 running, 1 interrupted, 1 not begun, 1 damaged"
-    assert left[:3] == ["time", "left:", "at"]
+    assert left[:3] == ["time", "left:", "about"]
 
 
 def test_a_folder_without_a_plan_shows_what_is_there(make_run, tmp_path, capsys):

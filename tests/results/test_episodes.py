@@ -1,5 +1,6 @@
 """The per-episode table: what it accepts, and that a file gives back what was written."""
 
+import gzip
 from dataclasses import replace
 from pathlib import Path
 
@@ -7,7 +8,13 @@ import numpy as np
 import pytest
 
 from kickbench.errors import KickbenchError
-from kickbench.results.episodes import EpisodeSides, EpisodeTable, read_episodes, write_episodes
+from kickbench.results.episodes import (
+    EpisodeSides,
+    EpisodeTable,
+    episodes_file,
+    read_episodes,
+    write_episodes,
+)
 
 
 def make_table(episodes: int = 5, seed: int = 0) -> EpisodeTable:
@@ -167,3 +174,19 @@ def test_a_file_that_is_no_table_at_all_is_an_error(tmp_path: Path, damage: byte
 def test_a_missing_file_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(KickbenchError, match="No such file"):
         read_episodes(tmp_path / "episodes.csv")
+
+
+def test_a_compressed_table_is_the_same_table(tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    folder.mkdir()
+    sides = EpisodeSides(make_table(5), None)
+    assert episodes_file(folder).name == "episodes.csv"
+    write_episodes(folder / "episodes.csv.gz", sides)
+    assert episodes_file(folder).name == "episodes.csv.gz"
+    write_episodes(folder / "plain.csv", sides)
+    data = (folder / "episodes.csv.gz").read_bytes()
+    assert gzip.decompress(data) == (folder / "plain.csv").read_bytes()
+    assert read_episodes(folder / "episodes.csv.gz").mirrored is None
+    (folder / "episodes.csv.gz").write_bytes(data[:-9])
+    with pytest.raises(KickbenchError, match="cannot read the episode table"):
+        read_episodes(folder / "episodes.csv.gz")

@@ -24,6 +24,7 @@ from kickbench.experiment import load_experiment
 from kickbench.mdp.engines import make_engine
 from kickbench.results import specs
 from kickbench.results.history import RunHistory
+from kickbench.results.identity import read_identity
 from kickbench.results.integrity import check
 from kickbench.results.metrics import load_metrics
 from kickbench.training.checkpoint import FORMAT, Checkpoints
@@ -620,3 +621,19 @@ def test_a_standard_deviation_needs_a_policy(begun, capsys):
     folder, command = begun
     assert main([*command, "--init-std", "0.5", "--out", str(folder / "fifth")]) == 2
     assert "needs --init-from" in capsys.readouterr().err
+
+
+def test_evaluations_during_a_training_are_logged_and_do_not_change_it(begun):
+    folder, command = begun
+    often = ["--set", "evaluation.every=2", "--set", "evaluation.every_episodes=3"]
+    longer = [*command, "--iterations", "3"]
+    assert main([*longer, "--out", str(folder / "without")]) == 0
+    assert main([*longer, *often, "--out", str(folder / "with")]) == 0
+    one, other = (folder / name / "policy.pt" for name in ("without", "with"))
+    assert one.read_bytes() == other.read_bytes()
+    curve = rows(folder / "with/progress.csv")
+    for side in ("in_distribution", "mirrored"):
+        values = [float(row[f"evaluation/{side}"]) for row in curve]
+        assert [np.isnan(value) for value in values] == [True, False, True]
+        assert 0.0 <= values[1] <= 1.0
+    assert read_identity(folder / "with") == read_identity(folder / "without")
