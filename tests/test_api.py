@@ -17,7 +17,7 @@ from kickbench.env import KickEnv
 from kickbench.results.metrics import Evaluation, load_metrics
 
 ROOT = Path(__file__).parents[1]
-RUN = ROOT / "results/measured/mini_home_field/baseline/seed0"
+RUN = ROOT / "results/measured/mini_home_field_first/baseline/seed0"
 
 
 def run_python(code: str) -> str:
