@@ -1,6 +1,21 @@
-"""kickbench: a declarative benchmark suite for symmetry-aware humanoid reinforcement learning."""
+"""kickbench: a declarative benchmark suite for symmetry-aware humanoid reinforcement learning.
+
+From Python (names of tasks and methods are those of `tasks/` and `methods/`; paths do as well):
+
+    env = kickbench.make("mini_home_field", num_envs=64, seed=0)     a `KickEnv`, torch in and out
+    run = kickbench.train("mini_home_field", "mini/equivariant")     what `kickbench run` does; a `Run`
+    run = kickbench.load_run("runs/mini_home_field/equivariant/seed0")
+    actions = run.policy(observations)                               numpy or torch; run.specs, run.metrics
+    figures = kickbench.evaluate(run, episodes=500)                  an `Evaluation`
+    table = kickbench.load_runs("results/measured")                  a pandas.DataFrame, a row per run and side
+
+`import kickbench.gym` registers every task with Gymnasium, `kickbench.deploy.runner.Policy` runs an exported policy.
+Nothing heavy is imported before a name is used. Wrong specifications and files raise `kickbench.KickbenchError`.
+"""
 
 import os
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 # Before torch loads libgomp, which reads it once. Threads that wait for work would otherwise spin on cores that
 # another process, or the physics, could use: beside three busy processes an update of the K1's networks then takes
@@ -9,4 +24,34 @@ import os
 if "GOMP_SPINCOUNT" not in os.environ:
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
+if TYPE_CHECKING:
+    from kickbench.env import KickEnv, make
+    from kickbench.errors import KickbenchError
+    from kickbench.results.frame import load_runs
+    from kickbench.runner import evaluate, train
+    from kickbench.training.trained import Run, load_run
+
 __version__ = "0.1.0"
+__all__ = ["KickEnv", "KickbenchError", "Run", "evaluate", "load_run", "load_runs", "make", "train"]
+
+_HOME = {
+    "KickEnv": "env",
+    "KickbenchError": "errors",
+    "Run": "training.trained",
+    "evaluate": "runner",
+    "load_run": "training.trained",
+    "load_runs": "results.frame",
+    "make": "env",
+    "train": "runner",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Imports a public name when it is first used (PEP 562)."""
+    if name not in _HOME:
+        raise AttributeError(f"module 'kickbench' has no attribute '{name}'")
+    return getattr(import_module(f"kickbench.{_HOME[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_HOME})

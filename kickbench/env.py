@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -13,7 +14,7 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from kickbench.errors import KickbenchError, shown
-from kickbench.mdp.compile import Bound, CompiledTask
+from kickbench.mdp.compile import Bound, CompiledTask, read_task
 from kickbench.mdp.delay import ActionDelay
 from kickbench.mdp.draws import Draws
 from kickbench.mdp.engines import make_engine as make_engine
@@ -27,6 +28,7 @@ from kickbench.mdp.state import EpisodeState, State
 from kickbench.mdp.state_index import StateIndex
 from kickbench.mdp.stateful import Stateful, check_tensors
 from kickbench.mdp.variation import ModelVariation
+from kickbench.physics.devices import check_device
 from kickbench.physics.engine import Engine
 
 _POOLED = 16
@@ -69,8 +71,7 @@ class KickEnv(VecEnv):
                 CPU, where it costs nothing to look. Starts are then drawn in another order.
         """
         if task.spec.terms and not task.is_trusted:
-            file = shown(task.spec.terms)
-            raise KickbenchError(f"{file}: code that came with a run; --trust-code lets it be imported")
+            raise KickbenchError(f"{shown(task.spec.terms)}: code of a run; --trust-code lets it be imported")
         self.task, self.engine = task, engine
         self.num_envs, self.num_actions = engine.num_worlds, len(task.scene.layout.actuator_names)
         self.max_episode_length = task.spec.episode.max_steps
@@ -302,7 +303,11 @@ class KickEnv(VecEnv):
             self._by_side[name] = torch.where(mask.unsqueeze(1), values, self._by_side.get(name, values))
 
     def _observe(self) -> TensorDict:
-        return self._group(self._observer(self.state(), self._draws))
+        return self.observations_of(self.state(), self._draws)
+
+    def observations_of(self, state: State, draws: Draws) -> TensorDict:
+        """Observations of a state by group, {group: [B, width]}, with noise from `draws`."""
+        return self._group(self._observer(state, draws))
 
     def state_dict(self) -> dict[str, Any]:
         """Everything that later steps depend on, as tensors and plain numbers, in dicts by part.
@@ -365,3 +370,31 @@ class KickEnv(VecEnv):
 
     def _group(self, groups: Mapping[str, Tensor]) -> TensorDict:
         return TensorDict(dict(groups), batch_size=[self.num_envs], device=self.device)
+
+
+def make(
+    task: Path | str,
+    num_envs: int = 1,
+    seed: int = 0,
+    *,
+    overrides: Sequence[str] = (),
+    device: str = "cpu",
+    threads: int | None = None,
+) -> KickEnv:
+    """Makes envs of a task.
+
+    Args:
+        task: Path or name of a task: `mini_home_field`.
+        num_envs: Number of envs B.
+        seed: Seed of initial states, randomisation and observation noise.
+        overrides: `key.path=value` texts.
+        device: Where the physics runs, `cpu` or `cuda`.
+        threads: Physics threads on the CPU; default: the cores that this process may use.
+
+    Raises:
+        SpecError: With every problem of the task.
+        KickbenchError: There is no such task or device.
+    """
+    check_device(device)
+    compiled = read_task(task, overrides)
+    return KickEnv(compiled, make_engine(compiled, num_envs, device, num_threads=threads), seed)

@@ -146,9 +146,12 @@ def symmetry_of(task: CompiledTask, representations: Loaded[RepresentationSpec])
         problems.append(document.problem(("actions",), what))
     if problems:
         raise SpecError(tuple(problems))
-    return Symmetry(
-        qpos=mirror_qpos(layout.coordinates, image | {"ball": ("ball", 1)}),
-        qvel=mirror_qvel(layout.coordinates, image | {"ball": ("ball", 1)}),
-        groups=groups,
-        actions=actions,
-    )
+    qpos, qvel = state_symmetry(task)
+    return Symmetry(qpos=qpos, qvel=qvel, groups=groups, actions=actions)
+
+
+def state_symmetry(task: CompiledTask) -> tuple[Representation, Representation]:
+    """Representations of the reflection on qpos [nq] and qvel [nv], from the robot's joint table."""
+    image = task.robot.spec.symmetry.image() | {"ball": ("ball", 1)}
+    coordinates = task.scene.layout.coordinates
+    return mirror_qpos(coordinates, image), mirror_qvel(coordinates, image)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import os
+from collections.abc import Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 
 import torch
@@ -12,32 +13,30 @@ from rsl_rl.models import MLPModel
 
 from kickbench.env import KickEnv
 from kickbench.errors import KickbenchError, SpecError, shown
-from kickbench.evaluate.episodes import Policy, draw_starts, mirror_starts, run_episodes
-from kickbench.evaluate.equivariance import EquivarianceProbe
-from kickbench.evaluate.progress import EVALUATING, Steps
+from kickbench.evaluation.episodes import Policy, run_sides, success_by_side
 from kickbench.experiment import Experiment, load_experiment
+from kickbench.mdp.compile import CompiledTask, read_task
 from kickbench.mdp.engines import make_engine
-from kickbench.mdp.starts import Starts
 from kickbench.nets.build import build_actor
 from kickbench.nets.threads import update_threads
 from kickbench.physics.cpu import usable_cores
 from kickbench.physics.devices import check_device
 from kickbench.reported import load_reported
-from kickbench.results import integrity
 from kickbench.results.asymmetry import EquivarianceError
-from kickbench.results.episodes import EpisodeSides, EpisodeTable, write_episodes
-from kickbench.results.frame import SIDES
+from kickbench.results.episodes import EpisodeSides, write_episodes
 from kickbench.results.history import RunHistory, earlier_parts
 from kickbench.results.metrics import Evaluation, Metrics, load_metrics, summarise_sides
 from kickbench.results.provenance import ExperimentRef
 from kickbench.results.specs import update_specs
 from kickbench.results.store import RunDirectory
-from kickbench.train.checkpoint import Checkpoints, load_policy, save_policy
-from kickbench.train.initial import Initial, begin_from
-from kickbench.train.progress import ProgressGroup, standard_progress
-from kickbench.train.ranks import ALONE, Ranks, joined, read_ranks
-from kickbench.train.resume import Resume, begin, take_up
-from kickbench.train.trainer import Trainer, TrainingResult
+from kickbench.spec.load import find_file
+from kickbench.training.checkpoint import Checkpoints, save_policy
+from kickbench.training.initial import Initial, begin_from
+from kickbench.training.progress import ProgressGroup, standard_progress
+from kickbench.training.ranks import ALONE, Ranks, joined, read_ranks
+from kickbench.training.resume import Resume, begin, take_up
+from kickbench.training.trained import Run, load_run
+from kickbench.training.trainer import Trainer, TrainingResult
 
 
 @dataclass(frozen=True)
@@ -128,8 +127,7 @@ def run(request: RunRequest) -> RunOutcome:
     directory = RunDirectory(request.out or default)
     initial = None
     if request.init_from is not None:
-        source, policy = load_run(request.init_from)
-        experiment, initial = begin_from(experiment, source, policy, request.init_from, request.init_std)
+        experiment, initial = begin_from(experiment, load_run(request.init_from), request.init_std)
     with joined(ranks), directory.occupied() if ranks.is_main else nullcontext():
         return _run_in(directory, experiment, request, threads, ranks, initial)
 
@@ -201,7 +199,7 @@ def _run_in(
     policy = trainer.ppo.get_policy().eval().cpu()
     save_policy(made.policy, policy)
     try:
-        sides, equivariance = evaluate(experiment, policy, threads=threads)
+        sides, equivariance = run_sides(experiment.task, policy, experiment.symmetry, num_threads=threads)
     except KeyboardInterrupt:
         return RunOutcome(directory, training, None)
     write_episodes(made.episodes, sides)
@@ -259,15 +257,13 @@ def _metrics(
         env_steps=training.env_steps,
         training_seconds=round(training.seconds, 3),
         schedule_iterations=training.horizon if extended else None,
-        evaluation=_summary(experiment, sides, equivariance),
+        evaluation=_summary(experiment.task, sides, equivariance),
         provenance=history.provenance(training.env_steps),
     )
 
 
-def _summary(
-    experiment: Experiment, sides: EpisodeSides, equivariance: EquivarianceError | None
-) -> Evaluation:
-    spec = experiment.task.spec
+def _summary(task: CompiledTask, sides: EpisodeSides, equivariance: EquivarianceError | None) -> Evaluation:
+    spec = task.spec
     radius, interval = spec.evaluation.success_radius, spec.simulation.control_interval
     return summarise_sides(sides, radius, interval, equivariance)
 
@@ -296,107 +292,107 @@ def make_trainer(
     progress = shown or ProgressGroup(())
 
     def success(trained: MLPModel) -> dict[str, float]:
-        return success_by_side(experiment, trained, threads)
+        """Success of the policy in training; changes nothing of it."""
+        symmetry = experiment.symmetry
+        with torch.random.fork_rng(devices=[]):
+            policy = build_actor(experiment.method.spec, symmetry.groups["actor"], symmetry.actions).eval()
+        policy.load_state_dict(trained.state_dict())
+        return success_by_side(experiment.task, policy, threads)
 
     return Trainer(
         experiment, env, progress, checkpoints, history, update, graph=graph, ranks=ranks, evaluate=success
     )
 
 
-def success_by_side(experiment: Experiment, trained: MLPModel, threads: int) -> dict[str, float]:
-    """Success by side of a policy in training, in the first episodes of the evaluation; changes nothing of it."""
-    protocol, symmetry = experiment.task.spec.evaluation, experiment.symmetry
-    with torch.random.fork_rng(devices=[]):
-        policy = build_actor(experiment.method.spec, symmetry.groups["actor"], symmetry.actions).eval()
-    policy.load_state_dict(trained.state_dict())
-    starts = draw_starts(experiment.task, max(protocol.episodes, protocol.every_episodes), protocol.seed)
-    home = starts.take(torch.arange(protocol.every_episodes))
-    sides = {SIDES[0]: home} | ({SIDES[1]: mirror_starts(experiment, home)} if protocol.mirrored else {})
-    return {
-        side: float(
-            run_episodes(experiment.task, policy, of, protocol.seed, num_threads=threads).success.mean()
+def train(
+    task: Path | str,
+    method: Path | str,
+    *,
+    seed: int = 0,
+    out: Path | str | None = None,
+    overrides: Sequence[str] = (),
+    iterations: int | None = None,
+    num_envs: int | None = None,
+    device: str = "cpu",
+    force: bool = False,
+    resume: bool = False,
+) -> Run:
+    """Trains and evaluates a run, as `kickbench run` does, and loads it.
+
+    Args:
+        task: Path or name of a task: `mini_home_field`.
+        method: Path or name of a method: `mini/equivariant`.
+        seed: Seed of networks, exploration and initial states.
+        out: Run directory; default: `runs/<task>/<method>/seed<k>`.
+        overrides: `key.path=value` texts.
+        iterations: Iterations; default: the method's.
+        num_envs: Parallel environments; default: the method's.
+        device: Where to train.
+        force: Overwrite a run that is there.
+        resume: Go on with a run that is there; begin it if there is none.
+
+    Raises:
+        SpecError: A specification is wrong; nothing has been written.
+        KickbenchError: A run is in the way, or cannot be gone on with, or training diverged.
+        KeyboardInterrupt: It was interrupted; `resume` goes on.
+    """
+    task, method = find_file("tasks", task), find_file("methods", method)
+    flags = {"--iterations": iterations, "--num-envs": num_envs}
+    settings = [(flag, str(value)) for flag, value in flags.items() if value is not None]
+    settings += [("--set", override) for override in overrides]
+    outcome = run(
+        RunRequest(
+            task,
+            method,
+            seed,
+            overrides=tuple(overrides),
+            iterations=iterations,
+            num_envs=num_envs,
+            out=None if out is None else Path(out),
+            device=device,
+            force=force,
+            resume=resume,
+            command=("kickbench", "run", str(task), str(method), "--seed", str(seed), *chain(*settings)),
         )
-        for side, of in sides.items()
-    }
+    )
+    if outcome.training is not None and outcome.training.interrupted:
+        raise KeyboardInterrupt
+    return load_run(outcome.directory.path)
 
 
 def evaluate(
-    experiment: Experiment,
-    policy: Policy,
+    policy: Run | Policy | Path | str,
+    task: Path | str | None = None,
     *,
     episodes: int | None = None,
     seed: int | None = None,
     threads: int | None = None,
-) -> tuple[EpisodeSides, EquivarianceError | None]:
-    """Evaluates a policy by the task's protocol, on the mirrored side too where it asks for it.
-
-    The equivariance error comes with the episodes: it is measured at the states visited in them.
+) -> Evaluation:
+    """Evaluates a policy by a task's protocol, on the mirrored side too where it asks for it.
 
     Args:
-        experiment: The experiment.
-        policy: Deterministic policy.
+        policy: A run or its directory, which is left as it is; or a function from the observations of `make`'s envs
+            {"actor": [B, n], ...} to actions [B, nu].
+        task: Path or name of a task; default: the one that the run was trained on.
         episodes: Episodes a side; default: the task's.
-        seed: Seed of the starts; default: the task's.
-        threads: Physics threads.
-    """
-    protocol = experiment.task.spec.evaluation
-    seed = protocol.seed if seed is None else seed
-    starts = draw_starts(experiment.task, episodes or protocol.episodes, seed)
-    tables = {name: table.representation for name, table in experiment.symmetry.groups.items()}
-    probe = EquivarianceProbe(policy, tables, experiment.symmetry.actions)
-
-    with Steps(EVALUATING, "episodes", len(starts) * (1 + protocol.mirrored)) as steps:
-
-        def episodes_from(starts: Starts) -> EpisodeTable:
-            return run_episodes(
-                experiment.task, policy, starts, seed, num_threads=threads, probe=probe, note=steps.advance
-            )
-
-        home = episodes_from(starts)
-        mirrored = episodes_from(mirror_starts(experiment, starts)) if protocol.mirrored else None
-    return EpisodeSides(home, mirrored), probe.result()
-
-
-def load_run(
-    path: Path, task: Path | None = None, *, trust_code: bool = False
-) -> tuple[Experiment, MLPModel]:
-    """Loads experiment and policy of a run directory.
-
-    Args:
-        path: The run directory.
-        task: Another task for the policy; default: the one it was trained on.
-        trust_code: Whether envs of the run's task may import terms that came with the run.
+        seed: Seed of the initial states; default: the task's.
+        threads: Physics threads; default: the cores that this process may use.
 
     Raises:
-        KickbenchError: The directory holds no run with a policy, or one of its files is damaged.
+        KickbenchError: The directory holds no run with a policy, or the task does not suit it.
+        TypeError: A function is given without a task.
     """
-    directory = RunDirectory(path)
-    if not directory.task_spec.is_file():
-        raise KickbenchError(f"{os.fspath(path)}: not a run directory (it has no {directory.task_spec.name})")
-    integrity.check(directory)
-    experiment = load_experiment(task or directory.task_spec, directory.method_spec)
-    if task is None and not trust_code:
-        experiment = replace(experiment, task=replace(experiment.task, is_trusted=False))
-    symmetry = experiment.symmetry
-    policy = build_actor(experiment.method.spec, symmetry.groups["actor"], symmetry.actions)
-    load_policy(directory.policy, policy)
-    return experiment, policy
-
-
-def reevaluate(
-    path: Path,
-    episodes: int | None,
-    seed: int | None,
-    threads: int | None,
-    task: Path | None = None,
-    *,
-    trust_code: bool = False,
-) -> tuple[Metrics, EpisodeSides]:
-    """Evaluates the policy of a finished run again, on another task if there is one; the run is left as it is."""
-    experiment, policy = load_run(path, task, trust_code=trust_code)
-    recorded = load_metrics(RunDirectory(path).metrics)
-    sides, equivariance = evaluate(experiment, policy, episodes=episodes, seed=seed, threads=threads)
-    evaluation = _summary(experiment, sides, equivariance)
-    # Where a run keeps its task, the file's name is not the task's.
-    name = experiment.task.name if task else recorded.task
-    return recorded.model_copy(update={"task": name, "evaluation": evaluation}), sides
+    if isinstance(policy, str | Path):
+        policy = load_run(policy, task)
+    elif isinstance(policy, Run) and task is not None:
+        policy = load_run(policy.directory.path, task)
+    if isinstance(policy, Run):
+        compiled, symmetry, function = policy.experiment.task, policy.experiment.symmetry, policy.policy
+    elif task is not None:
+        compiled, symmetry, function = read_task(task), None, policy
+    else:
+        raise TypeError("evaluate: a policy that is no run needs a `task`")
+    sides, equivariance = run_sides(
+        compiled, function, symmetry, episodes=episodes, seed=seed, num_threads=threads
+    )
+    return _summary(compiled, sides, equivariance)

@@ -18,8 +18,8 @@ from kickbench.graph import CapturedStep, StaticTensors, graph_obstacle
 from kickbench.mdp.engines import make_engine
 from kickbench.mdp.starts import FreshStarts
 from kickbench.results.history import RunHistory
-from kickbench.train.checkpoint import Checkpoints
-from kickbench.train.trainer import Trainer
+from kickbench.training.checkpoint import Checkpoints
+from kickbench.training.trainer import Trainer
 
 ROOT = Path(__file__).parent.parent
 VARIED = (

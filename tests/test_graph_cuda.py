@@ -26,8 +26,8 @@ from kickbench.mdp.engines import make_engine, make_warp_engine
 from kickbench.mdp.starts import FreshStarts, StartSampler
 from kickbench.physics.engine import ModelField
 from kickbench.results.history import RunHistory
-from kickbench.train.checkpoint import Checkpoints
-from kickbench.train.trainer import Trainer
+from kickbench.training.checkpoint import Checkpoints
+from kickbench.training.trainer import Trainer
 
 ROOT = Path(__file__).parent.parent
 cuda = pytest.mark.cuda

@@ -13,9 +13,10 @@ from pathlib import Path
 import pytest
 from scipy import stats
 
+from kickbench.evaluation.episodes import run_sides
 from kickbench.results.episodes import EpisodeTable
 from kickbench.results.metrics import EvaluationMetrics, load_metrics
-from kickbench.runner import evaluate, load_run
+from kickbench.training.trained import load_run
 
 ROOT = Path(__file__).parent.parent
 MEASURED = ROOT / "results/measured"
@@ -89,9 +90,10 @@ def test_there_are_measured_results():
 def test_a_measured_policy_still_does_what_was_recorded(run):
     """The specs come from the run's own folder: what is tested is the code."""
     recorded = load_metrics(run / "metrics.json").evaluation
-    experiment, policy = load_run(run)
-    many_joints = experiment.task.scene.model.nu > 12
-    sides, _ = evaluate(experiment, policy, episodes=EPISODES_OF_MANY_JOINTS if many_joints else EPISODES)
+    loaded = load_run(run)
+    many_joints = loaded.experiment.task.scene.model.nu > 12
+    episodes = EPISODES_OF_MANY_JOINTS if many_joints else EPISODES
+    sides, _ = run_sides(loaded.experiment.task, loaded.policy, episodes=episodes)
     level = FALSE_ALARM / number_of_comparisons()
     for side, table in zip(SIDES, sides, strict=True):
         old = getattr(recorded, side)
@@ -106,8 +108,8 @@ def test_the_comparison_would_notice_another_policy():
     """Of the baseline one side is no likely sample of the other."""
     run = MEASURED / "mini_home_field_first/baseline/seed0"
     recorded = load_metrics(run / "metrics.json").evaluation
-    experiment, policy = load_run(run)
-    sides, _ = evaluate(experiment, policy, episodes=128)
+    loaded = load_run(run)
+    sides, _ = run_sides(loaded.experiment.task, loaded.policy, episodes=128)
     assert recorded.mirrored is not None
     p = p_values(sides.in_distribution, recorded.mirrored)
     level = FALSE_ALARM / number_of_comparisons()

@@ -15,8 +15,8 @@ from kickbench.results.metrics import Evaluation, EvaluationMetrics, load_metric
 from kickbench.results.statistics import mcnemar, two_proportions, wilson
 from kickbench.results.verdict_file import read_verdicts, recorded_form
 from kickbench.results.verdicts import judge
-from kickbench.runner import load_run
 from kickbench.spec.terms import TerminationParams
+from kickbench.training.trained import load_run
 
 ROOT = Path(__file__).parent.parent
 MEASURED, REPORTED = ROOT / "results/measured", ROOT / "results/reported"
@@ -114,7 +114,8 @@ def check_pairs(pairs: MirroredPairs, home: EvaluationMetrics, mirrored: Evaluat
 
 @pytest.mark.parametrize("run", RUNS, ids=lambda run: str(run.relative_to(MEASURED)))
 def test_it_is_the_result_of_its_specs(run):
-    metrics, (experiment, _) = load_metrics(run / "metrics.json"), load_run(run)
+    loaded = load_run(run)
+    metrics, experiment = loaded.metrics, loaded.experiment
     algorithm, evaluation = experiment.method.spec.algorithm, experiment.task.spec.evaluation
     assert metrics.seed == metrics.provenance.seed
     assert 0 < metrics.iterations <= algorithm.iterations, "a training may be ended early, and says so"

@@ -13,13 +13,13 @@ from torch import Tensor
 from kickbench.audit.record import Recording
 from kickbench.audit.report import Row, Verdict
 from kickbench.errors import KickbenchError
-from kickbench.evaluate.episodes import Policy
+from kickbench.evaluation.episodes import Policy
 from kickbench.experiment import Experiment, Symmetry
 from kickbench.mdp.compile import CompiledTask
 from kickbench.nets.build import build_critic
 from kickbench.results.store import RunDirectory
 from kickbench.symmetry.torch_ops import Mirror
-from kickbench.train.checkpoint import Checkpoints
+from kickbench.training.checkpoint import Checkpoints
 
 _TOLERANCE = 1e-4
 """Of a network that is equivariant by construction, in float32; relative to the largest output."""

@@ -13,7 +13,7 @@ from torch import Tensor
 from kickbench.audit.measure import misfits
 from kickbench.audit.states import VariedActions, VariedStarts, vary_episodes
 from kickbench.env import KickEnv
-from kickbench.evaluate.episodes import Policy
+from kickbench.evaluation.episodes import Policy
 from kickbench.mdp.compile import Bound, CompiledTask
 from kickbench.mdp.engines import make_engine
 from kickbench.mdp.snapshot import Snapshot

@@ -24,12 +24,12 @@ from kickbench.experiment import Symmetry, symmetry_of
 from kickbench.mdp.catalog import model_of_task
 from kickbench.mdp.compile import CompiledTask, compile_task
 from kickbench.results.store import RunDirectory
-from kickbench.runner import load_run
 from kickbench.spec.load import Loaded, load, load_method, load_task
 from kickbench.spec.representation import RepresentationSpec
 from kickbench.speccheck import kind_of
 from kickbench.symmetry.derive import Derivation
 from kickbench.symmetry.mirror import Image
+from kickbench.training.trained import load_run
 from kickbench.yamlio import load_document
 
 STATES = 4096
@@ -72,7 +72,8 @@ def audit(request: AuditRequest) -> Report:
     symmetry = symmetry_of(task, table)
     policy = run = critic = None
     if request.run is not None:
-        run, policy = load_run(request.run)
+        loaded = load_run(request.run)
+        run, policy = loaded.experiment, loaded.policy
         check_run(task, run, request.run)
         critic = load_critic(run, request.run)
     derivation = derive_scene(task)

@@ -16,7 +16,7 @@ from kickbench.bench.training import Iterations
 from kickbench.env import KickEnv
 from kickbench.mdp.compile import Bound
 from kickbench.nets.threads import torch_threads
-from kickbench.train.ppo import BoundedPPO
+from kickbench.training.ppo import BoundedPPO
 
 _OPERATIONS = 12
 

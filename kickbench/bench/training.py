@@ -12,9 +12,9 @@ from kickbench.experiment import Experiment
 from kickbench.mdp.engines import make_engine
 from kickbench.nets.threads import update_threads
 from kickbench.results.history import RunHistory
-from kickbench.train.checkpoint import Checkpoints
-from kickbench.train.progress import IterationRecord
-from kickbench.train.trainer import Trainer
+from kickbench.training.checkpoint import Checkpoints
+from kickbench.training.progress import IterationRecord
+from kickbench.training.trainer import Trainer
 
 
 class Iterations:

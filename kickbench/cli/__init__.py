@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import argparse
 import io
-import math
 import sys
 from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 
 from kickbench import __version__
+from kickbench.cli import numbers
 from kickbench.cli.faults import fault_message, mute, report_fault
 from kickbench.errors import KickbenchError
 
@@ -61,6 +61,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_reproduce(verbs)
     _add_demo(verbs)
     _add_eval(verbs)
+    _add_export(verbs)
     _add_inspection(verbs)
     _add_bench(verbs)
     _add_view(verbs)
@@ -83,10 +84,12 @@ def _add_run(verbs: argparse._SubParsersAction) -> None:
     verb = _add_verb(verbs, "run", "kickbench.cli.run:run", "train a method on a task and evaluate it")
     verb.add_argument("task", type=Path, metavar="TASK", help="task YAML")
     verb.add_argument("method", type=Path, metavar="METHOD", help="method YAML")
-    verb.add_argument("--seed", type=_natural, default=0, help="seed (default: 0)")
-    verb.add_argument("--iterations", type=_positive, help="iterations (default: the method's)")
+    verb.add_argument("--seed", type=numbers.natural, default=0, help="seed (default: 0)")
+    verb.add_argument("--iterations", type=numbers.positive, help="iterations (default: the method's)")
     _add_scale(verb)
-    verb.add_argument("--num-envs", type=_positive, help="parallel environments (default: the method's)")
+    verb.add_argument(
+        "--num-envs", type=numbers.positive, help="parallel environments (default: the method's)"
+    )
     verb.add_argument(
         "--out", type=Path, metavar="DIR", help="run directory (default: runs/<task>/<method>/seed<k>)"
     )
@@ -96,7 +99,7 @@ def _add_run(verbs: argparse._SubParsersAction) -> None:
         "--no-graph",
         action="store_false",
         dest="graph",
-        help="run every kernel of a step on its own instead of one CUDA graph: slow, for finding faults",
+        help="no CUDA graph: run every kernel of a step on its own",
     )
     _add_threads(verb)
     text = "experiment that the run is for: its claims are recorded"
@@ -104,7 +107,7 @@ def _add_run(verbs: argparse._SubParsersAction) -> None:
     text = "begin with the policy of this run: network, observation statistics, action noise; the critic begins anew"
     verb.add_argument("--init-from", type=Path, metavar="RUN", help=text)
     text = "standard deviation of all actions to begin with (default: that policy's)"
-    verb.add_argument("--init-std", type=_std, metavar="STD", help=text)
+    verb.add_argument("--init-std", type=numbers.std, metavar="STD", help=text)
     taken = verb.add_mutually_exclusive_group()
     taken.add_argument("--force", action="store_true", help="overwrite a run that is there")
     taken.add_argument(
@@ -120,11 +123,11 @@ def _add_reproduce(verbs: argparse._SubParsersAction) -> None:
     verb.add_argument("reported", type=Path, metavar="REPORTED", help="experiment YAML (results/reported/)")
     verb.add_argument("--only", action="append", metavar="ARM", help="this arm only; may be repeated")
     verb.add_argument(
-        "--seeds", type=_natural, nargs="+", metavar="K", help="seeds (default: the experiment's)"
+        "--seeds", type=numbers.natural, nargs="+", metavar="K", help="seeds (default: the experiment's)"
     )
     _add_scale(verb)
     _add_set(verb)
-    verb.add_argument("--jobs", type=_positive, default=1, help="runs at a time (default: 1)")
+    verb.add_argument("--jobs", type=numbers.positive, default=1, help="runs at a time (default: 1)")
     _add_device(verb, "train")
     _add_threads(verb)
     verb.add_argument(
@@ -156,10 +159,21 @@ def _add_eval(verbs: argparse._SubParsersAction) -> None:
     verb.add_argument(
         "--save", action="store_true", help="keep the figures on another task in RUN/also/<task>.json"
     )
-    verb.add_argument("--episodes", type=_positive, help="episodes a side (default: the task's)")
-    verb.add_argument("--seed", type=_natural, help="seed of the starts (default: the task's)")
+    verb.add_argument("--episodes", type=numbers.positive, help="episodes a side (default: the task's)")
+    verb.add_argument("--seed", type=numbers.natural, help="seed of the starts (default: the task's)")
     verb.add_argument("--json", action="store_true", help="print the metrics as JSON")
     _add_threads(verb)
+
+
+def _add_export(verbs: argparse._SubParsersAction) -> None:
+    text = "write a finished run's policy as ONNX, with a contract of inputs, outputs, gains and limits"
+    verb = _add_verb(verbs, "export", "kickbench.cli.export:export", text)
+    verb.add_argument("run", type=Path, metavar="RUN", help="run directory")
+    where = "folder to write (default: exported/<task>/<method>/seed<k>)"
+    verb.add_argument("-o", "--out", type=Path, metavar="FOLDER", help=where)
+    states = "write so many initial states of the evaluation, too"
+    verb.add_argument("--states", type=numbers.positive, metavar="N", default=0, help=states)
+    verb.add_argument("--force", action="store_true", help="overwrite a policy that is there")
 
 
 def _add_inspection(verbs: argparse._SubParsersAction) -> None:
@@ -244,8 +258,12 @@ def _add_bench(verbs: argparse._SubParsersAction) -> None:
         metavar="DIR",
         help="folder of the three methods compared (default: the first in methods that is for the task's robot)",
     )
-    verb.add_argument("--num-envs", type=_positive, nargs="+", metavar="N", help="worlds (default: 512)")
-    verb.add_argument("--rounds", type=_positive, default=10, help="interleaved repetitions (default: 10)")
+    verb.add_argument(
+        "--num-envs", type=numbers.positive, nargs="+", metavar="N", help="worlds (default: 512)"
+    )
+    verb.add_argument(
+        "--rounds", type=numbers.positive, default=10, help="interleaved repetitions (default: 10)"
+    )
     verb.add_argument("--json", type=Path, metavar="FILE", help="write the figures as JSON, too")
     verb.add_argument(
         "--profile", action="store_true", help="tell where the time goes, for the first number of worlds"
@@ -264,11 +282,16 @@ def _add_view(verbs: argparse._SubParsersAction) -> None:
     verb.add_argument("--out", type=Path, metavar="FILE", help=text)
     text = "film the exact mirror images of the starts"
     verb.add_argument("--mirrored", action="store_const", const=True, help=text)
-    verb.add_argument("--starts", type=_positive, metavar="N", help="starts on a sheet (default: 9)")
-    verb.add_argument("--episodes", type=_positive, metavar="N", help="episodes of a film (default: 3)")
-    verb.add_argument("--seed", type=_natural, help="seed of the starts (default: the task's)")
+    verb.add_argument("--starts", type=numbers.positive, metavar="N", help="starts on a sheet (default: 9)")
     verb.add_argument(
-        "--size", type=_size, metavar="WxH", help="pixels of a picture (default: 400x300, films 640x480)"
+        "--episodes", type=numbers.positive, metavar="N", help="episodes of a film (default: 3)"
+    )
+    verb.add_argument("--seed", type=numbers.natural, help="seed of the starts (default: the task's)")
+    verb.add_argument(
+        "--size",
+        type=numbers.size,
+        metavar="WxH",
+        help="pixels of a picture (default: 400x300, films 640x480)",
     )
     _add_set(verb)
 
@@ -300,8 +323,10 @@ def _add_audit(verbs: argparse._SubParsersAction) -> None:
         "methods/representations/<robot's folder>.yaml beside or above the task)",
     )
     verb.add_argument("--policy", type=Path, metavar="RUN", help="run directory: measure its policy too")
-    verb.add_argument("--states", type=_positive, metavar="N", help="states to visit (default: 4096)")
-    verb.add_argument("--seed", type=_natural, default=0, help="seed of starts and actions (default: 0)")
+    verb.add_argument("--states", type=numbers.positive, metavar="N", help="states to visit (default: 4096)")
+    verb.add_argument(
+        "--seed", type=numbers.natural, default=0, help="seed of starts and actions (default: 0)"
+    )
     verb.add_argument("--json", action="store_true", help="print the report as JSON")
     _add_set(verb)
     _add_threads(verb)
@@ -358,7 +383,7 @@ def _add_set(verb: argparse.ArgumentParser) -> None:
 def _add_scale(verb: argparse.ArgumentParser) -> None:
     verb.add_argument(
         "--scale",
-        type=_scale,
+        type=numbers.scale,
         metavar="S",
         help="shrink iterations and evaluation episodes (100 a side at least) by this factor, below 1; "
         "the result is marked",
@@ -372,47 +397,6 @@ def _add_device(verb: argparse.ArgumentParser, what: str) -> None:
 
 
 def _add_threads(verb: argparse.ArgumentParser) -> None:
-    verb.add_argument("--threads", type=_positive, help="threads (default: the cores this process may use)")
-
-
-def _positive(text: str) -> int:
-    return _whole_number(text, 1)
-
-
-def _natural(text: str) -> int:
-    value = _whole_number(text, 0)
-    if value >= 2**63:
-        raise argparse.ArgumentTypeError(f"expected a number below 2^63, found {text}")
-    return value
-
-
-def _scale(text: str) -> float:
-    return _between(text, 0.0, 1.0)
-
-
-def _std(text: str) -> float:
-    return _between(text, 1e-3, 10.0)
-
-
-def _between(text: str, low: float, high: float) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not low < value < high:
-        raise argparse.ArgumentTypeError(f"expected a number between {low:g} and {high:g}, found {text!r}")
-    return value
-
-
-def _size(text: str) -> tuple[int, int]:
-    sides = text.lower().split("x")
-    if len(sides) != 2 or not all(side.isdecimal() and 64 <= int(side) <= 4096 for side in sides):
-        raise argparse.ArgumentTypeError(f"expected WIDTHxHEIGHT, each from 64 to 4096, found {text!r}")
-    return int(sides[0]), int(sides[1])
-
-
-def _whole_number(text: str, least: int) -> int:
-    # argparse would name the function that raised a ValueError.
-    if not text.isdecimal() or int(text) < least:
-        raise argparse.ArgumentTypeError(f"expected a whole number of at least {least}, found {text!r}")
-    return int(text)
+    verb.add_argument(
+        "--threads", type=numbers.positive, help="threads (default: the cores this process may use)"
+    )

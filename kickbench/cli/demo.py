@@ -84,7 +84,7 @@ def _part(method: str, home: float, away: float) -> str:
 def _pictures(plan: Plan) -> Iterator[str]:
     """Writes the page and a film of the mirrored side, where this machine can; what has been written."""
     from kickbench.report.write import write_report
-    from kickbench.runner import load_run
+    from kickbench.training.trained import load_run
     from kickbench.view.film import film_runs
 
     folder = plan.folder
@@ -92,7 +92,7 @@ def _pictures(plan: Plan) -> Iterator[str]:
         write_report(folder, folder / "report.html")
         yield f"report: {shown(folder / 'report.html')}"
         paths = [folder / name / "seed0" for name in _FILM]
-        film, task = folder / "film.webp", load_run(paths[0])[0].task
+        film, task = folder / "film.webp", load_run(paths[0]).experiment.task
         film_runs(task, paths, film, _EPISODES, task.spec.evaluation.seed, _FILM_SIZE, mirrored=True)
         yield f"film:   {shown(film)} (the side that the baseline never saw)"
     except KickbenchError as error:

@@ -12,8 +12,10 @@ from kickbench.results.integrity import write_also
 from kickbench.results.metrics import metrics_bytes
 from kickbench.results.store import RunDirectory
 from kickbench.results.table import render_table
-from kickbench.runner import RunRequest, reevaluate
+from kickbench.runner import RunRequest
+from kickbench.runner import evaluate as measure
 from kickbench.runner import run as run_experiment
+from kickbench.training.trained import load_run
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -62,14 +64,11 @@ def evaluate(arguments: argparse.Namespace) -> int:
     """`kickbench eval RUN`."""
     if arguments.save and not arguments.task:
         raise KickbenchError("--save keeps the figures on another task beside the run: it needs --task")
-    metrics, _ = reevaluate(
-        arguments.run,
-        arguments.episodes,
-        arguments.seed,
-        arguments.threads,
-        arguments.task,
-        trust_code=arguments.trust_code,
-    )
+    loaded = load_run(arguments.run, arguments.task, trust_code=arguments.trust_code)
+    figures = measure(loaded, episodes=arguments.episodes, seed=arguments.seed, threads=arguments.threads)
+    # Where a run keeps its task, the file's name is not the task's.
+    task = loaded.experiment.task.name if arguments.task else loaded.metrics.task
+    metrics = loaded.metrics.model_copy(update={"task": task, "evaluation": figures})
     if arguments.save:
         directory = RunDirectory(arguments.run)
         with directory.occupied():

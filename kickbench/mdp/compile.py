@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 from torch import Tensor
 
 from kickbench.errors import KeyPath, Problem, SpecError, did_you_mean
-from kickbench.mdp.catalog import catalog
+from kickbench.mdp.catalog import catalog, model_of_task
 from kickbench.mdp.check import field_problems, start_problems, term_problems
 from kickbench.mdp.curriculum import curriculum_problems, first_start_problems, spec_at
 from kickbench.mdp.starts import Draw, Starts
@@ -18,7 +19,7 @@ from kickbench.mdp.state import State
 from kickbench.mdp.term import Term
 from kickbench.scene.build import Scene, build_scene
 from kickbench.scene.sensors import SensorGroup, available_groups
-from kickbench.spec.load import Loaded, LoadedTask
+from kickbench.spec.load import Loaded, LoadedTask, find_file, load_task
 from kickbench.spec.robot import RobotSpec
 from kickbench.spec.task import TaskSpec
 from kickbench.spec.terms import (
@@ -99,6 +100,16 @@ class CompiledTask:
     def width(self, group: str) -> int:
         """Length of an observation group's vector."""
         return sum(field.size for field in self.groups[group])
+
+
+def read_task(task: Path | str, overrides: Sequence[str] = ()) -> CompiledTask:
+    """Loads and compiles a task by its path or its name.
+
+    Raises:
+        SpecError: With every problem found.
+        KickbenchError: There is no such task.
+    """
+    return compile_task(load_task(model_of_task, find_file("tasks", task), overrides))
 
 
 def compile_task(task: LoadedTask[Any]) -> CompiledTask:

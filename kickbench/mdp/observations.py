@@ -9,39 +9,39 @@ from kickbench.mdp.term import observation
 from kickbench.spec.terms import ObservationParams
 
 
-@observation(3, "m/s", "Table 3.2")
+@observation(3, "m/s", "Table 3.2", frame="base")
 def base_lin_vel(state: State, params: ObservationParams) -> Tensor:
-    """Linear velocity of the base in its own frame: forward, lateral, vertical."""
+    """Linear velocity of the base's origin in the base frame: forward, lateral, vertical."""
     return state.base_lin_vel
 
 
-@observation(3, "rad/s", "Table 3.2, appendix C")
+@observation(3, "rad/s", "Table 3.2, appendix C", frame="base")
 def base_ang_vel(state: State, params: ObservationParams) -> Tensor:
     """Angular velocity of the base in its own frame: roll, pitch, yaw."""
     return state.base_ang_vel
 
 
-@observation(3, "1", "Table 3.2")
+@observation(3, "1", "Table 3.2", frame="base")
 def projected_gravity(state: State, params: ObservationParams) -> Tensor:
     """Unit vector of gravity in the base frame; (0, 0, -1) upright."""
     return state.projected_gravity
 
 
-@observation(3, "m", "Table 3.2")
+@observation(3, "m", "Table 3.2", frame="base")
 def ball_position(state: State, params: ObservationParams) -> Tensor:
-    """Ball relative to the base, in the base frame."""
+    """Centre of the ball relative to the origin of the base, in the base frame."""
     return state.ball_from_base
 
 
-@observation(3, "m", "Table 3.2; frame: digest")
+@observation(3, "m", "Table 3.2; frame: digest", frame="base")
 def target_position(state: State, params: ObservationParams) -> Tensor:
-    """Target relative to the base, in the base frame, like the ball's."""
+    """Target, a point on the floor, relative to the origin of the base, in the base frame."""
     return state.target_from_base
 
 
-@observation("joints", "rad", "Table 3.2")
+@observation("joints", "rad", "Table 3.2", from_default=True)
 def joint_pos(state: State, params: ObservationParams) -> Tensor:
-    """Observed joints, offsets from the default pose."""
+    """Positions of the observed joints, as offsets from the default pose."""
     return state.joint_pos
 
 
@@ -57,7 +57,7 @@ def previous_action(state: State, params: ObservationParams) -> Tensor:
     return state.episode.action
 
 
-@observation(3, "m/s", "Table 3.2, critic only")
+@observation(3, "m/s", "Table 3.2, critic only", frame="base")
 def ball_velocity(state: State, params: ObservationParams) -> Tensor:
     """Velocity of the ball in the base frame."""
     return state.ball_lin_vel_in_base
@@ -75,13 +75,13 @@ def foot_ball_contact(state: State, params: ObservationParams) -> Tensor:
     return state.foot_ball_contact.float()
 
 
-@observation(6, "m", "not in the thesis: kinematics of the feet", needs=("foot_frame",))
+@observation(6, "m", "not in the thesis: kinematics of the feet", needs=("foot_frame",), frame="base")
 def foot_position(state: State, params: ObservationParams) -> Tensor:
     """Centres of the left and the right sole relative to the base, in the base frame: left xyz, right xyz."""
     return state.in_base_frame(state.foot_pos - state.base_pos.unsqueeze(1)).flatten(1)
 
 
-@observation(2, "m", "Table 3.2, critic only", needs=("foot_frame",))
+@observation(2, "m", "Table 3.2, critic only", needs=("foot_frame",), frame="world")
 def foot_height(state: State, params: ObservationParams) -> Tensor:
     """Height of the left and the right sole above the floor."""
     return state.foot_pos[:, :, 2]
@@ -99,7 +99,9 @@ def foot_contact(state: State, params: ObservationParams) -> Tensor:
     return state.foot_floor_contact.float()
 
 
-@observation(6, "N", "Table 3.2, critic only; Table 3.4 corrected: digest", needs=("foot_floor",))
+@observation(
+    6, "N", "Table 3.2, critic only; Table 3.4 corrected: digest", needs=("foot_floor",), frame="base"
+)
 def foot_contact_forces(state: State, params: ObservationParams) -> Tensor:
     """Mean force of the floor on each foot over the last control step, base frame: left xyz, right xyz."""
     return state.in_base_frame(state.foot_floor_force).flatten(1)

@@ -177,11 +177,10 @@ def _read(file: Path, source: bytes) -> tuple[Term[Any], ...]:
 def _term(file: Path, node: ast.stmt, problems: list[Problem]) -> Iterator[Term[Any]]:
     if not isinstance(node, ast.FunctionDef):
         return
-    marks = [(_kind(mark), mark) for mark in node.decorator_list]
-    kinds = [(kind, mark) for kind, mark in marks if kind is not None]
-    if not kinds:
+    mark = next((mark for mark in node.decorator_list if _kind(mark)), None)
+    kind = _kind(mark) if mark is not None else None
+    if mark is None or kind is None:
         return
-    kind, mark = kinds[0]
     try:
         options = _options(kind, mark)
         fields: dict[str, Any] = dict(_fields(node, kind))

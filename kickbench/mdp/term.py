@@ -20,6 +20,8 @@ Stage = Literal["start", "command", "push"]
 """When a randomisation acts: on episode starts, on the way to the servos, or as a force on the base."""
 Size = int | Literal["joints", "actions"]
 """Length of an observation field: a number, or one number per observed joint or per action."""
+Frame = Literal["base", "world"]
+"""Axes of a vector. base: those of the robot's base body, x forward, y left, z up; world: those of the scene."""
 
 P = TypeVar("P", bound=TermParams)
 
@@ -38,6 +40,8 @@ class Term(Generic[P]):
         source: Section of the thesis, or paper.
         needs: Sensor groups it reads.
         size: Length of an observation field.
+        frame: Frame of the vectors in an observation field; None: it has none.
+        from_default: Whether an observation of joints is the offset from their default pose.
         stage: For randomisations: when it acts.
         truncates: For terminations: a time limit rather than an outcome, so PPO bootstraps the value.
     """
@@ -50,6 +54,8 @@ class Term(Generic[P]):
     source: str
     needs: frozenset[SensorGroup] = frozenset()
     size: Size = 1
+    frame: Frame | None = None
+    from_default: bool = False
     truncates: bool = False
     stage: Stage = "start"
 
@@ -72,15 +78,17 @@ def observation(
     units: str,
     source: str,
     *,
+    frame: Frame | None = None,
+    from_default: bool = False,
     needs: tuple[SensorGroup, ...] = (),
     params: type[ObservationParams] = ObservationParams,
 ) -> Decorator:
     """Makes a function `(state, params) -> Tensor[B, size]` an observation field."""
 
     def wrap(function: Callable[..., Any]) -> Term[Any]:
-        return Term(
-            function.__name__, "observation", function, params, units, source, frozenset(needs), size=size
-        )
+        facts: dict[str, Any] = {"size": size, "frame": frame, "from_default": from_default}
+        name, sensors = function.__name__, frozenset(needs)
+        return Term(name, "observation", function, params, units, source, sensors, **facts)
 
     return wrap
 

@@ -12,7 +12,7 @@ from kickbench.reproduce.estimate import Remaining, estimate
 from kickbench.reproduce.jobs import Display, Job, Outcome
 from kickbench.reproduce.state import State
 from kickbench.reproduce.tables import figures, iteration
-from kickbench.train.progress import Clock, duration, percent
+from kickbench.training.progress import Clock, duration, percent
 
 
 class PlainDisplay:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from kickbench.reproduce.state import RunState, State
-from kickbench.train.progress import duration
+from kickbench.training.progress import duration
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from enum import Enum
 from types import FrameType
 from typing import Any, Protocol
 
-from kickbench.evaluate.progress import EVALUATING
+from kickbench.evaluation.progress import EVALUATING
 from kickbench.reproduce.plan import PlannedRun
 from kickbench.reproduce.process import Process
 from kickbench.reproduce.state import RunState, State

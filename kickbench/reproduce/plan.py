@@ -13,7 +13,7 @@ from kickbench.reproduce.record import PlanRecord, RunRecord
 from kickbench.reproduce.state import RunState, State, read_state
 from kickbench.results.metrics import load_metrics
 from kickbench.results.store import RunDirectory
-from kickbench.train.resume import run_differences
+from kickbench.training.resume import run_differences
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from kickbench.evaluate.progress import EVALUATING
+from kickbench.evaluation.progress import EVALUATING
 from kickbench.results.atomic import read_regular
 from kickbench.results.frame import known, load_runs, runs_of
 from kickbench.results.integrity import find_damage, without_digest

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from kickbench.reproduce.state import RunState, State
 from kickbench.results.columns import NOTHING, Row, render_block
-from kickbench.train.progress import duration, percent
+from kickbench.training.progress import duration, percent
 
 _HEADER = ("run", "state", "iteration", "success", "steps/s", "time left", "")
 

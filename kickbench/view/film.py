@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from kickbench.errors import KickbenchError
-from kickbench.evaluate.episodes import Policy, mirror_starts
-from kickbench.evaluate.progress import tracked
+from kickbench.evaluation.episodes import Policy, mirror_starts
+from kickbench.evaluation.progress import tracked
 from kickbench.mdp.compile import CompiledTask
 from kickbench.results.metrics import load_metrics
 from kickbench.results.store import RunDirectory
-from kickbench.runner import load_run
+from kickbench.training.trained import load_run
 from kickbench.view.recording import fitting, record_episodes
 from kickbench.view.starts import evaluation_starts
 from kickbench.view.video import Take, check_mp4, film, frame_time, write_mp4, write_webp
@@ -45,13 +44,10 @@ def film_runs(
     if is_mp4:
         check_mp4(*size)
     starts, policies = evaluation_starts(task, episodes, seed), list[tuple[str, Policy | None]]()
-    if mirrored and not runs:
-        raise KickbenchError("--mirrored: the mirror is that of a policy's run; name one by --policy")
+    if mirrored:
+        starts = mirror_starts(task, starts)
     for run in runs:
-        experiment, policy = load_run(run)
-        if mirrored and not policies:
-            starts = mirror_starts(experiment, starts)
-        policies.append((_title(run, runs), fitting(task, run, experiment, policy)))
+        policies.append((_title(run, runs), fitting(task, load_run(run))))
     takes = [
         Take(title, record_episodes(task, policy, starts, seed)) for title, policy in policies or [("", None)]
     ]

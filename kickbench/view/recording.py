@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -11,12 +10,12 @@ from torch import Tensor
 
 from kickbench.env import KickEnv
 from kickbench.errors import KickbenchError
-from kickbench.evaluate.episodes import Policy
-from kickbench.experiment import Experiment
+from kickbench.evaluation.episodes import Policy
 from kickbench.mdp.compile import CompiledTask
 from kickbench.mdp.engines import make_engine
 from kickbench.mdp.starts import Starts
 from kickbench.results.episodes import NON_FINITE
+from kickbench.training.trained import Run
 
 
 @dataclass(frozen=True)
@@ -110,23 +109,23 @@ def _note(
         )
 
 
-def fitting(task: CompiledTask, run: Path, experiment: Experiment, policy: Policy) -> Policy:
+def fitting(task: CompiledTask, run: Run) -> Policy:
     """The policy of a run, if it fits a task that need not be the one that it was trained on.
 
     Raises:
         KickbenchError: It sees or moves something else than the task has.
     """
-    trained = experiment.task
+    trained, path = run.experiment.task, run.directory.path
     if _sees(trained) != _sees(task):
         raise KickbenchError(
-            f"{run}: its policy sees {_words(_sees(trained))}; the task {task.name} has {_words(_sees(task))}"
+            f"{path}: its policy sees {_words(_sees(trained))}; the task {task.name} has {_words(_sees(task))}"
         )
     moves, has = trained.scene.layout.actuator_names, task.scene.layout.actuator_names
     if moves != has:
         raise KickbenchError(
-            f"{run}: its policy moves {', '.join(moves)}; the task's robot has {', '.join(has)}"
+            f"{path}: its policy moves {', '.join(moves)}; the task's robot has {', '.join(has)}"
         )
-    return policy
+    return run.policy
 
 
 def _sees(task: CompiledTask) -> list[tuple[str, int]]:

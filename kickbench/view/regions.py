@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from kickbench.errors import KickbenchError
-from kickbench.evaluate.episodes import draw_starts
+from kickbench.evaluation.episodes import draw_starts
 from kickbench.mdp.compile import CompiledTask
 from kickbench.results.atomic import atomic_file
 from kickbench.view.extra import require

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from kickbench.evaluate.episodes import draw_starts
+from kickbench.evaluation.episodes import draw_starts
 from kickbench.mdp.compile import CompiledTask
 from kickbench.mdp.starts import Starts
 

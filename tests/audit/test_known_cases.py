@@ -243,14 +243,14 @@ def test_a_policy_is_measured_and_only_an_equivariant_one_must_be_equivariant(me
 
 def test_a_broken_equivariant_policy_fails(mini):
     from kickbench.audit.policy import policy_rows
-    from kickbench.runner import load_run
+    from kickbench.training.trained import load_run
 
-    run, policy = load_run(RUNS / "equivariant/seed0")
+    loaded = load_run(RUNS / "equivariant/seed0")
 
     def broken(observations):
-        return policy(observations) + torch.tensor([0.0, 0.01, 0.0, 0.0, 0.0, 0.0, 0.0])
+        return loaded.policy(observations) + torch.tensor([0.0, 0.01, 0.0, 0.0, 0.0, 0.0, 0.0])
 
-    rows = list(policy_rows(mini.recording, mini.experiment.symmetry, run, broken, None))
+    rows = list(policy_rows(mini.recording, mini.experiment.symmetry, loaded.experiment, broken, None))
     assert [row.verdict for row in rows] == ["FAIL", "not compared"]
     assert rows[0].error == pytest.approx(0.02, rel=0.01)
 
@@ -258,19 +258,20 @@ def test_a_broken_equivariant_policy_fails(mini):
 def test_the_value_is_measured_where_there_is_a_critic(mini):
     from kickbench.audit.policy import policy_rows
     from kickbench.nets.build import build_critic
-    from kickbench.runner import load_run
+    from kickbench.training.trained import load_run
 
-    run, policy = load_run(RUNS / "equivariant/seed0")
+    loaded = load_run(RUNS / "equivariant/seed0")
+    run = loaded.experiment
     critic = build_critic(run.method.spec, run.symmetry.groups["critic"]).eval()
-    rows = list(policy_rows(mini.recording, mini.experiment.symmetry, run, policy, critic))
+    rows = list(policy_rows(mini.recording, mini.experiment.symmetry, run, loaded.policy, critic))
     assert [(row.name, row.verdict) for row in rows] == [("mean action", "ok"), ("value", "ok")]
 
 
 def test_a_policy_of_another_robot_is_refused(k1):
     from kickbench.audit.policy import check_run
-    from kickbench.runner import load_run
+    from kickbench.training.trained import load_run
 
-    run, _ = load_run(RUNS / "baseline/seed0")
+    run = load_run(RUNS / "baseline/seed0").experiment
     with pytest.raises(KickbenchError, match="which is not what k1_general_fast shows"):
         check_run(k1.experiment.task, run, Path("runs/x"))
 

@@ -54,8 +54,8 @@ MALFORMED = {
         [HOME],
         (HOME, "sampling:", "samplings:"),
         (HOME, "¦samplings:"),
-        "samplings: unknown key 'samplings'; expected one of: description, robot, terms, ball, floor, field, simulation, "
-        "episode, sampling, observations, rewards, terminations, randomization, evaluation, curriculum "
+        "samplings: unknown key 'samplings'; expected one of: description, robot, terms, ball, floor, field, "
+        "simulation, episode, sampling, observations, rewards, terminations, randomization, evaluation, curriculum "
         "(did you mean 'sampling'?)",
     ),
     "wrong type": Case(

@@ -13,7 +13,7 @@ from kickbench.experiment import load_experiment
 from kickbench.mdp.engines import make_engine
 from kickbench.mdp.own import canonical_source, read_terms
 from kickbench.results.identity import identity_of
-from kickbench.runner import load_run
+from kickbench.training.trained import load_run
 
 ROOT = Path(__file__).parents[2]
 METHOD = ROOT / "methods/mini/baseline.yaml"
@@ -88,7 +88,7 @@ def test_only_envs_import_the_code_and_of_a_run_s_folder_only_if_it_is_trusted(t
         main([command[0], str(out), *command[1:]])
         assert not stored.with_name("imported").exists()
     assert "--trust-code" in capsys.readouterr().err
-    assert not load_run(out)[0].task.is_trusted
+    assert not load_run(out).experiment.task.is_trusted
     assert main(["eval", str(out), "--episodes", "2", "--trust-code"]) == 0
     assert stored.with_name("imported").exists()
 

@@ -18,7 +18,7 @@ from kickbench.results import specs
 from kickbench.results.identity import Identity, identity_of, read_identity, write_identity
 from kickbench.results.specs import stored_experiment, write_specs
 from kickbench.results.store import RunDirectory
-from kickbench.train.resume import begin
+from kickbench.training.resume import begin
 
 ROOT = Path(__file__).parents[2]
 METHOD = ROOT / "methods/mini/equivariant.yaml"

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from matplotlib.path import Path
 
-from kickbench.evaluate.episodes import draw_starts
+from kickbench.evaluation.episodes import draw_starts
 from kickbench.view.outline import outlines, rectangle, sector
 
 

@@ -7,15 +7,15 @@ import pytest
 import torch
 
 from kickbench.errors import KickbenchError
-from kickbench.evaluate.episodes import draw_starts, run_episodes
+from kickbench.evaluation.episodes import draw_starts, run_episodes
 from kickbench.mdp.catalog import model_of_task
 from kickbench.mdp.compile import compile_task
 from kickbench.nets.build import build_actor
 from kickbench.results.specs import write_specs
 from kickbench.results.store import RunDirectory
-from kickbench.runner import load_run
 from kickbench.spec.load import load_task
-from kickbench.train.checkpoint import save_policy
+from kickbench.training.checkpoint import save_policy
+from kickbench.training.trained import load_run
 from kickbench.view.recording import fitting, record_episodes
 
 ROOT = Path(__file__).parents[2]
@@ -74,7 +74,7 @@ def run(experiment, tmp_path):
 
 
 def test_a_policy_runs_on_another_task_of_the_same_robot(task, run, starts):
-    recordings = record_episodes(task, fitting(task, run, *load_run(run)), starts, seed=7)
+    recordings = record_episodes(task, fitting(task, load_run(run)), starts, seed=7)
     assert len(recordings) == len(starts)
 
 
@@ -82,4 +82,4 @@ def test_a_policy_that_sees_other_fields_is_refused(run):
     path = ROOT / "tasks" / "mini_general.yaml"
     other = compile_task(load_task(model_of_task, path, ["observations.actor.base_ang_vel=null"]))
     with pytest.raises(KickbenchError, match=r"its policy sees .*base_ang_vel .*; the task mini_general has"):
-        fitting(other, run, *load_run(run))
+        fitting(other, load_run(run))

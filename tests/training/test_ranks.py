@@ -18,9 +18,9 @@ from kickbench.bench.training import Iterations
 from kickbench.cli import main
 from kickbench.errors import KickbenchError
 from kickbench.results.metrics import load_metrics
-from kickbench.train.checkpoint import Checkpoints
-from kickbench.train.ranks import ALONE, Ranks, fingerprint, read_ranks
-from kickbench.train.stop import StopRequest
+from kickbench.training.checkpoint import Checkpoints
+from kickbench.training.ranks import ALONE, Ranks, fingerprint, read_ranks
+from kickbench.training.stop import StopRequest
 
 ROOT = Path(__file__).parents[2]
 SECOND_OF_TWO = {

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import torch
 from rsl_rl.models import MLPModel
@@ -13,10 +12,9 @@ from kickbench.errors import KickbenchError, shown
 from kickbench.experiment import Experiment
 from kickbench.nets.build import build_actor
 from kickbench.results.identity import read_identity
-from kickbench.results.metrics import load_metrics
 from kickbench.results.provenance import InitialRef
-from kickbench.results.store import RunDirectory
-from kickbench.train.ranks import fingerprint
+from kickbench.training.ranks import fingerprint
+from kickbench.training.trained import Run
 
 
 @dataclass(frozen=True)
@@ -32,16 +30,12 @@ class Initial:
     ref: InitialRef
 
 
-def begin_from(
-    experiment: Experiment, source: Experiment, policy: MLPModel, run: Path, std: float | None
-) -> tuple[Experiment, Initial]:
+def begin_from(experiment: Experiment, run: Run, std: float | None) -> tuple[Experiment, Initial]:
     """Lets an experiment begin with the policy of a run.
 
     Args:
         experiment: The experiment.
-        source: The run's experiment.
-        policy: The run's policy.
-        run: The run's directory.
+        run: The run.
         std: Standard deviation of all actions to begin with; None: the run's.
 
     Returns:
@@ -50,20 +44,20 @@ def begin_from(
     Raises:
         KickbenchError: The policy is one of another robot, of other observations or of another network.
     """
-    if misfits := ", ".join(_misfits(experiment, source)):
-        raise KickbenchError(f"{shown(run)}: its policy cannot begin this run: {misfits}")
+    if misfits := ", ".join(_misfits(experiment, run.experiment)):
+        raise KickbenchError(f"{shown(run.directory.path)}: its policy cannot begin this run: {misfits}")
     symmetry = experiment.symmetry
     own = build_actor(experiment.method.spec, symmetry.groups["actor"], symmetry.actions)
-    own.load_state_dict(policy.state_dict())
+    own.load_state_dict(run.policy.network.state_dict())
     if std is not None:
         _set_std(own, std)
-    metrics, weights = load_metrics(RunDirectory(run).metrics), fingerprint(own)
+    metrics, weights = run.metrics, fingerprint(own)
     ref = InitialRef(
         task=metrics.task,
         method=metrics.method,
         seed=metrics.seed,
         env_steps=metrics.env_steps,
-        fingerprint=read_identity(run).fingerprint,
+        fingerprint=read_identity(run.directory).fingerprint,
         policy=weights,
         std=std,
     )

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from kickbench.env import KickEnv
-from kickbench.evaluate.episodes import draw_starts, mirror_starts, run_episodes
+from kickbench.evaluation.episodes import draw_starts, mirror_starts, run_episodes
 from kickbench.nets.build import build_actor
 
 
@@ -106,20 +106,20 @@ def test_a_seed_names_the_starts(short):
 
 def test_the_mirrored_side_starts_from_exact_mirror_images(short):
     starts = draw_starts(short.task, 200, 0)
-    images = mirror_starts(short, starts)
+    images = mirror_starts(short.task, starts)
     place = short.task.scene.layout.ball_qpos
     assert torch.equal(images.qpos[:, place], starts.qpos[:, place])
     assert torch.equal(images.qpos[:, place + 1], -starts.qpos[:, place + 1])
     assert torch.equal(images.target[:, 1], -starts.target[:, 1])
     assert (starts.target[:, 1] >= 0).all(), "home field: targets on the left"
-    again = mirror_starts(short, images)
+    again = mirror_starts(short.task, images)
     assert torch.equal(again.qpos, starts.qpos)
 
 
 def test_an_equivariant_policy_fares_alike_on_both_sides(short):
     starts = draw_starts(short.task, 200, 0)
     home = run_episodes(short.task, kicker(short), starts, 0, num_envs=50)
-    away = run_episodes(short.task, kicker(short), mirror_starts(short, starts), 0, num_envs=50)
+    away = run_episodes(short.task, kicker(short), mirror_starts(short.task, starts), 0, num_envs=50)
     assert (home.kick_foot != "none").mean() > 0.2, "the policy kicks"
     assert (home.termination == away.termination).mean() > 0.97
     same = home.termination == away.termination

@@ -20,7 +20,7 @@ from kickbench.experiment import Symmetry as Reflection
 from kickbench.nets.augmentation import Augmentation
 from kickbench.nets.build import build_actor, build_critic
 from kickbench.spec.method import AlgorithmSpec, SymmetrySpec
-from kickbench.train.ranks import ALONE, Ranks
+from kickbench.training.ranks import ALONE, Ranks
 
 
 class BoundedPPO(PPO):

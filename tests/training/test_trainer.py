@@ -16,11 +16,11 @@ from kickbench.mdp.engines import make_engine
 from kickbench.nets.build import build_actor
 from kickbench.results.history import RunHistory
 from kickbench.symmetry.torch_ops import Mirror
-from kickbench.train.checkpoint import Checkpoints, load_policy, save_policy
-from kickbench.train.ppo import build_ppo
-from kickbench.train.progress import IterationRecord, ProgressGroup
-from kickbench.train.progress_files import CsvProgress
-from kickbench.train.trainer import Trainer
+from kickbench.training.checkpoint import Checkpoints, load_policy, save_policy
+from kickbench.training.ppo import build_ppo
+from kickbench.training.progress import IterationRecord, ProgressGroup
+from kickbench.training.progress_files import CsvProgress
+from kickbench.training.trainer import Trainer
 
 SMALL = (
     "algorithm.num_envs=32",

@@ -8,8 +8,8 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from kickbench.evaluate.episodes import draw_starts, run_episodes
-from kickbench.evaluate.equivariance import EVERY, EquivarianceProbe
+from kickbench.evaluation.episodes import draw_starts, run_episodes
+from kickbench.evaluation.equivariance import EVERY, EquivarianceProbe
 from kickbench.nets.build import build_actor
 from kickbench.results.asymmetry import EquivarianceError
 from kickbench.symmetry import REGULAR, SIGN, TRIVIAL

@@ -15,9 +15,9 @@ from kickbench.results.integrity import find_damage, seal
 from kickbench.results.metrics import load_metrics
 from kickbench.results.specs import spec_differences, stored_method, write_specs
 from kickbench.results.store import RunDirectory
-from kickbench.train.checkpoint import Checkpoints, save_policy
-from kickbench.train.initial import Initial
-from kickbench.train.progress_files import rows_before
+from kickbench.training.checkpoint import Checkpoints, save_policy
+from kickbench.training.initial import Initial
+from kickbench.training.progress_files import rows_before
 
 
 @dataclass(frozen=True)

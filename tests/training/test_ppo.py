@@ -14,7 +14,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 
 from kickbench.cli import main
 from kickbench.symmetry.torch_ops import Mirror
-from kickbench.train.ppo import BoundedPPO, build_ppo, tf32_products, use_fused_adam
+from kickbench.training.ppo import BoundedPPO, build_ppo, tf32_products, use_fused_adam
 
 ROOT = Path(__file__).parents[2]
 SMALL = ("algorithm.num_envs=16", "algorithm.steps_per_env=8", "network.actor_hidden=[16]")

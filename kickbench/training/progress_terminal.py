@@ -12,7 +12,7 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from kickbench.train.progress import (
+from kickbench.training.progress import (
     Clock,
     Countdown,
     IterationRecord,

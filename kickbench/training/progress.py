@@ -269,7 +269,7 @@ def console_progress(title: str = "training", stream: TextIO | None = None) -> P
     output = stream or sys.stdout
     if not output.isatty():
         return PlainProgress(output)
-    from kickbench.train.progress_terminal import TerminalProgress
+    from kickbench.training.progress_terminal import TerminalProgress
 
     return TerminalProgress(title, output)
 
@@ -285,7 +285,7 @@ def standard_progress(
         title: heading of the live panel.
         stream: the console's output, standard output if left out.
     """
-    from kickbench.train.progress_files import CsvProgress, TensorBoardProgress
+    from kickbench.training.progress_files import CsvProgress, TensorBoardProgress
 
     # The console comes last: it is up only once the files are known to be writable.
     return ProgressGroup(

@@ -22,12 +22,12 @@ from kickbench.nets.relaxed import residual_share
 from kickbench.nets.threads import torch_threads
 from kickbench.results.frame import SIDES
 from kickbench.results.history import RunHistory
-from kickbench.train.checkpoint import Checkpoints
-from kickbench.train.guard import check_samples, checked_update
-from kickbench.train.ppo import BoundedPPO, build_ppo
-from kickbench.train.progress import IterationRecord, Progress
-from kickbench.train.ranks import ALONE, Ranks, fingerprint
-from kickbench.train.stop import StopRequest
+from kickbench.training.checkpoint import Checkpoints
+from kickbench.training.guard import check_samples, checked_update
+from kickbench.training.ppo import BoundedPPO, build_ppo
+from kickbench.training.progress import IterationRecord, Progress
+from kickbench.training.ranks import ALONE, Ranks, fingerprint
+from kickbench.training.stop import StopRequest
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import pytest
 import torch
 
-from kickbench.evaluate.kick import LAUNCH_WINDOW, KickRecord
+from kickbench.evaluation.kick import LAUNCH_WINDOW, KickRecord
 
 DT = 0.02
 TARGET = (2.0, 0.5)

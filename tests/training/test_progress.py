@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from kickbench.errors import KickbenchError
-from kickbench.train.progress import (
+from kickbench.training.progress import (
     Countdown,
     IterationRecord,
     PlainProgress,
@@ -24,8 +24,8 @@ from kickbench.train.progress import (
     percent,
     standard_progress,
 )
-from kickbench.train.progress_files import CsvProgress, TensorBoardProgress
-from kickbench.train.progress_terminal import TerminalProgress
+from kickbench.training.progress_files import CsvProgress, TensorBoardProgress
+from kickbench.training.progress_terminal import TerminalProgress
 
 FIRST = IterationRecord(
     iteration=0,
@@ -329,6 +329,6 @@ def test_the_usual_set_writes_lines_rows_and_events(tmp_path: Path) -> None:
 
 def test_importing_progress_loads_nothing_heavy() -> None:
     heavy = ("torch", "rich", "tensorboard", "numpy", "mujoco")
-    code = f"import sys, kickbench.train.progress; print([m for m in {heavy!r} if m in sys.modules])"
+    code = f"import sys, kickbench.training.progress; print([m for m in {heavy!r} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"

@@ -15,16 +15,19 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from kickbench.env import KickEnv
-from kickbench.evaluate.equivariance import EquivarianceProbe
-from kickbench.evaluate.kick import KickRecord
-from kickbench.experiment import Experiment
+from kickbench.evaluation.equivariance import EquivarianceProbe
+from kickbench.evaluation.kick import KickRecord
+from kickbench.evaluation.progress import EVALUATING, Steps
+from kickbench.experiment import Symmetry, state_symmetry
 from kickbench.mdp.compile import CompiledTask
 from kickbench.mdp.draws import EpisodeDraws
 from kickbench.mdp.engines import make_engine
 from kickbench.mdp.episode import FOOT_NAMES
 from kickbench.mdp.starts import Starts, StartSampler
 from kickbench.nets.threads import torch_threads
-from kickbench.results.episodes import NON_FINITE, EpisodeTable
+from kickbench.results.asymmetry import EquivarianceError
+from kickbench.results.episodes import NON_FINITE, EpisodeSides, EpisodeTable
+from kickbench.results.frame import SIDES
 from kickbench.symmetry.torch_ops import Mirror
 
 Policy = Callable[[TensorDict], Tensor]
@@ -42,9 +45,9 @@ def draw_starts(task: CompiledTask, episodes: int, seed: int) -> Starts:
     return sampler.sample(episodes)
 
 
-def mirror_starts(experiment: Experiment, starts: Starts) -> Starts:
+def mirror_starts(task: CompiledTask, starts: Starts) -> Starts:
     """The exact mirror images of the given starts."""
-    return starts.mirrored(Mirror(experiment.symmetry.qpos), Mirror(experiment.symmetry.qvel))
+    return starts.mirrored(*(Mirror(representation) for representation in state_symmetry(task)))
 
 
 class _Schedule:
@@ -170,6 +173,57 @@ def run_episodes(
             if note is not None:
                 note(len(ended[-1]["running"]))
     return _table(task, starts, ended)
+
+
+def run_sides(
+    task: CompiledTask,
+    policy: Policy,
+    symmetry: Symmetry | None = None,
+    *,
+    episodes: int | None = None,
+    seed: int | None = None,
+    num_threads: int | None = None,
+) -> tuple[EpisodeSides, EquivarianceError | None]:
+    """Runs the episodes of a task's protocol, on the mirrored side too where it asks for it.
+
+    Args:
+        task: Compiled task.
+        policy: As for `run_episodes`.
+        symmetry: The reflection by which the policy's equivariance error is measured at the states that it visits;
+            None: it is not measured.
+        episodes: Episodes a side; default: the task's.
+        seed: Seed of the starts; default: the task's.
+        num_threads: Physics threads.
+    """
+    protocol, probe = task.spec.evaluation, None
+    seed = protocol.seed if seed is None else seed
+    starts = draw_starts(task, episodes or protocol.episodes, seed)
+    if symmetry is not None:
+        tables = {name: table.representation for name, table in symmetry.groups.items()}
+        probe = EquivarianceProbe(policy, tables, symmetry.actions)
+
+    with Steps(EVALUATING, "episodes", len(starts) * (1 + protocol.mirrored)) as steps:
+
+        def episodes_from(starts: Starts) -> EpisodeTable:
+            return run_episodes(
+                task, policy, starts, seed, num_threads=num_threads, probe=probe, note=steps.advance
+            )
+
+        home = episodes_from(starts)
+        mirrored = episodes_from(mirror_starts(task, starts)) if protocol.mirrored else None
+    return EpisodeSides(home, mirrored), probe.result() if probe else None
+
+
+def success_by_side(task: CompiledTask, policy: Policy, num_threads: int | None = None) -> dict[str, float]:
+    """Success by side of a policy, in the first episodes of the evaluation: as many as the task's `every_episodes`."""
+    protocol = task.spec.evaluation
+    starts = draw_starts(task, max(protocol.episodes, protocol.every_episodes), protocol.seed)
+    home = starts.take(torch.arange(protocol.every_episodes))
+    sides = {SIDES[0]: home} | ({SIDES[1]: mirror_starts(task, home)} if protocol.mirrored else {})
+    return {
+        side: float(run_episodes(task, policy, of, protocol.seed, num_threads=num_threads).success.mean())
+        for side, of in sides.items()
+    }
 
 
 def _ended(env: KickEnv, running: Tensor, before: Tensor, kick: dict[str, Tensor]) -> dict[str, np.ndarray]:

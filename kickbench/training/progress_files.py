@@ -15,7 +15,7 @@ from typing import IO, Any
 
 from kickbench.errors import KickbenchError, printable
 from kickbench.results.atomic import atomic_write_text
-from kickbench.train.progress import IterationRecord
+from kickbench.training.progress import IterationRecord
 
 _START_AGAIN = "the table of the training cannot be completed; --force starts the run again"
 _SCALARS = (

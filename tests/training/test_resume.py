@@ -27,9 +27,9 @@ from kickbench.results.history import RunHistory
 from kickbench.results.identity import read_identity
 from kickbench.results.integrity import check
 from kickbench.results.metrics import load_metrics
-from kickbench.train.checkpoint import FORMAT, Checkpoints
-from kickbench.train.progress_files import CsvProgress
-from kickbench.train.trainer import Trainer
+from kickbench.training.checkpoint import FORMAT, Checkpoints
+from kickbench.training.progress_files import CsvProgress
+from kickbench.training.trainer import Trainer
 
 ROOT = Path(__file__).parents[2]
 # Episodes so short that every world uses up its share of the pool of starts.
@@ -323,10 +323,10 @@ def run_and_kill(where: str, count: int, arguments: list[str]) -> None:
     ("where", "count", "iterations_kept"),
     [
         # Two rows beyond the checkpoint of iteration 50 are there.
-        ("kickbench.train.progress_files:CsvProgress.update", 53, 50),
+        ("kickbench.training.progress_files:CsvProgress.update", 53, 50),
         # The next one after that of the start is to be written.
-        ("kickbench.train.checkpoint:atomic_write_bytes", 2, 0),
-        ("kickbench.evaluate.episodes:_ended", 3, 53),
+        ("kickbench.training.checkpoint:atomic_write_bytes", 2, 0),
+        ("kickbench.evaluation.episodes:_ended", 3, 53),
     ],
 )
 def test_a_killed_run_goes_on_to_the_same_result(
@@ -370,7 +370,7 @@ def test_an_interrupted_evaluation_is_made_again_without_training(copy, undistur
 
     monkeypatch.setattr(Trainer, "_iterate", never)
     with monkeypatch.context() as patch:
-        patch.setattr(runner, "evaluate", interrupted)
+        patch.setattr(runner, "run_sides", interrupted)
         assert main(command(copy, "--resume")) == 130
     assert "--resume" in capsys.readouterr().err
     assert not (copy / "metrics.json").exists()
@@ -428,7 +428,7 @@ def test_another_experiment_is_refused_with_the_keys_that_differ(copy, capsys, c
 
 def test_iterations_are_not_extended_by_leaving_them_out(copy, capsys):
     assert main(command(copy, "--resume", iterations=None)) == 2
-    assert "algorithm.iterations: 450, but the run has 53 (--iterations 53" in capsys.readouterr().err
+    assert "algorithm.iterations: 390, but the run has 53 (--iterations 53" in capsys.readouterr().err
 
 
 def test_another_order_of_terms_and_another_robot_are_other_experiments(copy, tmp_path, capsys):
@@ -482,7 +482,7 @@ def test_a_killed_forced_run_leaves_the_old_one_whole_and_goes_on(copy, undistur
     (copy / "notes.txt").write_text("mine")
     before = snapshot(copy)
     forced = command(copy, "--set", "algorithm.gamma=0.9")
-    run_and_kill("kickbench.train.progress_files:CsvProgress.update", 53, [*forced, "--force"])
+    run_and_kill("kickbench.training.progress_files:CsvProgress.update", 53, [*forced, "--force"])
     assert snapshot(copy) == before
     for verb in ("table", "list"):
         assert main([verb, str(copy.parent)]) == 0
@@ -585,7 +585,10 @@ def test_a_run_begins_with_the_policy_of_another_one(begun):
         str(folder / "second"),
     ]
     assert main(run) == 0
-    source, second = runner.load_run(folder / "first")[1], Checkpoints(folder / "second/checkpoints").files()
+    source, second = (
+        runner.load_run(folder / "first").policy.network,
+        Checkpoints(folder / "second/checkpoints").files(),
+    )
     assert second
     stored = torch.load(folder / "second/specs/initial_policy.pt", weights_only=True)["actor_state_dict"]
     for name, value in source.state_dict().items():

@@ -1,0 +1,179 @@
+"""From a trained run to an ONNX file of plain layers and its contract."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import torch
+
+from kickbench import __version__
+from kickbench.deploy import contract as parts
+from kickbench.deploy.contract import Contract, SignedPermutation
+from kickbench.errors import KickbenchError, shown
+from kickbench.evaluation.episodes import draw_starts
+from kickbench.mdp.compile import CompiledTask, Field
+from kickbench.nets.policy import TrainedPolicy
+from kickbench.results.atomic import atomic_file, atomic_write_bytes, atomic_write_text, check_writable
+from kickbench.results.identity import read_identity
+from kickbench.scene.layout import SceneLayout
+from kickbench.spec.terms import TerminationParams
+from kickbench.symmetry.representation import Representation
+from kickbench.training.trained import Run, load_run
+from kickbench.view.extra import require
+
+OPSET = 13
+"""ONNX operators of 2020: every runtime reads them."""
+_SIDES, _AXES = ("left", "right"), ("x", "y", "z")
+_COMPONENTS = {2: _SIDES, 3: _AXES, 6: tuple(f"{side}_{axis}" for side in _SIDES for axis in _AXES)}
+"""What the numbers of an observation are, by its size."""
+
+
+def export(
+    run: Path | str, folder: Path | str | None = None, *, states: int = 0, force: bool = False
+) -> Path:
+    """Writes `policy.onnx` and `policy.json` of a finished run.
+
+    Args:
+        run: The run directory.
+        folder: Where to write; default: `exported/<task>/<method>/seed<k>`.
+        states: Initial states of the run's evaluation to write as `initial_states.npz`, for `sim_to_sim.py`.
+        force: Whether to overwrite a policy that is there.
+
+    Returns:
+        The folder.
+
+    Raises:
+        KickbenchError: The run has no policy or is damaged, a policy is in the way, or a library is missing.
+    """
+    require("onnx", "an export", "deploy")
+    loaded = load_run(run)
+    origin = loaded.metrics
+    folder = Path(folder or Path("exported", origin.task, origin.method, f"seed{origin.seed}"))
+    if not force and (there := [name for name in ("policy.onnx", "policy.json") if (folder / name).exists()]):
+        raise KickbenchError(f"{shown(folder)}: holds {' and '.join(there)}; --force overwrites")
+    contract = contract_of(loaded)
+    network = onnx_bytes(loaded.policy, contract)
+    check_writable(folder / "policy.onnx")
+    if states:
+        write_states(folder / "initial_states.npz", loaded.experiment.task, states)
+    atomic_write_bytes(folder / "policy.onnx", network)
+    atomic_write_text(folder / "policy.json", contract.text())
+    return folder
+
+
+def onnx_bytes(policy: TrainedPolicy, contract: Contract) -> bytes:
+    """The policy as an ONNX file with the contract as metadata; equal policies give equal bytes."""
+    onnx = require("onnx", "an export", "deploy")
+    module, buffer = policy.network.as_onnx(verbose=False).eval(), cast(Any, io.BytesIO())
+    example, name = torch.zeros(1, policy.network.obs_dim), contract.input
+    with warnings.catch_warnings():
+        # The exporter that torch prefers since 2.9 writes operators that runtimes before 2022 cannot read.
+        warnings.simplefilter("ignore", DeprecationWarning)
+        torch.onnx.export(
+            module, (example,), buffer, input_names=[name], output_names=[contract.output],
+            dynamic_axes={name: {0: "batch"}, contract.output: {0: "batch"}},
+            opset_version=OPSET, dynamo=False,
+        )  # fmt: skip
+    model = onnx.load_model_from_string(buffer.getvalue())
+    onnx.checker.check_model(model)
+    onnx.helper.set_model_props(model, {"kickbench": contract.text()})
+    return model.SerializeToString(deterministic=True)
+
+
+def contract_of(run: Run) -> Contract:
+    """The contract of a run's policy.
+
+    Raises:
+        KickbenchError: The run has no result or no identity.
+    """
+    task, symmetry, robot = run.experiment.task, run.experiment.symmetry, run.specs.robot
+    defaults = zip(robot.actuators.items(), task.scene.layout.default_target.tolist(), strict=True)
+    return Contract(
+        base=robot.base,
+        control_interval=task.spec.simulation.control_interval,
+        observations=tuple(_observation(task, field) for field in task.groups["actor"]),
+        joints=tuple(_joints(task.scene.layout)),
+        actions=tuple(
+            parts.Action(**spec.model_dump(), name=name, default=default)
+            for (name, spec), default in defaults
+        ),
+        mirror=parts.Mirror(
+            observations=_signed(symmetry.groups["actor"].representation),
+            actions=_signed(symmetry.actions),
+            equivariant=run.specs.method.network.type == "equivariant",
+        ),
+        training=_training(task),
+        origin=_origin(run),
+    )
+
+
+def _observation(task: CompiledTask, field: Field) -> parts.Observation:
+    term, layout = field.bound.term, task.scene.layout
+    names = {"joints": layout.joint_names, "actions": layout.actuator_names}.get(str(term.size))
+    default = layout.default_qpos[layout.joint_qpos].tolist()
+    return parts.Observation(
+        name=field.name,
+        description=" ".join(term.description.split()),
+        units=term.units,
+        frame=term.frame,
+        components=names or _COMPONENTS.get(field.size) or tuple(map(str, range(field.size))),
+        offset=tuple(default) if term.from_default else (0.0,) * field.size,
+        scale=(1.0,) * field.size,
+        clip=field.params.clip,
+        noise=field.params.noise,
+    )
+
+
+def _joints(layout: SceneLayout) -> Iterator[parts.Joint]:
+    defaults = layout.default_qpos[layout.joint_qpos].tolist()
+    for name, default, bounds in zip(layout.joint_names, defaults, layout.joint_range, strict=True):
+        limits = tuple(bounds.tolist()) if np.isfinite(bounds).all() else None
+        yield parts.Joint(name=name, default=default, range=limits)
+
+
+def _training(task: CompiledTask) -> parts.Training:
+    spec = task.spec
+    delay: Any = next((bound.params for bound in task.processes if bound.term.stage == "command"), None)
+    endings = spec.terminations.active(TerminationParams)
+    return parts.Training(
+        **{name: getattr(spec, name) for name in ("simulation", "ball", "floor", "episode")},
+        feet=task.robot.spec.feet,
+        terminations={name: params.model_dump() for name, params in endings.items()},
+        success_radius=spec.evaluation.success_radius,
+        action_delay=delay and parts.Delay(delay=delay.delay, hold_probability=delay.hold_probability),
+    )
+
+
+def _origin(run: Run) -> parts.Origin:
+    metrics, directory = run.metrics, run.directory
+    return parts.Origin(
+        kickbench=__version__,
+        trained_with=metrics.provenance.versions,
+        **{name: getattr(metrics, name) for name in ("task", "method", "seed")},
+        samples=metrics.env_steps,
+        identity=read_identity(directory).fingerprint,
+        policy=hashlib.sha256(directory.policy.read_bytes()).hexdigest(),
+    )
+
+
+def _signed(representation: Representation) -> SignedPermutation:
+    return SignedPermutation(index=representation.permutation, sign=representation.signs)
+
+
+def write_states(path: Path, task: CompiledTask, count: int) -> None:
+    """The initial states of the task's evaluation: those that `kickbench eval --episodes <count>` runs."""
+    starts = draw_starts(task, count, task.spec.evaluation.seed)
+    arrays: dict[str, Any] = {
+        "qpos": starts.qpos,
+        "qvel": starts.qvel,
+        "target": starts.target,
+        **starts.by_side,
+    }
+    with atomic_file(path) as file:
+        np.savez(file, **{name: values.numpy() for name, values in arrays.items()})

@@ -1,0 +1,87 @@
+"""A trained run, read back from its folder."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import NamedTuple
+
+from kickbench.errors import KickbenchError
+from kickbench.experiment import Experiment, load_experiment
+from kickbench.nets.build import build_actor
+from kickbench.nets.policy import TrainedPolicy
+from kickbench.results import integrity
+from kickbench.results.metrics import Metrics, load_metrics
+from kickbench.results.store import RunDirectory
+from kickbench.spec.load import find_file
+from kickbench.spec.method import MethodSpec
+from kickbench.spec.representation import RepresentationSpec
+from kickbench.spec.robot import RobotSpec
+from kickbench.spec.task import TaskSpec
+from kickbench.training.checkpoint import load_policy
+
+
+class Specs(NamedTuple):
+    """The specifications of a run, with every default written out."""
+
+    task: TaskSpec
+    method: MethodSpec
+    robot: RobotSpec
+    representations: RepresentationSpec
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run whose policy is trained.
+
+    Attributes:
+        directory: Its folder.
+        experiment: Its task and method, compiled.
+        policy: Its policy.
+    """
+
+    directory: RunDirectory
+    experiment: Experiment
+    policy: TrainedPolicy
+
+    @property
+    def specs(self) -> Specs:
+        """Task, method, robot and representations."""
+        task, method = self.experiment.loaded_task, self.experiment.method
+        return Specs(task.spec, method.spec, task.robot.spec, method.representations.spec)
+
+    @cached_property
+    def metrics(self) -> Metrics:
+        """The recorded result.
+
+        Raises:
+            KickbenchError: The run is not evaluated yet, or the file is damaged.
+        """
+        return load_metrics(self.directory.metrics)
+
+
+def load_run(path: Path | str, task: Path | str | None = None, *, trust_code: bool = False) -> Run:
+    """Loads the policy of a run directory, with its specs and its result.
+
+    Args:
+        path: The run directory.
+        task: Path or name of another task for the policy; default: the one it was trained on.
+        trust_code: Whether envs of the run's task may import terms that came with the run.
+
+    Raises:
+        KickbenchError: The directory holds no run with a policy, or one of its files is damaged.
+    """
+    directory = RunDirectory(path)
+    if not directory.task_spec.is_file():
+        raise KickbenchError(f"{os.fspath(path)}: not a run directory (it has no {directory.task_spec.name})")
+    integrity.check(directory)
+    own = directory.task_spec if task is None else find_file("tasks", task)
+    experiment = load_experiment(own, directory.method_spec)
+    if task is None and not trust_code:
+        experiment = replace(experiment, task=replace(experiment.task, is_trusted=False))
+    symmetry = experiment.symmetry
+    network = build_actor(experiment.method.spec, symmetry.groups["actor"], symmetry.actions)
+    load_policy(directory.policy, network)
+    return Run(directory, experiment, TrainedPolicy(network))

@@ -1,0 +1,86 @@
+"""The contract says what the env does."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from kickbench.deploy.contract import Contract
+from kickbench.deploy.export import contract_of
+from kickbench.results.identity import read_identity
+from kickbench.training.trained import load_run
+
+RUNS = ["mini_home_field_first/equivariant/seed0", "k1_lite/baseline/seed0"]
+
+
+@pytest.fixture(params=RUNS)
+def run(exported, request):
+    return load_run(exported(request.param)[0])
+
+
+def test_it_survives_json(run, exported):
+    contract = contract_of(run)
+    assert Contract.model_validate_json(contract.text()) == contract
+    assert json.loads(contract.text()) == json.loads(contract.model_dump_json())
+
+
+def test_observations_are_those_of_the_actor(run):
+    fields, task = contract_of(run).observations, run.experiment.task
+    assert [field.name for field in fields] == [field.name for field in task.groups["actor"]]
+    assert [len(field.components) for field in fields] == [field.size for field in task.groups["actor"]]
+    by_name = {field.name: field for field in fields}
+    assert by_name["joint_pos"].components == task.scene.layout.joint_names
+    assert by_name["previous_action"].components == task.scene.layout.actuator_names
+    np.testing.assert_array_equal(
+        by_name["joint_pos"].offset, task.scene.layout.default_qpos[task.scene.layout.joint_qpos]
+    )
+    assert set(by_name["joint_vel"].offset) == {0.0}
+    assert (by_name["ball_position"].frame, by_name["ball_position"].units) == ("base", "m")
+    assert by_name["joint_vel"].noise == task.groups["actor"][-2].params.noise
+
+
+def test_targets_gains_and_limits_are_those_of_the_robot(run):
+    contract, layout = contract_of(run), run.experiment.task.scene.layout
+    assert tuple(action.name for action in contract.actions) == layout.actuator_names
+    for key, expected in {
+        "default": layout.default_target,
+        "scale": layout.action_scale,
+        "kd": layout.servos.kd,
+        "effort": layout.servos.effort,
+    }.items():
+        np.testing.assert_array_equal([getattr(action, key) for action in contract.actions], expected)
+    np.testing.assert_array_equal([action.kp or 0.0 for action in contract.actions], layout.servos.kp)
+    np.testing.assert_array_equal([joint.range for joint in contract.joints], layout.joint_range)
+
+
+def test_the_origin_is_the_run(run):
+    origin = contract_of(run).origin
+    assert origin.identity == read_identity(run.directory).fingerprint
+    assert (origin.method, origin.seed, origin.samples) == (
+        run.metrics.method,
+        run.metrics.seed,
+        run.metrics.env_steps,
+    )
+
+
+@pytest.mark.parametrize(
+    ("path", "value"),
+    [
+        (("mirror", "actions", "sign"), [1, 1]),
+        (("mirror", "observations", "index"), [0]),
+        (("observations", 0, "offset"), [0.0]),
+        (("format",), 2),
+        (("control_interval",), "fast"),
+    ],
+)
+def test_a_contract_that_contradicts_itself_is_refused(exported, path, value):
+    data = json.loads((exported(RUNS[0])[1] / "policy.json").read_text())
+    holder = data
+    for key in path[:-1]:
+        holder = holder[key]
+    holder[path[-1]] = value
+    with pytest.raises(ValidationError):
+        Contract.model_validate_json(json.dumps(data))

@@ -1,0 +1,104 @@
+"""A plain MuJoCo loop that knows the contract alone kicks as kickbench does."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from kickbench.deploy.contract import Contract
+from kickbench.deploy.export import contract_of, onnx_bytes, write_states
+from kickbench.evaluation.episodes import run_sides
+from kickbench.training.trained import load_run
+
+EXAMPLES = Path(__file__).parents[2] / "results/examples"
+
+
+@pytest.fixture
+def examples(monkeypatch):
+    monkeypatch.syspath_prepend(str(EXAMPLES))
+    import scene
+    import sim_to_sim
+
+    yield scene, sim_to_sim
+    for name in ("scene", "sim_to_sim"):
+        del sys.modules[name]
+
+
+@pytest.mark.parametrize("name", ["mini_home_field_first/equivariant/seed0", "k1_lite/equivariant/seed0"])
+def test_the_scene_is_that_of_the_env(exported, examples, name):
+    path, folder = exported(name)
+    run = load_run(path)
+    contract = Contract.model_validate_json((folder / "policy.json").read_bytes())
+    plain = examples[0].build(contract.model_dump(), str(run.specs.robot.model))
+    own = run.experiment.task.scene.model
+    arrays = (
+        *(
+            "body_mass",
+            "body_inertia",
+            "dof_armature",
+            "dof_damping",
+            "dof_frictionloss",
+            "jnt_range",
+            "jnt_actfrclimited",
+        ),
+        *("actuator_gainprm", "actuator_biasprm", "actuator_damping", "actuator_gear", "actuator_forcerange"),
+    )
+    for array in arrays:
+        mine = getattr(plain, array), getattr(own, array)
+        rows = (
+            len(mine[0]) if not array.startswith("body") else own.nbody - 1
+        )  # kickbench has the target's body, too
+        np.testing.assert_allclose(mine[0][:rows], mine[1][:rows], atol=1e-12, err_msg=array)
+    for geom in (
+        "ball",
+        "floor",
+        *(
+            f"robot/{g}"
+            for foot in (run.specs.robot.feet.left, run.specs.robot.feet.right)
+            for g in foot.geoms
+        ),
+    ):
+        for array in ("geom_friction", "geom_priority", "geom_condim", "geom_solref"):
+            mine = (getattr(model, array)[model.geom(geom).id] for model in (plain, own))
+            np.testing.assert_array_equal(*mine, err_msg=f"{geom} {array}")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["mini_home_field_first/baseline/seed0", "k1_lite/equivariant/seed0"])
+def test_it_kicks_as_kickbench_does(exported, examples, name):
+    path, folder = exported(name)
+    run = load_run(path)
+    hits = examples[1].main(folder, str(run.specs.robot.model))
+    sides, _ = run_sides(run.experiment.task, run.policy, episodes=200)
+    own = sides.in_distribution.success
+    assert 0.2 < own.mean() < 1.0
+    assert abs(np.mean(hits) - own.mean()) <= 0.02
+    assert np.mean(np.array(hits) == own) >= 0.95, "the same episodes, too"
+
+
+@pytest.mark.slow
+def test_delayed_targets_arrive_as_in_the_env(exported, examples, tmp_path):
+    """The lags are drawn from other numbers, so that only the shares can be compared."""
+    path, _ = exported("mini_home_field_first/equivariant/seed0")
+    task = tmp_path / "delayed.yaml"
+    task.write_text(
+        f"extends: {EXAMPLES.parents[1] / 'tasks/mini_home_field.yaml'}\n"
+        "randomization: {action_delay: {delay: [0.01, 0.02], hold_probability: 0.3}}\n"
+    )
+    run = load_run(path, task)
+    contract = contract_of(run)
+    (tmp_path / "policy.json").write_text(contract.text())
+    (tmp_path / "policy.onnx").write_bytes(onnx_bytes(run.policy, contract))
+    write_states(tmp_path / "initial_states.npz", run.experiment.task, 400)
+    hits = examples[1].main(tmp_path, str(run.specs.robot.model))
+    shares = [
+        run_sides(load_run(path, which).experiment.task, run.policy, episodes=400)[
+            0
+        ].in_distribution.success.mean()
+        for which in (task, None)
+    ]
+    assert abs(shares[0] - shares[1]) > 0.15, "the delay matters"
+    assert abs(np.mean(hits) - shares[0]) < 0.07
