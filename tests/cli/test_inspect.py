@@ -66,7 +66,9 @@ def test_no_verb_is_a_usage_error(capsys):
     with pytest.raises(SystemExit) as stop:
         main([])
     assert stop.value.code == 2
-    assert "VERB" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "VERB" in said
+    assert len(re.findall("^  kickbench ", said, re.MULTILINE)) == 5
 
 
 def test_help_lists_every_verb(capsys):
@@ -214,7 +216,7 @@ def test_terms_are_headed_by_their_kinds(printed):
 
 
 def test_list_names_tasks_methods_robots_and_tables_with_their_descriptions(place, printed):
-    text = printed("list")
+    text = printed("list", ".")
     headings = [line for line in text.splitlines() if not line.startswith(" ")]
     assert headings == ["task:", "method:", "robot:", "representations:"]
     assert re.search(
@@ -226,7 +228,7 @@ def test_list_names_tasks_methods_robots_and_tables_with_their_descriptions(plac
 
 def test_list_goes_on_after_a_file_that_does_not_load(place, printed):
     Path("tasks/broken.yaml").write_text("a: [\n")
-    text = printed("list")
+    text = printed("list", ".")
     assert re.search(
         r"^  tasks/broken.yaml +does not load: tasks/broken.yaml:2:1: not valid YAML", text, re.MULTILINE
     )
