@@ -7,7 +7,6 @@ from functools import cache
 from pathlib import Path
 
 from kickbench.errors import KickbenchError, SpecError, did_you_mean, printable, shown
-from kickbench.yamlio import Document, load_document
 
 FOLDERS = {
     "task": ("tasks", "**/*.yaml"),
@@ -73,7 +72,7 @@ def find_method(text: str | Path, task: Path, overrides: Sequence[str] = ()) -> 
 
 
 def _find_method(text: str | Path, task: Path, any_robot: bool) -> Path:
-    robot = _referred(load_document(task), "robot").parent.name
+    robot = _referred(task, "robot").parent.name
     if not _is_path(text):
         for name, file in _methods_for(robot).items():
             if str(text) in (name, file.stem):
@@ -98,12 +97,15 @@ def _methods_for(robot: str) -> dict[str, Path]:
 
 def _robot_of(method: Path) -> str | None:
     """The robot whose name the method's representation table begins with."""
-    table = _referred(load_document(method), "representations").stem
+    table = _referred(method, "representations").stem
     fitting = [name for name in names("robot") if table.startswith(name)]
     return max(fitting, key=len, default=None)
 
 
-def _referred(document: Document, key: str) -> Path:
-    """The file that a key names; a file without the key has nothing to be told apart by."""
+def _referred(file: Path, key: str) -> Path:
+    """The file that a key of another one names; the other's folder if it has no such key."""
+    from kickbench.yamlio import load_document  # not needed for --help
+
+    document = load_document(file)
     origin = document.origin((key,)) or document.file
     return origin.parent / str(document.data.get(key, ""))
