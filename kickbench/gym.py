@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 from kickbench.env import KickEnv, make
-from kickbench.spec.load import known_files
+from kickbench.shipped import names
 from kickbench.view.extra import require
 
 require("gymnasium", "kickbench.gym", "gym")
@@ -103,6 +103,6 @@ def _array(tensor: torch.Tensor) -> np.ndarray:
     return tensor.numpy().copy()
 
 
-for _name, _path in known_files("tasks").items():
+for _name, _path in names("task").items():
     if (_id := f"kickbench/{Path(_name).name}") not in registry:
         register(_id, vector_entry_point="kickbench.gym:KickVectorEnv", kwargs={"task": str(_path.resolve())})

@@ -29,7 +29,7 @@ from kickbench.results.metrics import Evaluation, Metrics, load_metrics, summari
 from kickbench.results.provenance import ExperimentRef
 from kickbench.results.specs import update_specs
 from kickbench.results.store import RunDirectory
-from kickbench.spec.load import find_file
+from kickbench.shipped import find, find_method
 from kickbench.training.checkpoint import Checkpoints, save_policy
 from kickbench.training.initial import Initial, begin_from
 from kickbench.training.progress import ProgressGroup, standard_progress
@@ -336,7 +336,8 @@ def train(
         KickbenchError: A run is in the way, or cannot be gone on with, or training diverged.
         KeyboardInterrupt: It was interrupted; `resume` goes on.
     """
-    task, method = find_file("tasks", task), find_file("methods", method)
+    task = find(task, "task")
+    method = find_method(method, task, overrides)
     flags = {"--iterations": iterations, "--num-envs": num_envs}
     settings = [(flag, str(value)) for flag, value in flags.items() if value is not None]
     settings += [("--set", override) for override in overrides]

@@ -15,6 +15,7 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 ROOMS = (
     ("errors",),
     ("yamltree", "yamldump", "yamlio"),
+    ("shipped",),
     ("spec",),
     ("symmetry",),
     ("scene",),

@@ -14,7 +14,7 @@ from gymnasium.vector import AutoresetMode  # noqa: E402
 
 import kickbench.gym  # noqa: E402
 from kickbench.errors import KickbenchError  # noqa: E402
-from kickbench.spec.load import known_files  # noqa: E402
+from kickbench.shipped import names as shipped_names  # noqa: E402
 
 TASK = "kickbench/mini_home_field"
 
@@ -24,7 +24,7 @@ def make(num_envs: int = 4, **options):
 
 
 def test_every_task_is_registered():
-    names = {f"kickbench/{name.rpartition('/')[2]}" for name in known_files("tasks")}
+    names = {f"kickbench/{name.rpartition('/')[2]}" for name in shipped_names("task")}
     assert names
     assert names <= set(gymnasium.registry)
 

@@ -1,11 +1,11 @@
-"""Verb `bench`."""
+"""Measuring speed."""
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
 from rich.console import Console
@@ -15,37 +15,51 @@ from kickbench.bench.profile import profile_iteration
 from kickbench.bench.record import BenchReport, Profile, SizeFigures, write_report
 from kickbench.bench.text import print_report
 from kickbench.bench.training import Iterations
-from kickbench.cli.flags import override_of, refuse_contradiction
-from kickbench.errors import SpecError
-from kickbench.experiment import Experiment, load_experiment, read_symmetry
-from kickbench.mdp.catalog import model_of_task
-from kickbench.mdp.compile import compile_task
+from kickbench.cli.overrides import override_of, refuse_contradiction
+from kickbench.experiment import Experiment, load_experiment
 from kickbench.nets.threads import torch_threads
 from kickbench.physics.cpu import usable_cores
 from kickbench.physics.devices import check_device
 from kickbench.results.atomic import check_writable
 from kickbench.results.provenance import Moment, collect_provenance
-from kickbench.spec.load import load_method, load_task, split_overrides
+from kickbench.shipped import find_method
 
 _METHODS = ("baseline", "augmentation", "equivariant")
-_METHOD_FOLDER = Path("methods")
 _NUM_ENVS = "algorithm.num_envs"
-_DEFAULT_WORLDS = 512
+_DEFAULT_ENVS = 512
 _PROFILED_ITERATIONS = 3
 
 
-def bench(arguments: argparse.Namespace) -> int:
-    """`kickbench bench`."""
-    check_device(arguments.device)
+@dataclass(frozen=True)
+class Subject:
+    """What is measured.
+
+    Attributes:
+        task: The task's file.
+        methods: Folder of the methods compared; None: the shipped ones for the task's robot.
+        overrides: `key.path=value` texts.
+        num_envs: Numbers of envs.
+    """
+
+    task: Path
+    methods: Path | None
+    overrides: Sequence[str]
+    num_envs: Sequence[int]
+
+
+def bench(
+    subject: Subject, device: str, threads: int | None, rounds: int, json: Path | None, *, profile: bool
+) -> int:
+    """Measures, prints and, with `json`, writes the figures."""
+    check_device(device)
     started = Moment.now()
-    setting = Setting(arguments.device, arguments.threads or usable_cores(), arguments.rounds)
+    setting = Setting(device, threads or usable_cores(), rounds)
     # All at first: a wrong file is an error before anything is measured.
-    folder = arguments.methods or _fitting_methods(arguments)
-    chosen = [_experiments(arguments, folder, num_envs) for num_envs in _worlds(arguments)]
-    if arguments.json:
-        check_writable(arguments.json)
+    chosen = [_experiments(subject, num_envs) for num_envs in _sizes(subject)]
+    if json:
+        check_writable(json)
     sizes = [_measured(experiments, setting) for experiments in chosen]
-    profiles = _profiles(chosen[0], setting) if arguments.profile else ()
+    profiles = _profiles(chosen[0], setting) if profile else ()
     report = BenchReport(
         task=chosen[0]["baseline"].task.name,
         device=setting.device,
@@ -61,48 +75,33 @@ def bench(arguments: argparse.Namespace) -> int:
             argv=sys.argv,
         ),
     )
-    if arguments.json:
-        write_report(arguments.json, report)
+    if json:
+        write_report(json, report)
     print_report(report, Console())
     return 0
 
 
-def _worlds(arguments: argparse.Namespace) -> Sequence[int | None]:
-    """Numbers of worlds to measure; None stands for that which a `--set` gives."""
-    refuse_contradiction(arguments.overrides, _NUM_ENVS, "--num-envs", arguments.num_envs)
-    default = _DEFAULT_WORLDS if override_of(arguments.overrides, _NUM_ENVS) is None else None
-    return arguments.num_envs or [default]
+def _sizes(subject: Subject) -> Sequence[int | None]:
+    """Numbers of envs to measure; None stands for that which a `--set` gives."""
+    refuse_contradiction(subject.overrides, _NUM_ENVS, "--num-envs", subject.num_envs or None)
+    default = _DEFAULT_ENVS if override_of(subject.overrides, _NUM_ENVS) is None else None
+    return subject.num_envs or [default]
 
 
-def _fitting_methods(arguments: argparse.Namespace) -> Path:
-    """The first folder of methods, in `methods` or below, that are for the task's robot.
-
-    Raises:
-        SpecError: The task is wrong, or no folder fits.
-    """
-    of_task, _ = split_overrides(arguments.overrides)
-    task = compile_task(load_task(model_of_task, arguments.task, of_task))
-    files = sorted(_METHOD_FOLDER.rglob(f"{_METHODS[0]}.yaml"), key=lambda file: (len(file.parts), file))
-    for file in files:
-        with suppress(SpecError):
-            read_symmetry(task, load_method(file))
-            return file.parent
-    folders = ", ".join(str(file.parent) for file in files) or f"{_METHOD_FOLDER}: no such methods"
-    raise SpecError.of(
-        str(arguments.task), f"no methods for its robot in {folders}", "--methods names a folder"
-    )
-
-
-def _experiments(arguments: argparse.Namespace, folder: Path, num_envs: int | None) -> dict[str, Experiment]:
+def _experiments(subject: Subject, num_envs: int | None) -> dict[str, Experiment]:
     of_flag = [] if num_envs is None else [f"{_NUM_ENVS}={num_envs}"]
-    overrides = [*arguments.overrides, *of_flag]
-    paths = {name: Path(folder, f"{name}.yaml") for name in _METHODS}
-    return {name: load_experiment(arguments.task, path, overrides) for name, path in paths.items()}
+    overrides = [*subject.overrides, *of_flag]
+    folder = subject.methods
+    files = {
+        name: Path(folder, f"{name}.yaml") if folder else find_method(name, subject.task, overrides)
+        for name in _METHODS
+    }
+    return {name: load_experiment(subject.task, file, overrides) for name, file in files.items()}
 
 
 def _measured(experiments: dict[str, Experiment], setting: Setting) -> SizeFigures:
     num_envs = experiments["baseline"].method.spec.algorithm.num_envs
-    with _telling(f"{num_envs:,} worlds", setting.rounds) as tell:
+    with _telling(f"{num_envs:,} envs", setting.rounds) as tell:
         return measure_size(experiments, setting, tell)
 
 

@@ -1,8 +1,7 @@
-"""The verb `claims`."""
+"""The verdicts on the claims of an experiment."""
 
 from __future__ import annotations
 
-import argparse
 import sys
 from pathlib import Path
 
@@ -17,23 +16,22 @@ from kickbench.results.verdict_file import verdicts_json
 from kickbench.results.verdicts import judge, verdict_lines
 
 
-def claims(arguments: argparse.Namespace) -> int:
-    """`kickbench claims EXPERIMENT [DIR]`: the verdicts; with `--strict` exit code 1 unless all are met."""
-    experiment = load_reported(arguments.experiment)
-    if arguments.power:
+def claims(file: Path, folder: Path | None, *, strict: bool, power: bool, json: bool) -> int:
+    """Prints the verdicts; with `strict` the exit code is 1 unless all claims are met."""
+    experiment = load_reported(file)
+    if power:
         print(rates_table(experiment))
         return 0
-    folder = arguments.folder or measured_folder(experiment)
     # Without a folder nothing was measured yet, which is a result; a folder that was typed should be there.
-    if arguments.folder and not folder.is_dir():
+    if folder and not folder.is_dir():
         raise KickbenchError(f"{folder}: no such folder")
-    measured = load_runs(folder, experiment)
+    measured = load_runs(folder or measured_folder(experiment), experiment)
     refuse_contradictions(measured, shown)
     verdicts = judge(experiment, measured)
-    print(verdicts_json(verdicts) if arguments.json else "\n".join(verdict_lines(experiment, verdicts)))
+    print(verdicts_json(verdicts) if json else "\n".join(verdict_lines(experiment, verdicts)))
     for line in [*_when_fixed(experiment, measured), *unplanned_lines(measured, shown)]:
-        print(line, file=sys.stderr if arguments.json else sys.stdout)
-    return int(arguments.strict and any(verdict.outcome != "met" for verdict in verdicts))
+        print(line, file=sys.stderr if json else sys.stdout)
+    return int(strict and any(verdict.outcome != "met" for verdict in verdicts))
 
 
 def _when_fixed(experiment: LoadedReported, measured: pd.DataFrame) -> list[str]:

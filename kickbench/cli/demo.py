@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -15,8 +14,9 @@ from kickbench.reported import load_reported
 from kickbench.reproduce.plan import Plan, Selection, make_plan
 from kickbench.results.frame import load_runs
 from kickbench.results.table import render_table
+from kickbench.shipped import find
 
-EXPERIMENT = Path("results/reported/mini_home_field.yaml")
+EXPERIMENT = "mini_home_field"
 CONDITIONS = ("baseline", "augmentation", "equivariant")
 _FILM = ("baseline", "equivariant")
 _FILM_SIZE, _EPISODES = (320, 240), 2
@@ -26,10 +26,10 @@ _LEARNED = 0.05
 """Success below which nothing is said of the other side."""
 
 
-def demo(arguments: argparse.Namespace) -> int:
-    """`kickbench demo`."""
-    selection = Selection(only=CONDITIONS, seeds=(0,), scale=arguments.scale, out=arguments.out)
-    plan = make_plan(load_reported(EXPERIMENT), selection)
+def demo(out: Path, scale: float | None) -> int:
+    """Trains, shows and says what to do next; the exit code."""
+    selection = Selection(only=CONDITIONS, seeds=(0,), scale=scale, out=out)
+    plan = make_plan(load_reported(find(Path(EXPERIMENT), "reported")), selection)
     cores = usable_cores()
     at_a_time = min(len(plan.runs), cores)
     print(
@@ -50,7 +50,7 @@ def demo(arguments: argparse.Namespace) -> int:
     print(f"""
 Next:
   kickbench play {run}        # watch the policy in a browser
-  kickbench show tasks/mini_home_field.yaml      # what a task file says; copy one and edit it
+  kickbench new task my_task --from mini_general      # a task of your own
   kickbench reproduce {EXPERIMENT} --jobs {at_a_time}    # five seeds, with verdicts on 14 claims""")
     return 0
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import os
 import platform
 import subprocess
@@ -56,7 +55,7 @@ class Machine:
         return not self.broken
 
 
-def doctor(arguments: argparse.Namespace) -> int:
+def doctor() -> int:
     """`kickbench doctor`: exit code 0 if trainings can run, 1 if not."""
     machine = examine()
     print(f"kickbench {__version__}\n")

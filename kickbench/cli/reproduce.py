@@ -1,9 +1,9 @@
-"""Verb `reproduce`."""
+"""Carrying out an experiment, with its plan and its verdicts on the terminal."""
 
 from __future__ import annotations
 
-import argparse
 import sys
+from pathlib import Path
 
 from kickbench.errors import KickbenchError, shown
 from kickbench.physics.cpu import usable_cores
@@ -21,25 +21,19 @@ from kickbench.results.table import render_table
 from kickbench.results.verdicts import judge, verdict_lines
 
 
-def reproduce(arguments: argparse.Namespace) -> int:
-    """`kickbench reproduce REPORTED`."""
-    check_device(arguments.device)
-    seeds = tuple(arguments.seeds or ())
-    if len(set(seeds)) < len(seeds):
+def reproduce(
+    file: Path, selection: Selection, at_a_time: int, threads: int | None, device: str, dry_run: bool
+) -> int:
+    """Carries out the plan of an experiment, or with `dry_run` only prints it; the exit code."""
+    check_device(device)
+    if len(set(selection.seeds)) < len(selection.seeds):
         raise KickbenchError("--seeds: a seed is there twice")
-    selection = Selection(
-        only=tuple(arguments.only or ()),
-        seeds=seeds,
-        scale=arguments.scale,
-        overrides=tuple(arguments.overrides),
-        out=arguments.out,
-    )
-    plan = make_plan(load_reported(arguments.reported), selection)
-    threads = arguments.threads or max(1, usable_cores() // arguments.jobs)
-    _print_plan(plan, arguments.jobs, threads)
-    if arguments.dry_run:
+    plan = make_plan(load_reported(file), selection)
+    threads = threads or max(1, usable_cores() // at_a_time)
+    _print_plan(plan, at_a_time, threads)
+    if dry_run:
         return 0
-    jobs = carry_out(plan, arguments.jobs, threads, arguments.device)
+    jobs = carry_out(plan, at_a_time, threads, device)
     _print_results(plan, jobs)
     return exit_code(jobs)
 

@@ -1,8 +1,7 @@
-"""Verb `status`: no torch, it answers at once."""
+"""How far the runs of a folder are: no torch, it answers at once."""
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -19,9 +18,8 @@ from kickbench.results.notes import repeat_lines
 from kickbench.results.store import RunDirectory
 
 
-def status(arguments: argparse.Namespace) -> int:
-    """`kickbench status DIR`."""
-    root = arguments.root
+def status(root: Path) -> int:
+    """Prints the state of every run in a folder."""
     if not root.is_dir():
         raise KickbenchError(f"{root}: no such folder")
     record = read_record(root)

@@ -1,11 +1,10 @@
-"""Verb `render`, and `show --plot`."""
+"""Pictures and films of a task."""
 
 from __future__ import annotations
 
-import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from kickbench.errors import KickbenchError, shown
 from kickbench.view.backend import check_mujoco
@@ -17,24 +16,43 @@ _STARTS, _EPISODES = 9, 3
 _SHEET_SIZE, _FILM_SIZE = (400, 300), (640, 480)
 
 
-def render(arguments: argparse.Namespace) -> int:
-    """`kickbench render TASK`: a contact sheet of starts, or a film of episodes."""
+class Picture(NamedTuple):
+    """What is drawn; None: the default, which is none for the policy.
+
+    Attributes:
+        policy: Run directories, shown side by side.
+        starts: Initial states on a sheet.
+        episodes: Episodes of a film.
+        seed: Seed of the initial states.
+        size: Width and height, pixels.
+        mirrored: Whether the mirror images of the starts are filmed.
+    """
+
+    policy: Sequence[Path] | None
+    starts: int | None
+    episodes: int | None
+    seed: int | None
+    size: tuple[int, int] | None
+    mirrored: bool | None
+
+
+def render(file: Path, out: Path | None, overrides: Sequence[str], picture: Picture) -> int:
+    """Draws a contact sheet of initial states, or a film of episodes."""
     check_mujoco()
-    draw = _render_of(arguments)
+    draw = _render_of(out, picture)
     from kickbench.mdp.catalog import model_of_task
     from kickbench.mdp.compile import compile_task
     from kickbench.spec.load import load_task
 
-    task = compile_task(load_task(model_of_task, arguments.task, arguments.overrides))
-    out = arguments.out or Path(f"{task.name}.png")
-    seed = task.spec.evaluation.seed if arguments.seed is None else arguments.seed
-    draw(task, out, seed, arguments)
+    task = compile_task(load_task(model_of_task, file, overrides))
+    out = out or Path(f"{task.name}.png")
+    draw(task, out, task.spec.evaluation.seed if picture.seed is None else picture.seed, picture)
     print(shown(out))
     return 0
 
 
-def plot(arguments: argparse.Namespace) -> int:
-    """`kickbench show TASK --plot FILE`: sampling regions from above."""
+def plot(file: Path, out: Path, overrides: Sequence[str]) -> int:
+    """Draws a task's sampling regions from above."""
     from kickbench.mdp.catalog import model_of_task
     from kickbench.mdp.compile import compile_task
     from kickbench.spec.load import load_task
@@ -42,50 +60,47 @@ def plot(arguments: argparse.Namespace) -> int:
     from kickbench.view.regions import plot_regions
     from kickbench.yamlio import load_document
 
-    kind = kind_of(load_document(arguments.file))
+    kind = kind_of(load_document(file))
     if kind != "task":
-        raise KickbenchError(
-            f"--plot draws the sampling regions of a task; {arguments.file} is a {kind} file"
-        )
-    plot_regions(compile_task(load_task(model_of_task, arguments.file, arguments.overrides)), arguments.plot)
-    print(shown(arguments.plot))
+        raise KickbenchError(f"--plot draws the sampling regions of a task; {file} is a {kind} file")
+    plot_regions(compile_task(load_task(model_of_task, file, overrides)), out)
+    print(shown(out))
     return 0
 
 
-def _render_of(arguments: argparse.Namespace) -> Callable[..., None]:
+def _render_of(out: Path | None, picture: Picture) -> Callable[..., None]:
     """What the suffix of the output asks for.
 
     Raises:
         KickbenchError: Another suffix, or an option that the suffix has no use for.
     """
-    out = arguments.out
     suffix = out.suffix.lower() if out else ".png"
     if suffix == ".png":
-        _refuse(arguments, "a .png shows starts", "policy", "episodes", "mirrored")
+        _refuse(picture, "a .png shows starts", "policy", "episodes", "mirrored")
         return _sheet
     if suffix in (".webp", ".mp4"):
-        _refuse(arguments, f"a {suffix} shows episodes", "starts")
+        _refuse(picture, f"a {suffix} shows episodes", "starts")
         return _film
     raise KickbenchError(f"{out}: pictures are .png, .webp or .mp4")
 
 
-def _refuse(arguments: argparse.Namespace, reason: str, *options: str) -> None:
+def _refuse(picture: Picture, reason: str, *options: str) -> None:
     for option in options:
-        if getattr(arguments, option) is not None:
+        if getattr(picture, option) is not None:
             raise KickbenchError(f"--{option}: {reason}")
 
 
-def _sheet(task: CompiledTask, out: Path, seed: int, arguments: argparse.Namespace) -> None:
+def _sheet(task: CompiledTask, out: Path, seed: int, picture: Picture) -> None:
     from kickbench.results.atomic import atomic_file
     from kickbench.view.contact_sheet import contact_sheet
 
-    sheet = contact_sheet(task, arguments.starts or _STARTS, seed, *(arguments.size or _SHEET_SIZE))
+    sheet = contact_sheet(task, picture.starts or _STARTS, seed, *(picture.size or _SHEET_SIZE))
     with atomic_file(out) as file:
         sheet.save(file, "PNG")
 
 
-def _film(task: CompiledTask, out: Path, seed: int, arguments: argparse.Namespace) -> None:
+def _film(task: CompiledTask, out: Path, seed: int, picture: Picture) -> None:
     from kickbench.view.film import film_runs
 
-    size, episodes = arguments.size or _FILM_SIZE, arguments.episodes or _EPISODES
-    film_runs(task, arguments.policy or [], out, episodes, seed, size, mirrored=arguments.mirrored or False)
+    size, episodes = picture.size or _FILM_SIZE, picture.episodes or _EPISODES
+    film_runs(task, picture.policy or [], out, episodes, seed, size, mirrored=bool(picture.mirrored))

@@ -19,7 +19,8 @@ from kickbench.mdp.state import State
 from kickbench.mdp.term import Term
 from kickbench.scene.build import Scene, build_scene
 from kickbench.scene.sensors import SensorGroup, available_groups
-from kickbench.spec.load import Loaded, LoadedTask, find_file, load_task
+from kickbench.shipped import find
+from kickbench.spec.load import Loaded, LoadedTask, load_task
 from kickbench.spec.robot import RobotSpec
 from kickbench.spec.task import TaskSpec
 from kickbench.spec.terms import (
@@ -109,7 +110,7 @@ def read_task(task: Path | str, overrides: Sequence[str] = ()) -> CompiledTask:
         SpecError: With every problem found.
         KickbenchError: There is no such task.
     """
-    return compile_task(load_task(model_of_task, find_file("tasks", task), overrides))
+    return compile_task(load_task(model_of_task, find(task, "task"), overrides))
 
 
 def compile_task(task: LoadedTask[Any]) -> CompiledTask:

@@ -33,7 +33,7 @@ def ball_position(state: State, params: ObservationParams) -> Tensor:
     return state.ball_from_base
 
 
-@observation(3, "m", "Table 3.2; frame: digest", frame="base")
+@observation(3, "m", "Table 3.2; the frame, not in the thesis, is the ball's", frame="base")
 def target_position(state: State, params: ObservationParams) -> Tensor:
     """Target, a point on the floor, relative to the origin of the base, in the base frame."""
     return state.target_from_base
@@ -100,7 +100,7 @@ def foot_contact(state: State, params: ObservationParams) -> Tensor:
 
 
 @observation(
-    6, "N", "Table 3.2, critic only; Table 3.4 corrected: digest", needs=("foot_floor",), frame="base"
+    6, "N", "Table 3.2, critic only; mirrored other than in Table 3.4", needs=("foot_floor",), frame="base"
 )
 def foot_contact_forces(state: State, params: ObservationParams) -> Tensor:
     """Mean force of the floor on each foot over the last control step, base frame: left xyz, right xyz."""

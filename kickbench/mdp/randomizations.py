@@ -113,7 +113,7 @@ class JointPosition(RandomizationParams):
     """Half-width of the uniform offset, rad."""
 
 
-@randomization("digest: initial joint noise", units="rad", params=JointPosition)
+@randomization("not in the thesis: chosen so that initial poses differ", units="rad", params=JointPosition)
 def joint_position(starts: Starts, params: JointPosition, draw: Draw) -> Starts:
     """Uniform offset of every observed joint from the default pose."""
     offset = draw(-params.noise, params.noise, len(starts), len(starts.joints))
@@ -147,7 +147,12 @@ class ActionDelay(RandomizationParams):
             )
 
 
-@randomization("3.1 Action Delay; in seconds: digest", units="s", stage="command", params=ActionDelay)
+@randomization(
+    "3.1 Action Delay; in seconds, since its 2 to 8 steps are 10 to 40 ms only at 5 ms",
+    units="s",
+    stage="command",
+    params=ActionDelay,
+)
 def action_delay(params: ActionDelay, setting: Setting) -> DelayBuffer:
     """The servos follow the newest command of at least a certain age, drawn anew for every control step and world."""
     return DelayBuffer(
@@ -172,7 +177,12 @@ class Pushes(RandomizationParams):
     """Magnitude of the force, N."""
 
 
-@randomization("3.1 Physical Perturbations; figures: digest", units="N", stage="push", params=Pushes)
+@randomization(
+    "3.1 Physical Perturbations; duration and force are not in the thesis",
+    units="N",
+    stage="push",
+    params=Pushes,
+)
 def pushes(params: Pushes, setting: Setting) -> PushSchedule:
     """A horizontal force of random magnitude and direction acts on the base at random intervals."""
     step = setting.timestep * setting.decimation

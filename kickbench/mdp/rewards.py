@@ -1,6 +1,7 @@
 """Reward terms (thesis 3.2.3 and appendix A). Each is `(state, params) -> Tensor[B]`; weights come from YAML.
 
-Penalties return positive magnitudes; their weights are negative (digest).
+Penalties return positive magnitudes; their weights are negative (the thesis' negative definitions times
+negative weights would reward jitter).
 """
 
 from __future__ import annotations
@@ -79,7 +80,7 @@ def ball_not_moving(state: State, params: RewardParams) -> Tensor:
     return state.ball_stopped.float()
 
 
-@reward("A Action Rate; sign: digest")
+@reward("A Action Rate; the sign is not the thesis'")
 def action_rate(state: State, params: RewardParams) -> Tensor:
     """Squared norm of the change of action, |a_t - a_(t-1)|^2."""
     return (state.episode.action - state.episode.previous_action).square().sum(dim=1)
@@ -134,12 +135,12 @@ class ArmPosture(RewardParams):
     """Parameters of `arm_posture`."""
 
     joints: JointNames = Field(min_length=1)
-    """Shoulder roll joints; the term is their mean (digest: the formula has one, the robot two)."""
+    """Shoulder roll joints; the term is their mean (the thesis' formula has one, the robot two)."""
     sigma: PositiveFloat
     """Sensitivity sigma_roll, rad."""
 
 
-@reward("3.2.3 Arm Posture; sign: digest", params=ArmPosture)
+@reward("3.2.3 Arm Posture; the sign is not the thesis'", params=ArmPosture)
 def arm_posture(state: State, params: ArmPosture) -> Tensor:
     """Mean over the joints of 1 - exp(-(q - q_default)^2 / sigma^2); a penalty in [0, 1]."""
     offset = state.offsets_of(params.joints)
@@ -157,7 +158,7 @@ class ArmSwing(RewardParams):
     """Sum of the angles beyond which the term acts, rad."""
 
 
-@reward("3.2.3 Arm Swing; absolute angles: digest", params=ArmSwing)
+@reward("3.2.3 Arm Swing; of angles, not offsets, as the formula is written", params=ArmSwing)
 def arm_swing(state: State, params: ArmSwing) -> Tensor:
     """exp(-1 / (q_L + q_R)^2) while both arms point to the same side and |q_L + q_R| > threshold; else 0."""
     left, right = state.angles_of((params.left, params.right)).unbind(dim=1)
@@ -176,17 +177,17 @@ class JointPositionLimit(RewardParams):
     """Parameters of `joint_position_limit`."""
 
     soft_limit_factor: Fraction = 0.9
-    """Share of the joint's range, about its middle, that is free (digest)."""
+    """Share of the joint's range, about its middle, that is free; in the thesis all of it."""
 
 
-@reward("A Joint Position Limit; soft limits: digest", params=JointPositionLimit)
+@reward("A Joint Position Limit; soft limits are not in the thesis", params=JointPositionLimit)
 def joint_position_limit(state: State, params: JointPositionLimit) -> Tensor:
     """1 when any observed joint is outside its soft limits, else 0."""
     middle, half = state.joint_range_middle, state.joint_range_half
     return ((state.joint_angles - middle).abs() > params.soft_limit_factor * half).any(dim=1).float()
 
 
-@reward("A Foot Slip; sign: digest", units="m^2/s^2", needs=("foot_floor", "foot_frame"))
+@reward("A Foot Slip; the sign is not the thesis'", units="m^2/s^2", needs=("foot_floor", "foot_frame"))
 def foot_slip(state: State, params: RewardParams) -> Tensor:
     """Sum over the feet on the ground of the squared horizontal velocity of the sole."""
     speed = state.foot_vel[:, :, :2].square().sum(dim=2)

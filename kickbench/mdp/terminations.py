@@ -23,7 +23,7 @@ def time_out(state: State, params: TerminationParams) -> Tensor:
     return state.timed_out
 
 
-@termination("Table 3.3; contact window: digest", params=TargetRadius)
+@termination("Table 3.3; the contact window is that of the reward, 3.2.3", params=TargetRadius)
 def target_hit(state: State, params: TargetRadius) -> Tensor:
     """The ball has stopped within `radius` of the target, and c_t > T_window."""
     return (state.target_distance < params.radius) & state.ball_stopped & state.contact_window_passed

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 from typing import Literal
 
@@ -42,6 +43,14 @@ class PlanRecord(Record):
         description="`--set` texts by which the runs differ from the experiment as its file has it",
     )
     runs: tuple[RunRecord, ...]
+    sha256: str | None = Field(
+        default=None, description="of the other fields; a plan of an older version has none"
+    )
+
+    def signed(self) -> PlanRecord:
+        """The record with its own SHA-256."""
+        text = self.model_dump_json(exclude={"sha256"})
+        return self.model_copy(update={"sha256": hashlib.sha256(text.encode()).hexdigest()})
 
     @property
     def deviation(self) -> str:
@@ -52,7 +61,7 @@ class PlanRecord(Record):
 
 def write_record(folder: Path, record: PlanRecord) -> None:
     """Writes a folder's plan, atomically."""
-    atomic_write_text(folder / FILE, record.model_dump_json(indent=2) + "\n")
+    atomic_write_text(folder / FILE, record.signed().model_dump_json(indent=2) + "\n")
 
 
 def read_record(folder: Path) -> PlanRecord | None:
@@ -63,8 +72,11 @@ def read_record(folder: Path) -> PlanRecord | None:
     """
     path = folder / FILE
     try:
-        return PlanRecord.model_validate_json(path.read_bytes())
+        record = PlanRecord.model_validate_json(path.read_bytes())
     except FileNotFoundError:
         return None
     except (OSError, ValidationError) as error:
         raise KickbenchError(f"{path}: no valid plan of an experiment: {error}") from error
+    if record.sha256 not in (None, record.signed().sha256):
+        raise KickbenchError(f"{path}: damaged: its SHA-256 is wrong; reproduce writes it again")
+    return record.model_copy(update={"sha256": None})

@@ -148,13 +148,13 @@ def _unfinished(directory: RunDirectory, total: int | None, note: str) -> RunSta
     for file in files:
         if _is_whole(file):
             if file != files[0]:
-                note = "the newest checkpoint is damaged"
+                note = f"the newest checkpoint is damaged: {files[0].name}"
             done = _iteration(file)
             if not note and done == total:
                 note = "trained, not evaluated"
             return _training(State.INTERRUPTED, directory, done, total, note)
     if files or any(file.exists() for file in (directory.progress, directory.policy, directory.metrics)):
-        reason = note or ("every checkpoint is damaged" if files else "no checkpoint")
+        reason = note or (f"every checkpoint is damaged: {files[0].name}" if files else "no checkpoint")
         return _training(State.DAMAGED, directory, 0, total, reason)
     return RunState(State.NEW, 0, total)
 

@@ -195,6 +195,8 @@ def _read(directory: RunDirectory) -> tuple[Row, Metrics | None]:
         row["state"] = "running" if directory.is_occupied else begun
         with suppress(KickbenchError):  # what has only begun may have none
             row |= _identity_columns(directory)
+        if not directory.is_occupied and (words := directory.damage):
+            row |= _damaged(directory, KickbenchError(words))
         return row, None
     try:
         check(directory.path)

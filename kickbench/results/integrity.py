@@ -11,8 +11,9 @@ import os
 import re
 import stat
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from functools import lru_cache
+from itertools import zip_longest
 from pathlib import Path
 from typing import NamedTuple
 
@@ -24,6 +25,7 @@ from kickbench.results.asymmetry import mirrored_pairs
 from kickbench.results.atomic import TEMPORARY_PREFIX, atomic_write_bytes, sync_folder
 from kickbench.results.episodes import EpisodeSides, EpisodeTable, episodes_file, read_episodes
 from kickbench.results.metrics import EvaluationMetrics, Metrics, figures_of, load_metrics
+from kickbench.results.progress import checked_rows
 
 FILE = "SHA256SUMS"
 MODEL_FOLDER = "specs/model/"
@@ -53,6 +55,8 @@ _TRAILER = b"\nsha256 "
 _TRAILER_SIZE = len(_TRAILER) + 65
 _TOLERANCE = 2e-6
 """What six decimals in episodes.csv can move a distance by, m."""
+_MISREAD = 4
+"""Characters in which a line may differ from the true one to be damaged: SHA-256 of two files differ in about 60."""
 _SETTLED = 2.0
 """Age from which a file's time of change tells versions of it apart, s."""
 
@@ -98,8 +102,8 @@ def damage(directory: os.PathLike[str] | str) -> str | None:
 def find_damage(directory: os.PathLike[str] | str) -> Damage | None:
     """The worst damage of a run: one that cannot be mended, if there is any.
 
-    Of a finished run every file is checked, of another one only `identity.json`. A run of an older version, without
-    `identity.json` and `SHA256SUMS`, is intact if its figures agree with each other.
+    Of a finished run every file is checked; of another one the specs, `identity.json` and the rows of `progress.csv`.
+    A run of an older version, without `identity.json` and `SHA256SUMS`, is intact if its figures agree with each other.
     """
     path = Path(directory)
     signature = _signature(path)
@@ -137,6 +141,13 @@ def write_also(directory: os.PathLike[str] | str, name: str, data: bytes) -> Non
             sync_folder(file.parent)
         _write_sums(path, read_sums(path) | {name: hashlib.sha256(data).hexdigest()})
     atomic_write_bytes(file, data)
+
+
+def forget(directory: os.PathLike[str] | str, names: Collection[str]) -> None:
+    """Takes files of an unfinished run out of its sums before they are written anew."""
+    path = Path(directory)
+    if (path / FILE).is_file():
+        _write_sums(path, {name: digest for name, digest in read_sums(path).items() if name not in names})
 
 
 def written_model_files(path: Path) -> list[str]:
@@ -229,7 +240,7 @@ def _signature(path: Path) -> Signature:
 @lru_cache(maxsize=4096)
 def _find(path: Path, signature: Signature) -> Damage | None:
     if not os.path.lexists(path / "metrics.json"):
-        return _identity_damage(path) if (path / identity.FILE).is_file() else None
+        return _unfinished_damage(path) if (path / identity.FILE).is_file() else None
     irregular = next((name for name in (*FIXED, FILE) if _is_irregular(path / name)), None)
     if irregular is not None:
         return Damage(path, irregular, "expected a regular file")
@@ -239,6 +250,27 @@ def _find(path: Path, signature: Signature) -> Damage | None:
         if found is not None:
             return found
     return _figure_damage(path)
+
+
+def _unfinished_damage(path: Path) -> Damage | None:
+    """Damage of what a run needs to go on, its checkpoints aside."""
+    sums = _sum_damage(path, _of_specs) if (path / FILE).exists() else None
+    return _identity_damage(path) or sums or _progress_damage(path)
+
+
+def _of_specs(name: str) -> bool:
+    return name in SPECS or name.startswith(MODEL_FOLDER) or name == identity.FILE
+
+
+def _progress_damage(path: Path) -> Damage | None:
+    file = path / "progress.csv"
+    if _is_irregular(file) or not file.exists():
+        return None  # what reads it says so
+    try:
+        checked_rows(file)
+    except KickbenchError as error:
+        return Damage(path, file.name, _reason(error, file))
+    return None
 
 
 def _is_irregular(file: Path) -> bool:
@@ -256,24 +288,49 @@ def _identity_damage(path: Path) -> Damage | None:
     return None
 
 
-def _sum_damage(path: Path) -> Damage | None:
+def _sum_damage(path: Path, counts: Callable[[str], bool] | None = None) -> Damage | None:
+    """The worst difference between files and sums; without `counts` of all files, which are then to be complete."""
     try:
         sums = read_sums(path)
     except KickbenchError as error:
         return Damage(path, FILE, _reason(error, path / FILE))
-    unlisted = [name for name in FIXED if name not in sums and (path / name).exists()]
-    unlisted += [
-        name for file in path.glob("also/*.json") if (name := f"{ALSO_FOLDER}{file.name}") not in sums
-    ]
-    problems = [Damage(path, name, f"not in {FILE}") for name in unlisted]
-    for name, digest in sums.items():
-        file = path / name
-        if _is_irregular(file) or not file.exists():
-            if not name.startswith(ALSO_FOLDER) or file.exists():
-                problems.append(Damage(path, name, f"missing, although it is in {FILE}"))
-        elif _sha256_of(file) != digest:
-            problems.append(Damage(path, name, f"damaged: its SHA-256 is not that in {FILE}"))
+    also = [f"{ALSO_FOLDER}{file.name}" for file in path.glob("also/*.json")]
+    unlisted = [name for name in (*FIXED, *also) if name not in sums and (path / name).exists()]
+    problems = [Damage(path, name, f"not in {FILE}") for name in unlisted if counts is None]
+    for name, expected in sums.items():
+        if counts is None or counts(name):
+            problems += _line_damage(path, name, expected)
+    if problems and (wrong := _wrong_line(path, sums)):
+        return Damage(path, FILE, f"damaged: its line of {shown(wrong)} is wrong")
     return min(problems, key=lambda found: found.can_be_mended, default=None)
+
+
+def _line_damage(path: Path, name: str, expected: str) -> Iterator[Damage]:
+    file = path / name
+    if _is_irregular(file) or not file.exists():
+        if not name.startswith(ALSO_FOLDER) or file.exists():
+            yield Damage(path, name, f"missing, although it is in {FILE}")
+    elif _sha256_of(file) != expected:
+        yield Damage(path, name, f"damaged: its SHA-256 is not that in {FILE}")
+
+
+def _wrong_line(path: Path, sums: Mapping[str, str]) -> str | None:
+    """A file whose line is damaged: the digest is nearly the file's, or is the file's but under nearly its name."""
+    files = (file for file in sorted(path.rglob("*")) if file.is_file() and not _is_irregular(file))
+    names = [name for file in files if (name := file.relative_to(path).as_posix()) != FILE]
+    strays = {name: digest for name, digest in sums.items() if name not in names}
+    for name in names:
+        actual = _sha256_of(path / name)
+        aliases = [stray for stray, digest in strays.items() if digest == actual and name not in sums]
+        if _is_misread(sums.get(name, ""), actual) or any(_is_misread(alias, name) for alias in aliases):
+            return name
+    return None
+
+
+def _is_misread(found: str, true: str) -> bool:
+    return 0 < sum(a != b for a, b in zip_longest(found[: len(true)], true)) <= _MISREAD or (
+        len(found) > len(true) and found.startswith(true)
+    )
 
 
 def _figure_damage(path: Path) -> Damage | None:

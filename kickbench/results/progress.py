@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,6 +14,8 @@ from numpy.typing import NDArray
 from kickbench.errors import KickbenchError
 from kickbench.results.atomic import read_regular
 
+CHECK = "crc32"
+"""Last column of a table: the CRC-32 of the header and the other cells of the row, as they are written."""
 _TAIL_BYTES = 65_536
 
 
@@ -34,19 +37,43 @@ class Progress:
         return int(self.iteration[-1]) + 1 if self.iteration.size else 0
 
 
-def read_progress(path: Path) -> Progress:
-    """Reads a run's table of training iterations.
+def row_check(header: str, row: str) -> str:
+    """The cell `crc32` of a row: both lines up to that column, without the comma before it."""
+    both = f"{header}\n{row}"
+    return f"{zlib.crc32(both.encode()):08x}"
+
+
+def checked_rows(path: Path) -> list[list[str]]:
+    """Reads header and whole rows without the column `crc32`, which a table of an older version lacks.
 
     A last row without its newline was cut short by a kill and is left out, as a resume leaves it out.
 
     Raises:
-        KickbenchError: The file cannot be read or is no such table; the message names file and line.
+        KickbenchError: The file cannot be read, or a row is damaged; the message names file and line.
     """
     try:
         text = read_regular(path).decode("utf-8")
-        rows = list(csv.reader(io.StringIO(text[: text.rfind("\n") + 1], newline="")))
+        lines = text[: text.rfind("\n") + 1].split("\n")[:-1]
+        header, _, last = lines[0].rpartition(",") if lines else ("", "", "")
+        for number, line in enumerate(lines[1:] if last == CHECK else [], start=2):
+            row, _, check = line.rpartition(",")
+            if check != row_check(header, row):
+                raise KickbenchError(
+                    f"{path}:{number}: damaged: the row, or the header, is not as it was written"
+                )
+        rows = list(csv.reader(lines))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise KickbenchError(f"{path}: cannot read the progress table: {error}") from error
+    return [row[:-1] for row in rows] if last == CHECK else rows
+
+
+def read_progress(path: Path) -> Progress:
+    """Reads a run's table of training iterations.
+
+    Raises:
+        KickbenchError: The file cannot be read or is no such table; the message names file and line.
+    """
+    rows = checked_rows(path)
     if not rows or rows[0][:1] != ["iteration"]:
         raise KickbenchError(f"{path}:1: expected a progress table whose first column is iteration")
     names = rows[0]

@@ -15,7 +15,7 @@ from kickbench.experiment import Experiment, load_experiment
 from kickbench.mdp.catalog import model_of_task
 from kickbench.results.atomic import atomic_write_bytes, atomic_write_text
 from kickbench.results.identity import Identity, counted_fields, identity_of, read_identity, write_identity
-from kickbench.results.integrity import MODEL_FOLDER, seal
+from kickbench.results.integrity import MODEL_FOLDER, forget, seal
 from kickbench.results.store import RunDirectory
 from kickbench.scene.build import files_read_by
 from kickbench.spec.load import LoadedMethod, load_method, load_task
@@ -49,7 +49,7 @@ def write_specs(directory: RunDirectory, experiment: Experiment) -> None:
     _write(directory.representations_spec, method.representations.document, {})
     if task.spec.terms:
         atomic_write_bytes(directory.terms, Path(task.spec.terms).read_bytes())
-    update_specs(directory, experiment)
+    _write_task_and_method(directory, experiment)
     identity = identity_of(experiment)
     _check_copy(directory, experiment, contents, identity)
     write_identity(directory, identity)
@@ -57,7 +57,17 @@ def write_specs(directory: RunDirectory, experiment: Experiment) -> None:
 
 
 def update_specs(directory: RunDirectory, experiment: Experiment) -> None:
-    """Writes task and method of a run that goes on: its length may be another."""
+    """Writes task and method of a run that goes on, since its length may be another, and the sums of both.
+
+    A kill in between leaves files without sums, not files with wrong ones.
+    """
+    files = (directory.task_spec, directory.method_spec)
+    forget(directory, [file.relative_to(directory.path).as_posix() for file in files])
+    _write_task_and_method(directory, experiment)
+    seal(directory)
+
+
+def _write_task_and_method(directory: RunDirectory, experiment: Experiment) -> None:
     task, method = experiment.loaded_task, experiment.method
     files = {"robot": directory.robot_spec.name} | (
         {"terms": directory.terms.name} if task.spec.terms else {}

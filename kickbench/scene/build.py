@@ -23,7 +23,7 @@ _AXES = {"x": 0, "y": 1, "z": 2, "rx": 3, "ry": 4, "rz": 5}
 _BASE_SITE = "kickbench_base"
 _FOOT_PRIORITY = 1
 """Feet decide their contact with the floor, else the larger friction would hide theirs; the ball decides all of its
-own; everything else has priority 0 (digest)."""
+own; everything else has priority 0."""
 _EVERYTHING = 0x7FFFFFFF
 """Contact bits of ball and floor: whatever collides at all touches them (full-body contact, Table 3.1)."""
 _ENUMS = {

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Generic, Literal, TypeVar, cast
+from typing import Generic, TypeVar, cast
 
-from kickbench.errors import KeyPath, KickbenchError, SpecError, did_you_mean, nearest
+from kickbench.errors import KeyPath, SpecError, nearest
 from kickbench.spec.base import Spec, validate
 from kickbench.spec.method import MethodSpec
 from kickbench.spec.representation import RepresentationSpec
@@ -22,30 +22,6 @@ Naming = tuple[Document, KeyPath]
 
 
 _CHECKOUT = Path(__file__).parents[2]
-
-
-def known_files(folder: Literal["tasks", "methods"]) -> dict[str, Path]:
-    """The tasks or methods by name, `mini/equivariant`: those of the working directory, then those of kickbench."""
-    found: dict[str, Path] = {}
-    for root in (Path(folder), _CHECKOUT / folder):
-        for path in sorted(root.rglob("*.yaml")):
-            found.setdefault(path.relative_to(root).with_suffix("").as_posix(), path)
-    return found
-
-
-def find_file(folder: Literal["tasks", "methods"], name: Path | str) -> Path:
-    """A task or a method by its path or its name.
-
-    Raises:
-        KickbenchError: It is neither; the message has the nearest name.
-    """
-    if Path(name).suffix or Path(name).is_file():
-        return Path(name)
-    known = known_files(folder)
-    if str(name) not in known:
-        hint = did_you_mean(str(name), known) or f"there are: {', '.join(known) or 'none'}"
-        raise KickbenchError(f"{folder}: no file and no name '{name}' ({hint})")
-    return known[str(name)]
 
 
 @dataclass(frozen=True)

@@ -91,7 +91,7 @@ class NetworkSpec(Spec):
     critic_hidden: tuple[PositiveInt, ...] = Field(min_length=1, strict=False)
     """Width of the critic's hidden layers."""
     activation: Literal["elu", "relu", "tanh", "selu", "gelu", "swish", "mish"] = "elu"
-    """Pointwise activation (digest: ELU)."""
+    """Pointwise activation (Table B.1: ELU; 3.3.2 has ReLU)."""
     normalize_observations: bool = True
     """Standardise observations by running statistics."""
     initial_std: PositiveFloat = 1.0

@@ -68,7 +68,7 @@ class SimulationSpec(Spec):
     integrator: Literal["euler", "implicit", "implicitfast"] = "euler"
     """Integrator."""
     cone: Literal["elliptic", "pyramidal"] = "elliptic"
-    """Friction cone; the pyramidal one makes the ball's roll depend on its heading (digest)."""
+    """Friction cone; the pyramidal one makes the ball's roll depend on its heading (not in the thesis)."""
     jacobian: Literal["dense", "sparse", "auto"] = "auto"
     """How the constraint Jacobian is stored, which changes the speed and not the physics. auto: sparse from 32 degrees
     of freedom on, dense below."""

@@ -97,4 +97,5 @@ class RewardTable(TermTable):
     """Rewards: their weighted sum is the reward of a step."""
 
     scale_by_dt: bool = True
-    """Multiply every term by the control interval (digest: as mjlab does), so weights are per second."""
+    """Multiply every term by the control interval (not in the thesis; chosen as in mjlab), so weights
+    are per second."""

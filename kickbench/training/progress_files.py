@@ -15,6 +15,7 @@ from typing import IO, Any
 
 from kickbench.errors import KickbenchError, printable
 from kickbench.results.atomic import atomic_write_text
+from kickbench.results.progress import CHECK, checked_rows, row_check
 from kickbench.training.progress import IterationRecord
 
 _START_AGAIN = "the table of the training cannot be completed; --force starts the run again"
@@ -74,7 +75,7 @@ class CsvProgress:
         """
         kept = rows_before(self._path, first_iteration)
         self._columns = kept[0] if kept else None
-        atomic_write_text(self._path, _to_csv(kept))
+        atomic_write_text(self._path, _to_csv(kept[0], kept[1:], with_header=True) if kept else "")
         self._file = open(self._path, "a", encoding="utf-8", newline="")  # noqa: SIM115 (open until close())
 
     def update(self, record: IterationRecord) -> None:
@@ -82,15 +83,14 @@ class CsvProgress:
         if self._file is None:
             raise RuntimeError("start() comes before update()")
         flat = flatten(record)
-        rows = []
+        is_first = self._columns is None
         if self._columns is None:
             self._columns = list(flat)
-            rows.append(self._columns)
         strangers = [name for name in flat if name not in self._columns]
         if strangers:
             raise KickbenchError(f"{self._path}: no column for {', '.join(strangers)}")
-        rows.append([_format(flat.get(name)) for name in self._columns])
-        self._file.write(_to_csv(rows))
+        row = [_format(flat.get(name)) for name in self._columns]
+        self._file.write(_to_csv(self._columns, [row], with_header=is_first))
         self._file.flush()
         os.fsync(self._file.fileno())
 
@@ -160,9 +160,7 @@ def rows_before(path: Path, first_iteration: int) -> list[list[str]]:
         return []
     if not path.is_file():
         raise KickbenchError(f"{path}: missing; {_START_AGAIN}")
-    text = path.read_text(encoding="utf-8", errors="replace")
-    # A row without its newline was cut short by a kill, even if it looks whole.
-    rows = list(csv.reader(io.StringIO(text[: text.rfind("\n") + 1], newline="")))
+    rows = checked_rows(path)
     if not rows or rows[0][:1] != ["iteration"]:
         raise KickbenchError(f"{path}:1: expected a progress table whose first column is iteration")
     kept = rows[1 : first_iteration + 1]
@@ -173,9 +171,16 @@ def rows_before(path: Path, first_iteration: int) -> list[list[str]]:
     return [rows[0], *kept]
 
 
-def _to_csv(rows: list[list[str]]) -> str:
+def _to_csv(columns: list[str], rows: list[list[str]], *, with_header: bool) -> str:
+    """Rows as text, each with its check behind it."""
+    header, *lines = (_line(cells) for cells in (columns, *rows))
+    body = [f"{line},{row_check(header, line)}\n" for line in lines]
+    return "".join([f"{header},{CHECK}\n"] * with_header + body)
+
+
+def _line(cells: list[str]) -> str:
     buffer = io.StringIO()
-    csv.writer(buffer, lineterminator="\n").writerows(rows)
+    csv.writer(buffer, lineterminator="").writerow(cells)
     return buffer.getvalue()
 
 

@@ -85,7 +85,7 @@ def take_up(
             )
     if not directory.holds_a_run:
         return begin(directory, experiment, initial)
-    if directory.metrics.exists() and _is_intact(directory):
+    if _is_intact(directory) and directory.metrics.exists():
         recorded = load_metrics(directory.metrics)
         _check_same(directory, experiment, seed, scale, recorded.model_dump(), extend)
         if recorded.iterations >= experiment.method.spec.algorithm.iterations:
@@ -146,7 +146,7 @@ def _text(value: Any) -> str:
 
 
 def _is_intact(directory: RunDirectory) -> bool:
-    """Whether a finished run is intact; one whose damage its last checkpoint mends is reported.
+    """Whether a run is intact; one whose damage its last checkpoint mends is reported.
 
     Raises:
         KickbenchError: It is damaged, and going on would keep the damage.

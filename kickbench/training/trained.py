@@ -15,7 +15,7 @@ from kickbench.nets.policy import TrainedPolicy
 from kickbench.results import integrity
 from kickbench.results.metrics import Metrics, load_metrics
 from kickbench.results.store import RunDirectory
-from kickbench.spec.load import find_file
+from kickbench.shipped import find
 from kickbench.spec.method import MethodSpec
 from kickbench.spec.representation import RepresentationSpec
 from kickbench.spec.robot import RobotSpec
@@ -77,7 +77,7 @@ def load_run(path: Path | str, task: Path | str | None = None, *, trust_code: bo
     if not directory.task_spec.is_file():
         raise KickbenchError(f"{os.fspath(path)}: not a run directory (it has no {directory.task_spec.name})")
     integrity.check(directory)
-    own = directory.task_spec if task is None else find_file("tasks", task)
+    own = directory.task_spec if task is None else find(task, "task")
     experiment = load_experiment(own, directory.method_spec)
     if task is None and not trust_code:
         experiment = replace(experiment, task=replace(experiment.task, is_trusted=False))

@@ -193,23 +193,17 @@ def test_the_room_of_a_gpu_engine_is_read_and_its_steps_repeat_the_controls(expe
 
 
 @pytest.mark.parametrize(("task", "folder"), [("mini_general", "methods/mini"), ("k1_lite", "methods")])
-def test_the_methods_that_are_compared_are_for_the_tasks_robot(monkeypatch, task, folder):
+def test_the_methods_that_are_compared_are_for_the_tasks_robot(monkeypatch, tmp_path, task, folder):
     found: list[Path] = []
 
-    def stop(arguments, methods, num_envs):
-        found.append(methods)
+    def stop(experiments, *_):
+        found.extend(experiment.method.document.file.parent for experiment in experiments.values())
         raise KickbenchError("enough")
 
-    monkeypatch.chdir(ROOT)
-    monkeypatch.setattr("kickbench.cli.bench._experiments", stop)
-    assert main(["bench", "--task", f"tasks/{task}.yaml"]) == 2
-    assert found == [Path(folder)]
-
-
-def test_a_robot_that_no_methods_are_for_is_an_error_that_lists_the_folders(monkeypatch, capsys, tmp_path):
     monkeypatch.chdir(tmp_path)
-    assert main(["bench", "--task", str(ROOT / "tasks/k1_lite.yaml")]) == 2
-    assert "no methods for its robot" in capsys.readouterr().err
+    monkeypatch.setattr("kickbench.cli.bench.measure_size", stop)
+    assert main(["bench", "--task", task]) == 2
+    assert found == [ROOT / folder] * 3
 
 
 def test_a_report_that_cannot_be_written_is_told_before_anything_is_measured(monkeypatch, tmp_path, capsys):

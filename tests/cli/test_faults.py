@@ -45,10 +45,10 @@ class FatalError(Exception):
     ],
 )
 def test_a_fault_of_the_system_is_one_line_and_an_exit_code(monkeypatch, capsys, error, code, said):
-    def fail(arguments):
+    def fail():
         raise error
 
-    monkeypatch.setattr("kickbench.cli.inspect.terms", fail)
+    monkeypatch.setattr("kickbench.mdp.catalog.catalog", fail)
     assert main(["terms"]) == code
     printed = capsys.readouterr()
     assert printed.err.startswith(said)
@@ -57,10 +57,10 @@ def test_a_fault_of_the_system_is_one_line_and_an_exit_code(monkeypatch, capsys,
 
 
 def test_a_defect_of_kickbench_keeps_its_traceback(monkeypatch):
-    def fail(arguments):
+    def fail():
         raise RuntimeError("an assumption was wrong")
 
-    monkeypatch.setattr("kickbench.cli.inspect.terms", fail)
+    monkeypatch.setattr("kickbench.mdp.catalog.catalog", fail)
     with pytest.raises(RuntimeError, match="assumption"):
         main(["terms"])
 

@@ -32,7 +32,10 @@ def test_a_damaged_checkpoint_counts_for_nothing(make_run):
     assert "newest checkpoint is damaged" in state.note
     (run.checkpoints / "iteration_000050.pt").write_bytes(b"")
     state = read_state(run, 450)
-    assert (state.state, state.note) == (State.DAMAGED, "every checkpoint is damaged")
+    assert (state.state, state.note) == (
+        State.DAMAGED,
+        "every checkpoint is damaged: iteration_000100.pt",
+    )
 
 
 def test_a_run_that_has_trained_but_has_no_checkpoint_is_damaged(make_run):

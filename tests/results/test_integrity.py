@@ -138,6 +138,25 @@ def test_a_missing_or_a_new_file_is_damage_and_one_of_a_person_is_not(run):
     assert "also/k1_lite.json: not in SHA256SUMS" in (damage(run) or "")
 
 
+def test_any_flipped_bit_of_the_sums_is_said_of_the_sums(run):
+    sums = run / "SHA256SUMS"
+    whole = sums.read_bytes()
+    for bit in random.Random(4).sample(range(len(whole) * 8), 120):
+        flipped = bytearray(whole)
+        flipped[bit // 8] ^= 1 << bit % 8
+        sums.write_bytes(flipped)
+        assert (damage(run) or "").startswith(f"{sums}: damaged"), (bit, damage(run))
+
+
+@pytest.mark.parametrize("name", ["task", "method", "robot", "representations"])
+def test_a_damaged_spec_of_an_unfinished_run_is_named(run, name):
+    (run / "metrics.json").unlink()
+    assert damage(run) is None
+    spec = run / f"specs/{name}.yaml"
+    spec.write_text(spec.read_text() + "# a comment\n")
+    assert damage(run) == f"{spec}: damaged: its SHA-256 is not that in SHA256SUMS"
+
+
 def test_what_is_no_regular_file_is_not_read(run):
     for name in ("metrics.json", "policy.pt", "SHA256SUMS", "also/mini_general.json"):
         whole = (run / name).read_bytes()

@@ -2,9 +2,9 @@ from pathlib import Path
 
 import pytest
 
-from kickbench.errors import KickbenchError, SpecError
+from kickbench.errors import SpecError
 from kickbench.mdp.catalog import model_of_task
-from kickbench.spec.load import find_file, known_files, load, load_method, load_task, split_overrides
+from kickbench.spec.load import load, load_method, load_task, split_overrides
 from kickbench.spec.representation import RepresentationSpec
 from kickbench.spec.robot import RobotSpec
 
@@ -157,19 +157,3 @@ def test_an_override_that_neither_task_nor_method_has_names_the_nearest_key():
     assert messages(split_overrides, ["zzz=1"]) == [
         "--set zzz=1: neither a task nor a method has a key 'zzz'"
     ]
-
-
-def test_a_name_means_a_file_here_before_one_of_kickbench(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    assert find_file("methods", "mini/equivariant").is_file()
-    own = tmp_path / "methods/mini/equivariant.yaml"
-    own.parent.mkdir(parents=True)
-    own.write_text("{}")
-    assert find_file("methods", "mini/equivariant").resolve() == own
-    assert find_file("methods", "elsewhere/x.yaml") == Path("elsewhere/x.yaml"), "a path stays what it is"
-    assert "studies/no_fall_penalties" in known_files("tasks")
-
-
-def test_a_name_that_nothing_has_is_an_error_with_the_nearest():
-    with pytest.raises(KickbenchError, match="did you mean 'mini_general'"):
-        find_file("tasks", "mini_genral")

@@ -3,6 +3,7 @@
 import csv
 import io
 import math
+import random
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 
 from kickbench.errors import KickbenchError
+from kickbench.results.progress import checked_rows
 from kickbench.training.progress import (
     Countdown,
     IterationRecord,
@@ -332,3 +334,27 @@ def test_importing_progress_loads_nothing_heavy() -> None:
     code = f"import sys, kickbench.training.progress; print([m for m in {heavy!r} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_any_flipped_bit_of_a_row_or_of_a_column_name_is_found(tmp_path: Path) -> None:
+    path = tmp_path / "progress.csv"
+    write_rows(path, range(3))
+    whole = path.read_bytes()
+    marked = range(whole.index(b",crc32"), whole.index(b"\n") + 1)  # what says that there are checks
+    for bit in random.Random(5).sample(range(8 * (len(whole) - 1)), 200):
+        flipped = bytearray(whole)
+        flipped[bit // 8] ^= 1 << bit % 8
+        path.write_bytes(flipped)
+        if bit // 8 not in marked:
+            with pytest.raises(KickbenchError, match=r"progress\.csv:"):
+                checked_rows(path)
+
+
+def test_rows_of_an_older_table_get_their_checks_on_a_resume(tmp_path: Path) -> None:
+    path = tmp_path / "progress.csv"
+    write_rows(path, range(2))
+    whole = path.read_text()
+    path.write_text("".join(line.rpartition(",")[0] + "\n" for line in whole.splitlines()))
+    assert len(checked_rows(path)) == 3
+    write_rows(path, [], first=2)
+    assert path.read_text() == whole

@@ -40,7 +40,7 @@ SMALL = (
     "network.critic_hidden=[16]",
     "episode.max_steps=4",
 )
-TIMES = ("steps_per_second", "collect_seconds", "update_seconds")
+TIMES = ("steps_per_second", "collect_seconds", "update_seconds", "crc32")
 
 
 def make_trainer(chosen, folder: Path, seed: int = 0) -> Trainer:

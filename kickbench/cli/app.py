@@ -1,0 +1,186 @@
+"""The command line itself: how a verb is added, and the options that several verbs have."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+from typer.core import TyperGroup
+
+_PANELS = ("Train", "Look at results", "Define", "Check")
+_BEGIN = """\
+usage: kickbench VERB ...   (kickbench --help lists all verbs, kickbench VERB --help explains one)
+
+Five to begin with:
+  kickbench list                                  tasks, methods and robots by name
+  kickbench run mini_home_field equivariant       train and evaluate, minutes on a laptop
+  kickbench table runs                            what the runs have reached
+  kickbench report runs                           the same as a page with pictures
+  kickbench new task my_task --from mini_general  a task of your own"""
+
+
+class _Grouped(TyperGroup):
+    """Lists the verbs in groups, without rich, whose import takes longer than all the rest of `--help`."""
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        panels = dict.fromkeys((*_PANELS, *(command.rich_help_panel for command in self.commands.values())))
+        for panel in panels:
+            own = {name: verb for name, verb in self.commands.items() if verb.rich_help_panel == panel}
+            if own:
+                with formatter.section(str(panel or "Actions")):
+                    formatter.write_dl([(name, verb.help or "") for name, verb in own.items()])
+
+
+_SETTINGS: dict[str, Any] = {
+    "cls": _Grouped,
+    "rich_markup_mode": None,
+    "pretty_exceptions_enable": False,
+    "context_settings": {"help_option_names": ["-h", "--help"], "max_content_width": 110},
+    "subcommand_metavar": "VERB ...",
+}
+app = typer.Typer(**_SETTINGS)
+symmetry = typer.Typer(
+    add_completion=False, help="Derive joint pairs and signs from a model's geometry.", **_SETTINGS
+)
+app.add_typer(symmetry, name="symmetry", rich_help_panel="Define")
+
+
+def verb(
+    panel: str, example: str, name: str | None = None, of: typer.Typer = app
+) -> Callable[[Callable[..., int]], Callable[..., int]]:
+    """Makes a function a verb. Its docstring is the help, its parameters are the arguments, it returns the exit code.
+
+    What takes long to import is imported in the function: every verb is defined whenever one of them is called.
+
+    Args:
+        panel: The group in `kickbench --help`.
+        example: A call, without `kickbench`.
+        name: The verb, if it is not the function's name.
+        of: The verb that it belongs to.
+    """
+    panel_of = panel if of is app else None
+    return of.command(name, rich_help_panel=panel_of, epilog=f"Example: kickbench {example}")
+
+
+@app.callback(invoke_without_command=True)
+def _kickbench(
+    context: typer.Context,
+    version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
+) -> None:
+    """A declarative benchmark suite for symmetry-aware humanoid RL."""
+    if version:
+        from kickbench import __version__
+
+        print(f"kickbench {__version__}")
+        raise typer.Exit
+    if context.invoked_subcommand is None:
+        typer.echo(_BEGIN, err=True)
+        raise typer.Exit(2)
+
+
+def exclude(flag: str, is_set: Any, other: str, other_is_set: Any) -> None:
+    """Refuses two flags at once."""
+    if is_set and other_is_set:
+        raise typer.BadParameter(f"{flag}: not allowed with argument {other}")
+
+
+def _whole(least: int) -> Callable[[str], int]:
+    def parse(value: str | int) -> int:
+        text = str(value)  # a default is parsed, too
+        if not text.isdecimal() or int(text) < least:
+            raise typer.BadParameter(f"expected a whole number of at least {least}, found {text!r}")
+        if int(text) >= 2**63:
+            raise typer.BadParameter(f"expected a number below 2^63, found {text}")
+        return int(text)
+
+    return parse
+
+
+def number(low: float, high: float) -> Callable[[str], float]:
+    """Parses a number between two others."""
+
+    def parse(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not low < value < high:
+            raise typer.BadParameter(f"expected a number between {low:g} and {high:g}, found {text!r}")
+        return value
+
+    return parse
+
+
+def _size(text: str) -> tuple[int, int]:
+    sides = text.lower().split("x")
+    if len(sides) != 2 or not all(side.isdecimal() and 64 <= int(side) <= 4096 for side in sides):
+        raise typer.BadParameter(f"expected WIDTHxHEIGHT, each from 64 to 4096, found {text!r}")
+    return int(sides[0]), int(sides[1])
+
+
+def names_of(*kinds: str) -> Callable[[str], list[str]]:
+    """What a shell may complete an argument to: the names of shipped files."""
+
+    def complete(incomplete: str) -> list[str]:
+        from kickbench.shipped import names
+
+        return [name for kind in kinds for name in names(kind) if name.startswith(incomplete)]
+
+    return complete
+
+
+def argument(text: str, metavar: str, *kinds: str) -> Any:
+    """A positional argument; of some kinds of file: a path or a shipped name."""
+    completion: dict[str, Any] = {"autocompletion": names_of(*kinds)} if kinds else {}
+    return typer.Argument(help=text, metavar=metavar, show_default=False, **completion)
+
+
+def option(
+    text: str, *flags: str, metavar: str | None = None, parser: Callable[[str], Any] | None = None
+) -> Any:
+    """An option."""
+    return typer.Option(*flags, help=text, metavar=metavar, parser=parser, show_default=False)
+
+
+def count(text: str, *flags: str, least: int = 1, metavar: str = "N") -> Any:
+    """An option that is a whole number."""
+    return option(text, *flags, metavar=metavar, parser=_whole(least))
+
+
+NONE: list[Any] = []
+"""Default of an option that may be repeated."""
+Task = Annotated[Path, argument("Task: a YAML file or a name of `kickbench list`.", "TASK", "task")]
+Method = Annotated[Path, argument("Method: a YAML file or a name; of a task's robot.", "METHOD", "method")]
+Experiment = Annotated[Path, argument("Experiment: a YAML file or a name.", "EXPERIMENT", "reported")]
+Run = Annotated[Path, argument("Run directory.", "RUN")]
+Policy = Annotated[Path | None, option("Run directory whose policy is used.", metavar="RUN")]
+Roots = Annotated[list[Path], argument("Run directories, or folders of them.", "DIR...")]
+For = Annotated[
+    Path | None, option("Experiment that the runs are for: a YAML file or a name.", metavar="EXPERIMENT")
+]
+Set = Annotated[list[str], option("Override a value; may be repeated.", "--set", metavar="key.path=value")]
+Device = Annotated[Literal["cpu", "cuda"], typer.Option(help="Where to compute.")]
+Threads = Annotated[int | None, count("Threads (default: the cores this process may use).")]
+Seed = Annotated[int, count("Seed (default: 0).", least=0, metavar="K")]
+TaskSeed = Annotated[
+    int | None, count("Seed of the initial states (default: the task's).", least=0, metavar="K")
+]
+Trust = Annotated[
+    bool, option("Import the terms that came with the run: code of whoever made it.", "--trust-code")
+]
+Json = Annotated[bool, option("Print JSON.", "--json")]
+Scale = Annotated[
+    float | None,
+    option(
+        "Shrink iterations and evaluation episodes (100 a side at least) by this factor, below 1; marked in results.",
+        metavar="S",
+        parser=number(0, 1),
+    ),
+]
+Size = Annotated[
+    tuple[int, int] | None,
+    option("Pixels of a picture (default: 400x300, films 640x480).", metavar="WxH", parser=_size),
+]

@@ -1,0 +1,229 @@
+"""Verbs for the YAML files: `list`, `new`, `show`, `validate`, `terms`, `schema` and `symmetry derive`."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Literal
+
+from kickbench.cli.app import NONE, Set, argument, exclude, option, symmetry, verb
+from kickbench.errors import KickbenchError, Problem, SpecError, printable, shown
+from kickbench.shipped import FOLDERS, find, find_method, names
+
+_KINDS = tuple(FOLDERS)
+Kind = Literal["task", "method", "robot", "representations", "reported"]
+Terms = Literal["observations", "rewards", "terminations", "randomizations"]
+
+
+@verb("Define", "list", name="list")
+def list_files(
+    folder: Annotated[Path | None, argument("Folder whose files and runs are listed instead.", "DIR")] = None,
+) -> int:
+    """List tasks, methods, robots and experiments by name, or what is below a folder."""
+    if folder is not None and not folder.is_dir():
+        raise KickbenchError(f"{folder}: no such folder")
+    found = _shipped() if folder is None else sorted(_below(folder))
+    for kind in _KINDS:
+        entries = [(name, text) for found_kind, name, text in found if found_kind == kind]
+        if entries:
+            width = max(len(name) for name, _ in entries)
+            lines = (f"  {name:<{width}}  {printable(text)}".rstrip() for name, text in entries)
+            print("\n".join([f"{kind}:", *lines]))
+    if folder is not None:
+        _print_runs(folder)
+    return 0
+
+
+@verb("Define", "new task my_task --from mini_general")
+def new(
+    kind: Annotated[Literal["task", "method"], argument("What to define.", "KIND")],
+    name: Annotated[str, argument("Its name; the file is NAME.yaml.", "NAME")],
+    base: Annotated[Path, option("What it extends: a YAML file or a name.", "--from", metavar="BASE")],
+) -> int:
+    """Write a YAML file that extends another one, with every value as a comment to edit."""
+    from kickbench.results.atomic import atomic_write_text
+    from kickbench.yamlio import dump_yaml, load_document
+
+    file, out = find(base, kind).absolute(), Path(name).with_suffix(".yaml")
+    if out.exists():
+        raise KickbenchError(f"{shown(out)}: is there already")
+    data = load_document(file).data
+    rest = {
+        key: value for key, value in data.items() if key not in ("description", "robot", "representations")
+    }
+    place = os.path.relpath(file, out.parent) if file.is_relative_to(Path.cwd()) else file
+    text = "".join(f"# {line}\n" for line in dump_yaml(rest).splitlines())
+    head = f"# A {kind} like {base}. Remove the `#` of what is to differ, and of the keys above it.\n"
+    own = dump_yaml({"extends": str(place), "description": f"{out.stem}: {data.get('description', '')}"})
+    atomic_write_text(out, f"{head}{own}\n{text}")
+    print(shown(out))
+    return 0
+
+
+@verb("Define", "validate my_task.yaml mini/equivariant")
+def validate(
+    files: Annotated[list[Path], argument("YAML files of any kind, or names.", "FILE...", *_KINDS)],
+    overrides: Set = NONE,
+) -> int:
+    """Check YAML files, a single task with every method among them, and report all errors."""
+    paths = [find(file, *_KINDS) for file in files]
+    from kickbench.speccheck import check_files
+
+    problems: list[Problem] = []
+    for report in check_files(paths, overrides):
+        problems += report.problems
+        if report.kind and not report.problems:
+            print(f"{shown(report.name)}: fine ({report.kind})")
+        for note in report.notes:
+            print(f"{shown(report.name)}: note: {printable(note)}")
+    if problems:
+        raise SpecError(problems)
+    return 0
+
+
+@verb("Define", "show mini_home_field --set ball.mass=0.2")
+def show(
+    file: Annotated[Path, argument("A YAML file of any kind, or a name.", "FILE", *_KINDS)],
+    plot: Annotated[
+        Path | None,
+        option("Draw a task's sampling regions from above instead (.png, .svg).", metavar="FILE"),
+    ] = None,
+    fields: Annotated[
+        Path | None,
+        option(
+            "Print how a task's observations and actions mirror, by this method, instead.", metavar="METHOD"
+        ),
+    ] = None,
+    overrides: Set = NONE,
+) -> int:
+    """Print a resolved spec and where each value came from."""
+    exclude("--fields", fields, "--plot", plot)
+    path = find(file, *_KINDS)
+    if plot is not None:
+        from kickbench.cli.view import plot as draw
+
+        return draw(path, plot, overrides)
+    if fields is not None:
+        return _show_fields(path, find_method(fields, path, overrides), overrides)
+    from kickbench.mdp.catalog import model_of_task
+    from kickbench.spec.explain import explain
+    from kickbench.spec.load import load
+    from kickbench.speccheck import kind_of, model_of
+    from kickbench.yamlio import load_document
+
+    kind = kind_of(load_document(path, overrides))
+    loaded = load(model_of_task if kind == "task" else model_of(kind), path, overrides)
+    print(explain(loaded.spec, loaded.document).rstrip("\n"))
+    return 0
+
+
+@verb("Define", "terms rewards")
+def terms(
+    kind: Annotated[Terms | None, argument("Of this kind only.", "[KIND]")] = None,
+    own: Annotated[
+        Path | None, option("With those of a Python file (a task's key `terms`).", "--own", metavar="FILE")
+    ] = None,
+) -> int:
+    """List all terms with parameters, units and source."""
+    if own is not None and not own.is_file():
+        raise KickbenchError(f"{own}: no such file")
+    from kickbench.mdp.catalog import catalog
+    from kickbench.mdp.describe import describe, describe_common
+
+    last = None
+    for term in catalog(own).all():
+        if kind in (None, f"{term.kind}s"):
+            if term.kind != last:
+                print(f"{term.kind}s\n{'-' * (len(term.kind) + 1)}")
+                if common := describe_common(term.kind):
+                    print(f"every {term.kind} accepts\n{common}\n")
+            last = term.kind
+            print(describe(term))
+    return 0
+
+
+@verb("Define", "schema task")
+def schema(kind: Annotated[Kind, argument("Kind of file.", "KIND")]) -> int:
+    """Print the JSON Schema of a kind of file."""
+    from kickbench.spec.json_schema import json_schema
+    from kickbench.speccheck import model_of
+
+    print(json.dumps(json_schema(model_of(kind)), indent=2))
+    return 0
+
+
+@verb("Define", "symmetry derive my_robot.xml", of=symmetry)
+def derive(
+    model: Annotated[Path, argument("MJCF file.", "MODEL")],
+    plane: Annotated[
+        Literal["xz", "yz", "xy"],
+        option("Mirror plane of the first body's frame (default: xz, which every task uses)."),
+    ] = "xz",
+) -> int:
+    """Print the `symmetry:` block of a robot file, derived from the geometry of its MJCF."""
+    if not model.is_file():
+        raise KickbenchError(f"{model}: {'a folder, no file' if model.is_dir() else 'no such file'}")
+    from kickbench.scene.skeleton import compile_skeleton
+    from kickbench.symmetry.block import symmetry_block
+    from kickbench.symmetry.derive import derive
+
+    derivation = derive(compile_skeleton(model), plane)
+    print(symmetry_block(derivation, model.name))
+    return 1 if derivation.unclear else 0
+
+
+def _show_fields(task: Path, method: Path, overrides: list[str]) -> int:
+    """Prints field tables, and the actions in both bases."""
+    from kickbench.experiment import load_experiment
+
+    experiment = load_experiment(task, method, overrides)
+    symmetry, names = experiment.symmetry, experiment.task.scene.layout.actuator_names
+    parts = [f"observations: {group}\n{table}" for group, table in symmetry.groups.items()]
+    parts.append("\n".join((f"actions: {symmetry.actions}", *symmetry.actions.describe(names))))
+    parts.append("\n".join(("actions, isotypic form", *symmetry.actions.describe_isotypic(names))))
+    print("\n\n".join(parts))
+    return 0
+
+
+Entry = tuple[str, str, str]
+"""Kind, name and description of a file."""
+
+
+def _shipped() -> list[Entry]:
+    return [
+        (kind, name, _kind_and_text(path, kind)[1]) for kind in _KINDS for name, path in names(kind).items()
+    ]
+
+
+def _below(folder: Path) -> Iterator[Entry]:
+    for usual, (place, pattern) in FOLDERS.items():
+        if usual != "representations":  # they are among the methods
+            for path in (folder / place).glob(pattern):
+                kind, text = _kind_and_text(path, usual)
+                yield kind, shown(path), text
+
+
+def _kind_and_text(path: Path, usual: str) -> tuple[str, str]:
+    from kickbench.yamlio import load_document
+
+    try:
+        document = load_document(path)
+    except SpecError as error:
+        return usual, f"does not load: {error.problems[0]}"
+    is_table = usual == "method" and "actions" in document.data
+    return "representations" if is_table else usual, str(document.data.get("description", ""))
+
+
+def _print_runs(folder: Path) -> None:
+    from kickbench.results.frame import load_runs, runs_of
+    from kickbench.results.notes import left_out_lines, repeat_lines
+
+    runs = load_runs(folder)
+    finished = runs_of(runs[runs.state == "finished"])
+    if len(finished):
+        print("finished runs:\n" + "\n".join(f"  {path}" for path in finished.path))
+    lines = [*repeat_lines(runs, shown), *left_out_lines(runs, shown)]
+    if lines:
+        print("\n".join(lines))
