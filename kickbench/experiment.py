@@ -144,9 +144,12 @@ def symmetry_of(task: CompiledTask, representations: Loaded[RepresentationSpec])
         problems.append(document.problem(("actions",), what))
     if problems:
         raise SpecError(tuple(problems))
-    return Symmetry(
-        qpos=mirror_qpos(layout.coordinates, image | {"ball": ("ball", 1)}),
-        qvel=mirror_qvel(layout.coordinates, image | {"ball": ("ball", 1)}),
-        groups=groups,
-        actions=actions,
-    )
+    qpos, qvel = reflection_of(task)
+    return Symmetry(qpos=qpos, qvel=qvel, groups=groups, actions=actions)
+
+
+def reflection_of(task: CompiledTask) -> tuple[Representation, Representation]:
+    """The reflection on a task's generalised positions [nq] and velocities [nv], from the robot's joint table."""
+    coordinates = task.scene.layout.coordinates
+    image = task.robot.spec.symmetry.image() | {"ball": ("ball", 1)}
+    return mirror_qpos(coordinates, image), mirror_qvel(coordinates, image)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,7 +30,7 @@ from kickbench.results.metrics import Evaluation, Metrics, load_metrics, summari
 from kickbench.results.provenance import ExperimentRef
 from kickbench.results.specs import update_specs
 from kickbench.results.store import RunDirectory
-from kickbench.train.checkpoint import Checkpoints, load_policy, save_policy
+from kickbench.train.checkpoint import Checkpoints, load_policy, load_unfinished, save_policy
 from kickbench.train.progress import ProgressGroup, standard_progress
 from kickbench.train.ranks import ALONE, Ranks, joined, read_ranks
 from kickbench.train.resume import Resume, begin, take_up
@@ -302,12 +303,13 @@ def evaluate(
     return EpisodeSides(home, mirrored), probe.result()
 
 
-def load_run(path: Path, task: Path | None = None) -> tuple[Experiment, Policy]:
+def load_run(path: Path, task: Path | None = None, *, unfinished: bool = False) -> tuple[Experiment, Policy]:
     """Loads experiment and policy of a run directory.
 
     Args:
         path: The run directory.
         task: Another task for the policy; default: the one it was trained on.
+        unfinished: Whether a run that is not trained to its end gives the policy of its last checkpoint.
 
     Raises:
         KickbenchError: The directory holds no run with a policy, or one of its files is damaged.
@@ -319,7 +321,13 @@ def load_run(path: Path, task: Path | None = None) -> tuple[Experiment, Policy]:
     experiment = load_experiment(task or directory.task_spec, directory.method_spec)
     symmetry = experiment.symmetry
     policy = build_actor(experiment.method.spec, symmetry.groups["actor"], symmetry.actions)
-    load_policy(directory.policy, policy)
+    if unfinished and not directory.policy.exists():
+        iteration = load_unfinished(Checkpoints(directory.checkpoints), policy)
+        print(
+            f"{shown(path)}: not finished; this is its policy after {iteration} iterations", file=sys.stderr
+        )
+    else:
+        load_policy(directory.policy, policy)
     return experiment, policy
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import io
-import math
 import sys
 from collections.abc import Sequence
 from importlib import import_module
@@ -12,6 +11,7 @@ from pathlib import Path
 
 from kickbench import __version__
 from kickbench.cli.faults import fault_message, mute, report_fault
+from kickbench.cli.values import natural, port, positive, scale, size
 from kickbench.errors import KickbenchError
 
 
@@ -63,6 +63,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_inspection(verbs)
     _add_bench(verbs)
     _add_view(verbs)
+    _add_play(verbs)
     _add_symmetry(verbs)
     _add_audit(verbs)
     _add_verb(verbs, "doctor", "kickbench.cli.doctor:doctor", "say what can run here, and why not the rest")
@@ -82,10 +83,10 @@ def _add_run(verbs: argparse._SubParsersAction) -> None:
     verb = _add_verb(verbs, "run", "kickbench.cli.run:run", "train a method on a task and evaluate it")
     verb.add_argument("task", type=Path, metavar="TASK", help="task YAML")
     verb.add_argument("method", type=Path, metavar="METHOD", help="method YAML")
-    verb.add_argument("--seed", type=_natural, default=0, help="seed (default: 0)")
-    verb.add_argument("--iterations", type=_positive, help="iterations (default: the method's)")
+    verb.add_argument("--seed", type=natural, default=0, help="seed (default: 0)")
+    verb.add_argument("--iterations", type=positive, help="iterations (default: the method's)")
     _add_scale(verb)
-    verb.add_argument("--num-envs", type=_positive, help="parallel environments (default: the method's)")
+    verb.add_argument("--num-envs", type=positive, help="parallel environments (default: the method's)")
     verb.add_argument(
         "--out", type=Path, metavar="DIR", help="run directory (default: runs/<task>/<method>/seed<k>)"
     )
@@ -115,11 +116,11 @@ def _add_reproduce(verbs: argparse._SubParsersAction) -> None:
     verb.add_argument("reported", type=Path, metavar="REPORTED", help="experiment YAML (results/reported/)")
     verb.add_argument("--only", action="append", metavar="ARM", help="this arm only; may be repeated")
     verb.add_argument(
-        "--seeds", type=_natural, nargs="+", metavar="K", help="seeds (default: the experiment's)"
+        "--seeds", type=natural, nargs="+", metavar="K", help="seeds (default: the experiment's)"
     )
     _add_scale(verb)
     _add_set(verb)
-    verb.add_argument("--jobs", type=_positive, default=1, help="runs at a time (default: 1)")
+    verb.add_argument("--jobs", type=positive, default=1, help="runs at a time (default: 1)")
     _add_device(verb, "train")
     _add_threads(verb)
     verb.add_argument(
@@ -142,8 +143,8 @@ def _add_eval(verbs: argparse._SubParsersAction) -> None:
     verb.add_argument(
         "--save", action="store_true", help="keep the figures on another task in RUN/also/<task>.json"
     )
-    verb.add_argument("--episodes", type=_positive, help="episodes a side (default: the task's)")
-    verb.add_argument("--seed", type=_natural, help="seed of the starts (default: the task's)")
+    verb.add_argument("--episodes", type=positive, help="episodes a side (default: the task's)")
+    verb.add_argument("--seed", type=natural, help="seed of the starts (default: the task's)")
     verb.add_argument("--json", action="store_true", help="print the metrics as JSON")
     _add_threads(verb)
 
@@ -230,8 +231,8 @@ def _add_bench(verbs: argparse._SubParsersAction) -> None:
         metavar="DIR",
         help="folder of the three methods compared (default: the first in methods that is for the task's robot)",
     )
-    verb.add_argument("--num-envs", type=_positive, nargs="+", metavar="N", help="worlds (default: 512)")
-    verb.add_argument("--rounds", type=_positive, default=10, help="interleaved repetitions (default: 10)")
+    verb.add_argument("--num-envs", type=positive, nargs="+", metavar="N", help="worlds (default: 512)")
+    verb.add_argument("--rounds", type=positive, default=10, help="interleaved repetitions (default: 10)")
     verb.add_argument("--json", type=Path, metavar="FILE", help="write the figures as JSON, too")
     verb.add_argument(
         "--profile", action="store_true", help="tell where the time goes, for the first number of worlds"
@@ -251,11 +252,33 @@ def _add_view(verbs: argparse._SubParsersAction) -> None:
         metavar="FILE",
         help=".png: a sheet of starts; .gif or .mp4: episodes (default: <task>.png)",
     )
-    verb.add_argument("--starts", type=_positive, metavar="N", help="starts on a sheet (default: 9)")
-    verb.add_argument("--episodes", type=_positive, metavar="N", help="episodes of a film (default: 3)")
-    verb.add_argument("--seed", type=_natural, help="seed of the starts (default: the task's)")
+    verb.add_argument("--starts", type=positive, metavar="N", help="starts on a sheet (default: 9)")
+    verb.add_argument("--episodes", type=positive, metavar="N", help="episodes of a film (default: 3)")
+    verb.add_argument("--seed", type=natural, help="seed of the starts (default: the task's)")
     verb.add_argument(
-        "--size", type=_size, metavar="WxH", help="pixels of a picture (default: 400x300, films 640x480)"
+        "--size", type=size, metavar="WxH", help="pixels of a picture (default: 400x300, films 640x480)"
+    )
+    _add_set(verb)
+
+
+def _add_play(verbs: argparse._SubParsersAction) -> None:
+    text = "show a policy live in a browser, or a robot that stands on zero action"
+    verb = _add_verb(verbs, "play", "kickbench.cli.view:play", text)
+    verb.add_argument("path", type=Path, metavar="RUN|TASK", help="run directory, or task YAML (zero action)")
+    verb.add_argument("--task", type=Path, metavar="TASK", help="another task for the run's policy")
+    verb.add_argument("--seed", type=natural, help="seed of the initial states (default: the task's)")
+    verb.add_argument(
+        "--port", type=port, default=8080, help="port, or the next that is free (default: 8080)"
+    )
+    verb.add_argument(
+        "--host",
+        default="127.0.0.1",
+        help="interface; with another than the default, everyone who reaches the port controls the page",
+    )
+    verb.add_argument(
+        "--browser",
+        action=argparse.BooleanOptionalAction,
+        help="open a browser (default: where there is one)",
     )
     _add_set(verb)
 
@@ -287,8 +310,8 @@ def _add_audit(verbs: argparse._SubParsersAction) -> None:
         "methods/representations/<robot's folder>.yaml beside or above the task)",
     )
     verb.add_argument("--policy", type=Path, metavar="RUN", help="run directory: measure its policy too")
-    verb.add_argument("--states", type=_positive, metavar="N", help="states to visit (default: 4096)")
-    verb.add_argument("--seed", type=_natural, default=0, help="seed of starts and actions (default: 0)")
+    verb.add_argument("--states", type=positive, metavar="N", help="states to visit (default: 4096)")
+    verb.add_argument("--seed", type=natural, default=0, help="seed of starts and actions (default: 0)")
     verb.add_argument("--json", action="store_true", help="print the report as JSON")
     _add_set(verb)
     _add_threads(verb)
@@ -345,7 +368,7 @@ def _add_set(verb: argparse.ArgumentParser) -> None:
 def _add_scale(verb: argparse.ArgumentParser) -> None:
     verb.add_argument(
         "--scale",
-        type=_scale,
+        type=scale,
         metavar="S",
         help="shrink iterations and evaluation episodes (100 a side at least) by this factor, below 1; "
         "the result is marked",
@@ -359,39 +382,4 @@ def _add_device(verb: argparse.ArgumentParser, what: str) -> None:
 
 
 def _add_threads(verb: argparse.ArgumentParser) -> None:
-    verb.add_argument("--threads", type=_positive, help="threads (default: the cores this process may use)")
-
-
-def _positive(text: str) -> int:
-    return _whole_number(text, 1)
-
-
-def _natural(text: str) -> int:
-    value = _whole_number(text, 0)
-    if value >= 2**63:
-        raise argparse.ArgumentTypeError(f"expected a number below 2^63, found {text}")
-    return value
-
-
-def _scale(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not 0 < value < 1:
-        raise argparse.ArgumentTypeError(f"expected a number between 0 and 1, found {text!r}")
-    return value
-
-
-def _size(text: str) -> tuple[int, int]:
-    sides = text.lower().split("x")
-    if len(sides) != 2 or not all(side.isdecimal() and 64 <= int(side) <= 4096 for side in sides):
-        raise argparse.ArgumentTypeError(f"expected WIDTHxHEIGHT, each from 64 to 4096, found {text!r}")
-    return int(sides[0]), int(sides[1])
-
-
-def _whole_number(text: str, least: int) -> int:
-    # argparse would name the function that raised a ValueError.
-    if not text.isdecimal() or int(text) < least:
-        raise argparse.ArgumentTypeError(f"expected a whole number of at least {least}, found {text!r}")
-    return int(text)
+    verb.add_argument("--threads", type=positive, help="threads (default: the cores this process may use)")

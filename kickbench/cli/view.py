@@ -1,4 +1,4 @@
-"""Verb `render`, and `show --plot`."""
+"""Verbs `render` and `play`, and `show --plot`."""
 
 from __future__ import annotations
 
@@ -30,6 +30,37 @@ def render(arguments: argparse.Namespace) -> int:
     seed = task.spec.evaluation.seed if arguments.seed is None else arguments.seed
     draw(task, out, seed, arguments)
     print(shown(out))
+    return 0
+
+
+def play(arguments: argparse.Namespace) -> int:
+    """`kickbench play RUN|TASK`: a policy, or a robot without one, live in a browser."""
+    check_mujoco()
+    from kickbench.mdp.catalog import task_model
+    from kickbench.mdp.compile import compile_task
+    from kickbench.results.store import RunDirectory
+    from kickbench.spec.load import load_task
+    from kickbench.view.play import play as show
+    from kickbench.view.recording import policy_for
+
+    path: Path = arguments.path
+    run = path if path.is_dir() else None
+    if run is None and arguments.task is not None:
+        raise KickbenchError(f"--task is for a run's policy, and {shown(path)} is not a run directory")
+    file = arguments.task or (RunDirectory(path).task_spec if run else path)
+    if run and not RunDirectory(path).task_spec.is_file():
+        raise KickbenchError(f"{shown(path)}: not a run directory (it has no specs/task.yaml)")
+    task = compile_task(load_task(task_model(), file, arguments.overrides))
+    policy = policy_for(task, run) if run else None
+    show(
+        task,
+        policy,
+        f"kickbench play {shown(path)}",
+        seed=task.spec.evaluation.seed if arguments.seed is None else arguments.seed,
+        host=arguments.host,
+        port=arguments.port,
+        browser=arguments.browser,
+    )
     return 0
 
 

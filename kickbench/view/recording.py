@@ -116,7 +116,7 @@ def policy_for(task: CompiledTask, run: Path) -> Policy:
     Raises:
         KickbenchError: The folder holds no policy, or it sees or moves something else than the task has.
     """
-    experiment, policy = load_run(run)
+    experiment, policy = load_run(run, unfinished=True)
     trained = experiment.task
     if _sees(trained) != _sees(task):
         raise KickbenchError(
