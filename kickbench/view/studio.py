@@ -114,10 +114,11 @@ def _is_own(host: str, names: Collection[str] | None) -> bool:
     if name == "localhost" or name in (names or ()):
         return True
     try:
-        # No name server can point an address elsewhere.
-        return names is not None or ipaddress.ip_address(name).is_loopback
+        address = ipaddress.ip_address(name)
     except ValueError:
         return False
+    # No name server can point an address elsewhere.
+    return names is not None or address.is_loopback
 
 
 class _Guard:
@@ -139,19 +140,25 @@ class _Guard:
         return self._serve(handler, process_request=check, **options)
 
 
+_REPLACED = ((web_server, "serve"), (web_server, "bind_public_socket"), (web_viewer, "_print_url_banner"))
+
+
+def _check_studio() -> None:
+    for module, name in _REPLACED:
+        if not hasattr(module, name):
+            found = f"MuJoCo {mujoco.__version__} has no {module.__name__}.{name}"
+            raise KickbenchError(f"{found}, so its viewer cannot be guarded: pip install 'mujoco==4.0.*'")
+
+
 @contextmanager
-def _replaced(module: Any, **functions: Any) -> Iterator[None]:
-    missing = [name for name in functions if not hasattr(module, name)]
-    if missing:
-        found = f"MuJoCo {mujoco.__version__} has no {module.__name__}.{missing[0]}"
-        raise KickbenchError(f"{found}: pip install 'mujoco==4.0.*' has the viewer that can be guarded")
-    before = {name: getattr(module, name) for name in functions}
+def _replaced(*functions: Callable[..., Any]) -> Iterator[None]:
+    before = [getattr(module, name) for module, name in _REPLACED]
     try:
-        for name, function in functions.items():
+        for (module, name), function in zip(_REPLACED, functions, strict=True):
             setattr(module, name, function)
         yield
     finally:
-        for name, function in before.items():
+        for (module, name), function in zip(_REPLACED, before, strict=True):
             setattr(module, name, function)
 
 
@@ -169,6 +176,7 @@ def show(model: mujoco.MjModel, panel: Panel, title: str, host: str, port: int, 
     Raises:
         KickbenchError: There is no port, no browser though one is asked for, or Studio cannot be guarded.
     """
+    _check_studio()
     opened = _find_browser(required=browser is True) if browser is not False else None
     server = listen(host, port)
     address, taken = server.getsockname()[:2]
@@ -177,11 +185,7 @@ def show(model: mujoco.MjModel, panel: Panel, title: str, host: str, port: int, 
     guard = _Guard(web_server.serve, names)
     url = _url(address, taken)
     logging.getLogger("WebServer").setLevel(logging.WARNING)
-    with (
-        server,
-        _replaced(web_server, serve=guard, bind_public_socket=lambda host, port: server),
-        _replaced(web_viewer, _print_url_banner=lambda host, port: None),
-    ):
+    with server, _replaced(guard, lambda host, port: server, lambda host, port: None):
         config = viewer_protocol.ViewerConfig(title=title, gfx="web", http_port=taken)
         endpoint, _ = launch_thread.make_thread_endpoints()
         viewer = web_viewer.WebViewer(config, endpoint, model=model, plugins=[_Plugin(panel)])

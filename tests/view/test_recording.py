@@ -14,7 +14,7 @@ from kickbench.nets.build import build_actor
 from kickbench.results.specs import write_specs
 from kickbench.results.store import RunDirectory
 from kickbench.spec.load import load_task
-from kickbench.train.checkpoint import save_policy
+from kickbench.train.checkpoint import Checkpoints, save_policy
 from kickbench.view.recording import policy_for, record_episodes
 
 ROOT = Path(__file__).parents[2]
@@ -87,3 +87,20 @@ def test_a_policy_that_sees_other_fields_is_refused(run):
 def test_a_folder_that_is_no_run_is_named(task, tmp_path):
     with pytest.raises(KickbenchError, match="not a run directory"):
         policy_for(task, tmp_path)
+
+
+def test_a_run_that_is_not_finished_gives_the_policy_of_its_last_checkpoint(task, run, capsys):
+    directory, finished = RunDirectory(run), policy_for(task, run)
+    weights = {"learner": {"actor_state_dict": finished.state_dict()}, "iteration": 3}
+    Checkpoints(directory.checkpoints).save(3, weights)
+    directory.policy.unlink()
+    policy = policy_for(task, run)
+    assert "not finished; this is its policy after 3 iterations" in capsys.readouterr().err
+    observations = {"actor": torch.randn(5, sum(field.size for field in task.groups["actor"]))}
+    assert torch.equal(policy(observations), finished(observations))
+
+
+def test_a_run_with_neither_policy_nor_checkpoint_is_named(task, run):
+    RunDirectory(run).policy.unlink()
+    with pytest.raises(KickbenchError, match="no policy and no checkpoint"):
+        policy_for(task, run)
