@@ -492,7 +492,7 @@ class Tab:
 
     def __init__(self, url: str, profile: Path) -> None:
         flags = ["--headless", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-        own = ["--remote-debugging-port=0", f"--user-data-dir={profile}", "--window-size=640,480"]
+        own = ["--remote-debugging-port=0", f"--user-data-dir={profile}", "--window-size=1280,800"]
         assert CHROMIUM
         nowhere = subprocess.DEVNULL
         self._process = subprocess.Popen([CHROMIUM, *flags, *own, url], stdout=nowhere, stderr=nowhere)
@@ -500,7 +500,9 @@ class Tab:
         wait_for(lambda: file.exists() and "\n" in file.read_text())
         self._tools = f"http://127.0.0.1:{file.read_text().split()[0]}/json"
         wait_for(lambda: self._pages())
-        self._socket = websockets.connect(self._pages()[0]["webSocketDebuggerUrl"], max_size=None, proxy=None)
+        address = self._pages()[0]["webSocketDebuggerUrl"]
+        self._connection = websockets.connect(address, max_size=None, proxy=None)
+        self._socket = self._connection.__enter__()
 
     def _pages(self) -> list[dict]:
         with urllib.request.urlopen(self._tools) as answer:
@@ -513,7 +515,7 @@ class Tab:
         return base64.b64decode(message["result"]["data"])
 
     def close(self) -> None:
-        self._socket.close()
+        self._connection.__exit__(None, None, None)
         self._process.terminate()
         self._process.wait()
 
