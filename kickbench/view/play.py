@@ -215,9 +215,9 @@ class Player:
         self._before: float | None = None
 
     def prepare(self, viewer: Any) -> None:
-        """Puts the camera behind the robot, where it sees the targets."""
+        """Puts the camera behind the robot, where it sees the targets, and the robot beside the window."""
         reach, camera = float(self._limits[2, 1]), viewer.camera
-        camera.lookat[:] = [0.3 * reach, 0.0, 0.2]
+        camera.lookat[:] = [0.3 * reach, 0.25 * reach, 0.2]
         camera.distance, camera.azimuth, camera.elevation = 1.5 + 0.8 * reach, 20.0, -22.0
 
     def update(self, viewer: Any) -> None:
