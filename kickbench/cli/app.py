@@ -26,9 +26,11 @@ class _Grouped(TyperGroup):
     """Lists the verbs in groups, without rich, whose import takes longer than all the rest of `--help`."""
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
-        panels = dict.fromkeys((*_PANELS, *(command.rich_help_panel for command in self.commands.values())))
-        for panel in panels:
-            own = {name: verb for name, verb in self.commands.items() if verb.rich_help_panel == panel}
+        panel_of = {
+            name: getattr(command, "rich_help_panel", None) for name, command in self.commands.items()
+        }
+        for panel in dict.fromkeys((*_PANELS, *panel_of.values())):
+            own = {name: verb for name, verb in self.commands.items() if panel_of[name] == panel}
             if own:
                 with formatter.section(str(panel or "Actions")):
                     formatter.write_dl([(name, verb.help or "") for name, verb in own.items()])

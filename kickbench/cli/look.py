@@ -18,6 +18,7 @@ from kickbench.cli.app import (
     Size,
     Task,
     TaskSeed,
+    Trust,
     argument,
     count,
     option,
@@ -141,6 +142,33 @@ def render(
     return render(
         file, out, overrides, Picture(policy or None, starts, episodes, seed, size, mirrored or None)
     )
+
+
+@verb("Look at results", "play runs/mini_home_field/equivariant/seed0")
+def play(
+    path: Annotated[
+        Path, argument("Run directory; or a task, whose robot stands on zero action.", "RUN|TASK", "task")
+    ],
+    task: Annotated[Path | None, option("Another task for the run's policy.", metavar="TASK")] = None,
+    seed: TaskSeed = None,
+    port: Annotated[int, count("Port, or the next that is free (default: 8080).", least=0)] = 8080,
+    host: Annotated[
+        str, option("Interface; on another than the default everyone who reaches the port controls the page.")
+    ] = "127.0.0.1",
+    browser: Annotated[
+        bool | None,
+        typer.Option("--browser/--no-browser", help="Open a browser (default: where there is one)."),
+    ] = None,
+    trust_code: Trust = False,
+    overrides: Set = NONE,
+) -> int:
+    """Show a policy live in a browser."""
+    if port >= 2**16:
+        raise typer.BadParameter(f"--port: expected a port below 65536, found {port}")
+    file = path if path.is_dir() else find(path, "task")
+    from kickbench.cli.view import play as show
+
+    return show(file, find(task, "task") if task else None, overrides, seed, host, port, browser, trust_code)
 
 
 @verb("Look at results", "export runs/mini_home_field/equivariant/seed0")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -48,6 +49,43 @@ def render(file: Path, out: Path | None, overrides: Sequence[str], picture: Pict
     out = out or Path(f"{task.name}.png")
     draw(task, out, task.spec.evaluation.seed if picture.seed is None else picture.seed, picture)
     print(shown(out))
+    return 0
+
+
+def play(
+    path: Path,
+    task: Path | None,
+    overrides: Sequence[str],
+    seed: int | None,
+    host: str,
+    port: int,
+    browser: bool | None,
+    trust_code: bool,
+) -> int:
+    """Shows a policy, or a robot without one, live in a browser."""
+    check_mujoco()
+    from kickbench.mdp.compile import read_task
+    from kickbench.training.trained import load_run
+    from kickbench.view.play import play as show
+    from kickbench.view.recording import fitting
+
+    run = load_run(path, trust_code=trust_code, unfinished=True) if path.is_dir() else None
+    if run is None and task is not None:
+        raise KickbenchError(f"--task is for a run's policy, and {shown(path)} is not a run directory")
+    if run is not None and task is None and not overrides:
+        compiled = run.experiment.task
+    else:
+        compiled = read_task(task or (run.directory.task_spec if run else path), overrides)
+        compiled = replace(compiled, is_trusted=run is None or task is not None or trust_code)
+    show(
+        compiled,
+        fitting(compiled, run) if run else None,
+        f"kickbench play {shown(path)}",
+        seed=compiled.spec.evaluation.seed if seed is None else seed,
+        host=host,
+        port=port,
+        browser=browser,
+    )
     return 0
 
 

@@ -91,6 +91,25 @@ def load_policy(path: Path, policy: MLPModel) -> None:
     policy.eval()
 
 
+def load_unfinished(checkpoints: Checkpoints, policy: MLPModel) -> int:
+    """Loads the policy of a run's last checkpoint into a network of the same method; returns its iteration.
+
+    Raises:
+        KickbenchError: There is no checkpoint that can be read, or it is of another network.
+    """
+    state = checkpoints.load()
+    if state is None:
+        raise KickbenchError(
+            f"{shown(checkpoints.folder.parent)}: no policy and no checkpoint; train it first"
+        )
+    try:
+        policy.load_state_dict(state["learner"]["actor_state_dict"])
+    except (RuntimeError, LookupError, TypeError) as error:
+        raise KickbenchError(f"{shown(checkpoints.folder)}: this policy cannot be loaded: {error}") from None
+    policy.eval()
+    return state["iteration"]
+
+
 def _iteration(file: Path) -> int:
     digits = file.stem.removeprefix("iteration_")
     return int(digits) if digits.isdecimal() else -1

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
+import sys
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
 
-from kickbench.errors import KickbenchError
+from kickbench.errors import KickbenchError, shown
 from kickbench.experiment import Experiment, load_experiment
 from kickbench.nets.build import build_actor
 from kickbench.nets.policy import TrainedPolicy
@@ -20,7 +21,7 @@ from kickbench.spec.method import MethodSpec
 from kickbench.spec.representation import RepresentationSpec
 from kickbench.spec.robot import RobotSpec
 from kickbench.spec.task import TaskSpec
-from kickbench.training.checkpoint import load_policy
+from kickbench.training.checkpoint import Checkpoints, load_policy, load_unfinished
 
 
 class Specs(NamedTuple):
@@ -62,13 +63,16 @@ class Run:
         return load_metrics(self.directory.metrics)
 
 
-def load_run(path: Path | str, task: Path | str | None = None, *, trust_code: bool = False) -> Run:
+def load_run(
+    path: Path | str, task: Path | str | None = None, *, trust_code: bool = False, unfinished: bool = False
+) -> Run:
     """Loads the policy of a run directory, with its specs and its result.
 
     Args:
         path: The run directory.
         task: Path or name of another task for the policy; default: the one it was trained on.
         trust_code: Whether envs of the run's task may import terms that came with the run.
+        unfinished: Whether a run that is not trained to its end gives the policy of its last checkpoint.
 
     Raises:
         KickbenchError: The directory holds no run with a policy, or one of its files is damaged.
@@ -83,5 +87,10 @@ def load_run(path: Path | str, task: Path | str | None = None, *, trust_code: bo
         experiment = replace(experiment, task=replace(experiment.task, is_trusted=False))
     symmetry = experiment.symmetry
     network = build_actor(experiment.method.spec, symmetry.groups["actor"], symmetry.actions)
-    load_policy(directory.policy, network)
+    if unfinished and not directory.policy.exists():
+        iteration = load_unfinished(Checkpoints(directory.checkpoints), network)
+        what = f"not finished; this is its policy after {iteration} iterations"
+        print(f"{shown(directory.path)}: {what}", file=sys.stderr)
+    else:
+        load_policy(directory.policy, network)
     return Run(directory, experiment, TrainedPolicy(network))

@@ -47,7 +47,7 @@ def film_runs(
     if mirrored:
         starts = mirror_starts(task, starts)
     for run in runs:
-        policies.append((_title(run, runs), fitting(task, load_run(run))))
+        policies.append((_title(run, runs), fitting(task, load_run(run, unfinished=True))))
     takes = [
         Take(title, record_episodes(task, policy, starts, seed)) for title, policy in policies or [("", None)]
     ]

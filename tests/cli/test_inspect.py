@@ -80,7 +80,8 @@ def test_help_lists_every_verb(capsys):
         main(["--help"])
     assert stop.value.code == 0
     text = capsys.readouterr().out
-    for verb in ("run", "eval", "validate", "show", "schema", "terms", "list", "table", "bench", "render"):
+    verbs = "run eval validate show schema terms list table bench render play"
+    for verb in verbs.split():
         assert re.search(rf"^ +{verb} +\S", text, re.MULTILINE), verb
 
 

@@ -14,7 +14,7 @@ from kickbench.nets.build import build_actor
 from kickbench.results.specs import write_specs
 from kickbench.results.store import RunDirectory
 from kickbench.spec.load import load_task
-from kickbench.training.checkpoint import save_policy
+from kickbench.training.checkpoint import Checkpoints, save_policy
 from kickbench.training.trained import load_run
 from kickbench.view.recording import fitting, record_episodes
 
@@ -83,3 +83,20 @@ def test_a_policy_that_sees_other_fields_is_refused(run):
     other = compile_task(load_task(model_of_task, path, ["observations.actor.base_ang_vel=null"]))
     with pytest.raises(KickbenchError, match=r"its policy sees .*base_ang_vel .*; the task mini_general has"):
         fitting(other, load_run(run))
+
+
+def test_a_run_that_is_not_finished_gives_the_policy_of_its_last_checkpoint(task, run, capsys):
+    directory, finished = RunDirectory(run), fitting(task, load_run(run))
+    weights = {"learner": {"actor_state_dict": load_run(run).policy.network.state_dict()}, "iteration": 3}
+    Checkpoints(directory.checkpoints).save(3, weights)
+    directory.policy.unlink()
+    policy = fitting(task, load_run(run, unfinished=True))
+    assert "not finished; this is its policy after 3 iterations" in capsys.readouterr().err
+    observations = torch.randn(5, sum(field.size for field in task.groups["actor"]))
+    assert torch.equal(policy(observations), finished(observations))
+
+
+def test_a_run_with_neither_policy_nor_checkpoint_is_named(task, run):
+    RunDirectory(run).policy.unlink()
+    with pytest.raises(KickbenchError, match="no policy and no checkpoint"):
+        load_run(run, unfinished=True)
