@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import typer
 from typer.core import TyperGroup
@@ -109,11 +109,18 @@ def _scale(text: str) -> float:
     return value
 
 
-def _size(text: str) -> tuple[int, int]:
+class Pixels(NamedTuple):
+    """Width and height of a picture."""
+
+    width: int
+    height: int
+
+
+def _size(text: str) -> Pixels:
     sides = text.lower().split("x")
     if len(sides) != 2 or not all(side.isdecimal() and 64 <= int(side) <= 4096 for side in sides):
         raise typer.BadParameter(f"expected WIDTHxHEIGHT, each from 64 to 4096, found {text!r}")
-    return int(sides[0]), int(sides[1])
+    return Pixels(int(sides[0]), int(sides[1]))
 
 
 def names_of(*kinds: str) -> Callable[[str], list[str]]:
@@ -129,7 +136,7 @@ def names_of(*kinds: str) -> Callable[[str], list[str]]:
 
 def argument(text: str, metavar: str, *kinds: str) -> Any:
     """A positional argument; of some kinds of file: a path or a shipped name."""
-    completion = {"autocompletion": names_of(*kinds)} if kinds else {}
+    completion: dict[str, Any] = {"autocompletion": names_of(*kinds)} if kinds else {}
     return typer.Argument(help=text, metavar=metavar, show_default=False, **completion)
 
 
@@ -173,6 +180,6 @@ Scale = Annotated[
     ),
 ]
 Size = Annotated[
-    tuple[int, int] | None,
+    Pixels | None,
     option("Pixels of a picture (default: 400x300, films 640x480).", metavar="WxH", parser=_size),
 ]
