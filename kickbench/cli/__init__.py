@@ -70,8 +70,9 @@ def _call(argv: list[str]) -> int:
     except typer.TyperException as error:
         context, parameter = getattr(error, "ctx", None), getattr(error, "param", None)
         where = context.command_path if context else "kickbench"
-        is_value = parameter is not None and type(error) is typer.BadParameter
-        text = f"{parameter.opts[0]}: {error.message}" if is_value else error.format_message()
+        text = error.format_message()
+        if parameter is not None and type(error) is typer.BadParameter:
+            text = f"{parameter.opts[0]}: {error.message}"
         report_fault(f"{where}: {text} ({where} --help)")
         raise SystemExit(error.exit_code) from None  # type: ignore[attr-defined]
 

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 import typer
 from typer.core import TyperGroup
 
-_PANELS = ("Train", "Look at results", "Define", "Check")
+PANELS = ("Train", "Look at results", "Define", "Check")
 _BEGIN = """\
 usage: kickbench VERB ...   (kickbench --help lists all verbs, kickbench VERB --help explains one)
 
@@ -26,12 +26,15 @@ class _Grouped(TyperGroup):
     """Lists the verbs in groups, without rich, whose import takes longer than all the rest of `--help`."""
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
-        panels = dict.fromkeys((*_PANELS, *(command.rich_help_panel for command in self.commands.values())))
-        for panel in panels:
-            own = {name: verb for name, verb in self.commands.items() if verb.rich_help_panel == panel}
-            if own:
-                with formatter.section(str(panel or "Actions")):
-                    formatter.write_dl([(name, verb.help or "") for name, verb in own.items()])
+        panels: dict[str, list[tuple[str, str]]] = {panel: [] for panel in PANELS}
+        for name, command in self.commands.items():
+            panels.setdefault(getattr(command, "rich_help_panel", "") or "Actions", []).append(
+                (name, command.help or "")
+            )
+        for panel, rows in panels.items():
+            if rows:
+                with formatter.section(panel):
+                    formatter.write_dl(rows)
 
 
 _SETTINGS: dict[str, Any] = {

@@ -7,22 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from kickbench.cli.app import (
-    NONE,
-    Experiment,
-    For,
-    Json,
-    Policy,
-    Roots,
-    Set,
-    Size,
-    Task,
-    TaskSeed,
-    argument,
-    count,
-    option,
-    verb,
-)
+from kickbench.cli import app as cli
 from kickbench.errors import KickbenchError, shown
 from kickbench.shipped import find
 
@@ -30,11 +15,11 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-@verb("Look at results", "table runs --columns kick")
+@cli.verb("Look at results", "table runs --columns kick")
 def table(
-    roots: Roots,
+    roots: cli.Roots,
     columns: Annotated[
-        Literal["success", "kick"], option("Figures to print (default: success).")
+        Literal["success", "kick"], cli.option("Figures to print (default: success).")
     ] = "success",
 ) -> int:
     """Print the table of finished runs."""
@@ -45,8 +30,8 @@ def table(
     return 0
 
 
-@verb("Look at results", "compare runs")
-def compare(roots: Roots) -> int:
+@cli.verb("Look at results", "compare runs")
+def compare(roots: cli.Roots) -> int:
     """Compare methods over their seeds and on the same initial states."""
     from kickbench.results.comparison_table import render_comparison
     from kickbench.results.notes import refuse_contradictions
@@ -57,22 +42,24 @@ def compare(roots: Roots) -> int:
     return 0
 
 
-@verb("Look at results", "claims mini_home_field runs/mini_home_field")
+@cli.verb("Look at results", "claims mini_home_field runs/mini_home_field")
 def claims(
-    experiment: Experiment,
+    experiment: cli.Experiment,
     folder: Annotated[
         Path | None,
-        argument("Folder of its runs (default: measured/<experiment> beside the YAML file's folder).", "DIR"),
+        cli.argument(
+            "Folder of its runs (default: measured/<experiment> beside the YAML file's folder).", "DIR"
+        ),
     ] = None,
-    strict: Annotated[bool, option("Exit code 1 unless every claim is met.", "--strict")] = False,
+    strict: Annotated[bool, cli.option("Exit code 1 unless every claim is met.", "--strict")] = False,
     power: Annotated[
         bool,
-        option(
+        cli.option(
             "Simulate instead how often claims are met by an exact replication, and though they are wrong.",
             "--power",
         ),
     ] = False,
-    json: Json = False,
+    json: cli.Json = False,
 ) -> int:
     """Judge the claims of an experiment by its measured runs."""
     file = find(experiment, "reported")
@@ -81,16 +68,18 @@ def claims(
     return claims(file, folder, strict=strict, power=power, json=json)
 
 
-@verb("Look at results", "report runs/mini_home_field --experiment mini_home_field")
+@cli.verb("Look at results", "report runs/mini_home_field --experiment mini_home_field")
 def report(
-    folder: Annotated[Path | None, argument("A run directory, or a folder of them.", "DIR")] = None,
+    folder: Annotated[Path | None, cli.argument("A run directory, or a folder of them.", "DIR")] = None,
     out: Annotated[
-        Path | None, option("Page to write (default: DIR/report.html).", "-o", "--out", metavar="FILE")
+        Path | None, cli.option("Page to write (default: DIR/report.html).", "-o", "--out", metavar="FILE")
     ] = None,
-    experiment: For = None,
+    experiment: cli.For = None,
     readme: Annotated[
         bool,
-        option("Write README.md's results and results/pictures from results/measured instead.", "--readme"),
+        cli.option(
+            "Write README.md's results and results/pictures from results/measured instead.", "--readme"
+        ),
     ] = False,
     root: Annotated[Path, typer.Option(hidden=True)] = Path(),
 ) -> int:
@@ -114,21 +103,21 @@ def report(
     return 0
 
 
-@verb("Look at results", "render mini_home_field --out starts.png")
+@cli.verb("Look at results", "render mini_home_field --out starts.png")
 def render(
-    task: Task,
-    policy: Policy = None,
+    task: cli.Task,
+    policy: cli.Policy = None,
     out: Annotated[
         Path | None,
-        option(
+        cli.option(
             ".png: a sheet of initial states; .gif or .mp4: episodes (default: <task>.png).", metavar="FILE"
         ),
     ] = None,
-    starts: Annotated[int | None, count("Initial states on a sheet (default: 9).")] = None,
-    episodes: Annotated[int | None, count("Episodes of a film (default: 3).")] = None,
-    seed: TaskSeed = None,
-    size: Size = None,
-    overrides: Set = NONE,
+    starts: Annotated[int | None, cli.count("Initial states on a sheet (default: 9).")] = None,
+    episodes: Annotated[int | None, cli.count("Episodes of a film (default: 3).")] = None,
+    seed: cli.TaskSeed = None,
+    size: cli.Size = None,
+    overrides: cli.Set = cli.NONE,
 ) -> int:
     """Draw initial states of a task, or film episodes."""
     file = find(task, "task")
