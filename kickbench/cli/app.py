@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import typer
 from typer.core import TyperGroup
 
-_PANELS = ("Train", "Look at results", "Define", "Check")
+PANELS = ("Train", "Look at results", "Define", "Check")
 _BEGIN = """\
 usage: kickbench VERB ...   (kickbench --help lists all verbs, kickbench VERB --help explains one)
 
@@ -26,14 +26,15 @@ class _Grouped(TyperGroup):
     """Lists the verbs in groups, without rich, whose import takes longer than all the rest of `--help`."""
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
-        panel_of = {
-            name: getattr(command, "rich_help_panel", None) for name, command in self.commands.items()
-        }
-        for panel in dict.fromkeys((*_PANELS, *panel_of.values())):
-            own = {name: verb for name, verb in self.commands.items() if panel_of[name] == panel}
-            if own:
-                with formatter.section(str(panel or "Actions")):
-                    formatter.write_dl([(name, verb.help or "") for name, verb in own.items()])
+        panels: dict[str, list[tuple[str, str]]] = {panel: [] for panel in PANELS}
+        for name, command in self.commands.items():
+            panels.setdefault(getattr(command, "rich_help_panel", "") or "Actions", []).append(
+                (name, command.help or "")
+            )
+        for panel, rows in panels.items():
+            if rows:
+                with formatter.section(panel):
+                    formatter.write_dl(rows)
 
 
 _SETTINGS: dict[str, Any] = {
@@ -116,11 +117,18 @@ def number(low: float, high: float) -> Callable[[str], float]:
     return parse
 
 
-def _size(text: str) -> tuple[int, int]:
+class Pixels(NamedTuple):
+    """Width and height of a picture."""
+
+    width: int
+    height: int
+
+
+def _size(text: str) -> Pixels:
     sides = text.lower().split("x")
     if len(sides) != 2 or not all(side.isdecimal() and 64 <= int(side) <= 4096 for side in sides):
         raise typer.BadParameter(f"expected WIDTHxHEIGHT, each from 64 to 4096, found {text!r}")
-    return int(sides[0]), int(sides[1])
+    return Pixels(int(sides[0]), int(sides[1]))
 
 
 def names_of(*kinds: str) -> Callable[[str], list[str]]:
@@ -183,6 +191,6 @@ Scale = Annotated[
     ),
 ]
 Size = Annotated[
-    tuple[int, int] | None,
+    Pixels | None,
     option("Pixels of a picture (default: 400x300, films 640x480).", metavar="WxH", parser=_size),
 ]

@@ -6,41 +6,28 @@ import json as json_text
 from pathlib import Path
 from typing import Annotated
 
-from kickbench.cli.app import (
-    NONE,
-    Device,
-    Json,
-    Policy,
-    Seed,
-    Set,
-    Task,
-    Threads,
-    argument,
-    count,
-    option,
-    verb,
-)
+from kickbench.cli import app as cli
 from kickbench.shipped import find, find_method, names
 
 
-@verb("Check", "audit k1_general equivariant")
+@cli.verb("Check", "audit k1_general equivariant")
 def audit(
-    task: Task,
+    task: cli.Task,
     method: Annotated[
         Path | None,
-        argument(
+        cli.argument(
             "Method or representation table (default: the run's with --policy, else the robot's own table).",
             "[METHOD]",
             "method",
             "representations",
         ),
     ] = None,
-    policy: Policy = None,
-    states: Annotated[int | None, count("States to visit (default: 4096).")] = None,
-    seed: Seed = 0,
-    json: Json = False,
-    overrides: Set = NONE,
-    threads: Threads = None,
+    policy: cli.Policy = None,
+    states: Annotated[int | None, cli.count("States to visit (default: 4096).")] = None,
+    seed: cli.Seed = 0,
+    json: cli.Json = False,
+    overrides: cli.Set = cli.NONE,
+    threads: cli.Threads = None,
 ) -> int:
     """Prove a task's symmetry tables against geometry and physics; exit code 1 if a row fails."""
     task = find(task, "task")
@@ -56,24 +43,28 @@ def audit(
     return 1 if report.failures else 0
 
 
-@verb("Check", "bench --num-envs 256 1024 --profile")
+@cli.verb("Check", "bench --num-envs 256 1024 --profile")
 def bench(
     task: Annotated[
-        Path, option("Task: a YAML file or a name (default: mini_general).", metavar="TASK")
+        Path, cli.option("Task: a YAML file or a name (default: mini_general).", metavar="TASK")
     ] = Path("mini_general"),
     methods: Annotated[
         Path | None,
-        option("Folder of the three methods compared (default: that for the task's robot).", metavar="DIR"),
+        cli.option(
+            "Folder of the three methods compared (default: that for the task's robot).", metavar="DIR"
+        ),
     ] = None,
-    num_envs: Annotated[list[int], count("Envs: one or more numbers (default: 512).", metavar="N...")] = NONE,
-    rounds: Annotated[int, count("Interleaved repetitions (default: 10).")] = 10,
-    json: Annotated[Path | None, option("Write the figures as JSON, too.", metavar="FILE")] = None,
+    num_envs: Annotated[
+        list[int], cli.count("Envs: one or more numbers (default: 512).", metavar="N...")
+    ] = cli.NONE,
+    rounds: Annotated[int, cli.count("Interleaved repetitions (default: 10).")] = 10,
+    json: Annotated[Path | None, cli.option("Write the figures as JSON, too.", metavar="FILE")] = None,
     profile: Annotated[
-        bool, option("Print where the time goes, for the first number of envs.", "--profile")
+        bool, cli.option("Print where the time goes, for the first number of envs.", "--profile")
     ] = False,
-    overrides: Set = NONE,
-    device: Device = "cpu",
-    threads: Threads = None,
+    overrides: cli.Set = cli.NONE,
+    device: cli.Device = "cpu",
+    threads: cli.Threads = None,
 ) -> int:
     """Measure speed, as ratios within one run."""
     file = find(task, "task")
@@ -83,7 +74,7 @@ def bench(
     return bench(subject, device, threads, rounds, json, profile=profile)
 
 
-@verb("Check", "doctor")
+@cli.verb("Check", "doctor")
 def doctor() -> int:
     """Print what can run here, and why not the rest."""
     from kickbench.cli.doctor import doctor

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Literal
 
-from kickbench.cli.app import NONE, Set, argument, exclude, option, symmetry, verb
+from kickbench.cli import app as cli
 from kickbench.errors import KickbenchError, Problem, SpecError, printable, shown
 from kickbench.shipped import FOLDERS, find, find_method, names
 
@@ -17,9 +17,11 @@ Kind = Literal["task", "method", "robot", "representations", "reported"]
 Terms = Literal["observations", "rewards", "terminations", "randomizations"]
 
 
-@verb("Define", "list", name="list")
+@cli.verb("Define", "list", name="list")
 def list_files(
-    folder: Annotated[Path | None, argument("Folder whose files and runs are listed instead.", "DIR")] = None,
+    folder: Annotated[
+        Path | None, cli.argument("Folder whose files and runs are listed instead.", "DIR")
+    ] = None,
 ) -> int:
     """List tasks, methods, robots and experiments by name, or what is below a folder."""
     if folder is not None and not folder.is_dir():
@@ -36,11 +38,11 @@ def list_files(
     return 0
 
 
-@verb("Define", "new task my_task --from mini_general")
+@cli.verb("Define", "new task my_task --from mini_general")
 def new(
-    kind: Annotated[Literal["task", "method"], argument("What to define.", "KIND")],
-    name: Annotated[str, argument("Its name; the file is NAME.yaml.", "NAME")],
-    base: Annotated[Path, option("What it extends: a YAML file or a name.", "--from", metavar="BASE")],
+    kind: Annotated[Literal["task", "method"], cli.argument("What to define.", "KIND")],
+    name: Annotated[str, cli.argument("Its name; the file is NAME.yaml.", "NAME")],
+    base: Annotated[Path, cli.option("What it extends: a YAML file or a name.", "--from", metavar="BASE")],
 ) -> int:
     """Write a YAML file that extends another one, with every value as a comment to edit."""
     from kickbench.results.atomic import atomic_write_text
@@ -62,10 +64,10 @@ def new(
     return 0
 
 
-@verb("Define", "validate my_task.yaml mini/equivariant")
+@cli.verb("Define", "validate my_task.yaml mini/equivariant")
 def validate(
-    files: Annotated[list[Path], argument("YAML files of any kind, or names.", "FILE...", *_KINDS)],
-    overrides: Set = NONE,
+    files: Annotated[list[Path], cli.argument("YAML files of any kind, or names.", "FILE...", *_KINDS)],
+    overrides: cli.Set = cli.NONE,
 ) -> int:
     """Check YAML files, a single task with every method among them, and report all errors."""
     paths = [find(file, *_KINDS) for file in files]
@@ -83,23 +85,23 @@ def validate(
     return 0
 
 
-@verb("Define", "show mini_home_field --set ball.mass=0.2")
+@cli.verb("Define", "show mini_home_field --set ball.mass=0.2")
 def show(
-    file: Annotated[Path, argument("A YAML file of any kind, or a name.", "FILE", *_KINDS)],
+    file: Annotated[Path, cli.argument("A YAML file of any kind, or a name.", "FILE", *_KINDS)],
     plot: Annotated[
         Path | None,
-        option("Draw a task's sampling regions from above instead (.png, .svg).", metavar="FILE"),
+        cli.option("Draw a task's sampling regions from above instead (.png, .svg).", metavar="FILE"),
     ] = None,
     fields: Annotated[
         Path | None,
-        option(
+        cli.option(
             "Print how a task's observations and actions mirror, by this method, instead.", metavar="METHOD"
         ),
     ] = None,
-    overrides: Set = NONE,
+    overrides: cli.Set = cli.NONE,
 ) -> int:
     """Print a resolved spec and where each value came from."""
-    exclude("--fields", fields, "--plot", plot)
+    cli.exclude("--fields", fields, "--plot", plot)
     path = find(file, *_KINDS)
     if plot is not None:
         from kickbench.cli.view import plot as draw
@@ -119,11 +121,12 @@ def show(
     return 0
 
 
-@verb("Define", "terms rewards")
+@cli.verb("Define", "terms rewards")
 def terms(
-    kind: Annotated[Terms | None, argument("Of this kind only.", "[KIND]")] = None,
+    kind: Annotated[Terms | None, cli.argument("Of this kind only.", "[KIND]")] = None,
     own: Annotated[
-        Path | None, option("With those of a Python file (a task's key `terms`).", "--own", metavar="FILE")
+        Path | None,
+        cli.option("With those of a Python file (a task's key `terms`).", "--own", metavar="FILE"),
     ] = None,
 ) -> int:
     """List all terms with parameters, units and source."""
@@ -144,8 +147,8 @@ def terms(
     return 0
 
 
-@verb("Define", "schema task")
-def schema(kind: Annotated[Kind, argument("Kind of file.", "KIND")]) -> int:
+@cli.verb("Define", "schema task")
+def schema(kind: Annotated[Kind, cli.argument("Kind of file.", "KIND")]) -> int:
     """Print the JSON Schema of a kind of file."""
     from kickbench.spec.json_schema import json_schema
     from kickbench.speccheck import model_of
@@ -154,12 +157,12 @@ def schema(kind: Annotated[Kind, argument("Kind of file.", "KIND")]) -> int:
     return 0
 
 
-@verb("Define", "symmetry derive my_robot.xml", of=symmetry)
+@cli.verb("Define", "symmetry derive my_robot.xml", of=cli.symmetry)
 def derive(
-    model: Annotated[Path, argument("MJCF file.", "MODEL")],
+    model: Annotated[Path, cli.argument("MJCF file.", "MODEL")],
     plane: Annotated[
         Literal["xz", "yz", "xy"],
-        option("Mirror plane of the first body's frame (default: xz, which every task uses)."),
+        cli.option("Mirror plane of the first body's frame (default: xz, which every task uses)."),
     ] = "xz",
 ) -> int:
     """Print the `symmetry:` block of a robot file, derived from the geometry of its MJCF."""

@@ -7,23 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from kickbench.cli.app import (
-    NONE,
-    Experiment,
-    For,
-    Json,
-    Roots,
-    Run,
-    Set,
-    Size,
-    Task,
-    TaskSeed,
-    Trust,
-    argument,
-    count,
-    option,
-    verb,
-)
+from kickbench.cli import app as cli
 from kickbench.errors import KickbenchError, shown
 from kickbench.shipped import find
 
@@ -31,11 +15,11 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-@verb("Look at results", "table runs --columns kick")
+@cli.verb("Look at results", "table runs --columns kick")
 def table(
-    roots: Roots,
+    roots: cli.Roots,
     columns: Annotated[
-        Literal["success", "kick"], option("Figures to print (default: success).")
+        Literal["success", "kick"], cli.option("Figures to print (default: success).")
     ] = "success",
 ) -> int:
     """Print the table of finished runs."""
@@ -46,8 +30,8 @@ def table(
     return 0
 
 
-@verb("Look at results", "compare runs")
-def compare(roots: Roots) -> int:
+@cli.verb("Look at results", "compare runs")
+def compare(roots: cli.Roots) -> int:
     """Compare methods over their seeds and on the same initial states."""
     from kickbench.results.comparison_table import render_comparison
     from kickbench.results.notes import refuse_contradictions
@@ -58,22 +42,24 @@ def compare(roots: Roots) -> int:
     return 0
 
 
-@verb("Look at results", "claims mini_home_field runs/mini_home_field")
+@cli.verb("Look at results", "claims mini_home_field runs/mini_home_field")
 def claims(
-    experiment: Experiment,
+    experiment: cli.Experiment,
     folder: Annotated[
         Path | None,
-        argument("Folder of its runs (default: measured/<experiment> beside the YAML file's folder).", "DIR"),
+        cli.argument(
+            "Folder of its runs (default: measured/<experiment> beside the YAML file's folder).", "DIR"
+        ),
     ] = None,
-    strict: Annotated[bool, option("Exit code 1 unless every claim is met.", "--strict")] = False,
+    strict: Annotated[bool, cli.option("Exit code 1 unless every claim is met.", "--strict")] = False,
     power: Annotated[
         bool,
-        option(
+        cli.option(
             "Simulate instead how often claims are met by an exact replication, and though they are wrong.",
             "--power",
         ),
     ] = False,
-    json: Json = False,
+    json: cli.Json = False,
 ) -> int:
     """Judge the claims of an experiment by its measured runs."""
     file = find(experiment, "reported")
@@ -82,16 +68,18 @@ def claims(
     return claims(file, folder, strict=strict, power=power, json=json)
 
 
-@verb("Look at results", "report runs/mini_home_field --experiment mini_home_field")
+@cli.verb("Look at results", "report runs/mini_home_field --experiment mini_home_field")
 def report(
-    folder: Annotated[Path | None, argument("A run directory, or a folder of them.", "DIR")] = None,
+    folder: Annotated[Path | None, cli.argument("A run directory, or a folder of them.", "DIR")] = None,
     out: Annotated[
-        Path | None, option("Page to write (default: DIR/report.html).", "-o", "--out", metavar="FILE")
+        Path | None, cli.option("Page to write (default: DIR/report.html).", "-o", "--out", metavar="FILE")
     ] = None,
-    experiment: For = None,
+    experiment: cli.For = None,
     readme: Annotated[
         bool,
-        option("Write README.md's results and results/pictures from results/measured instead.", "--readme"),
+        cli.option(
+            "Write README.md's results and results/pictures from results/measured instead.", "--readme"
+        ),
     ] = False,
     root: Annotated[Path, typer.Option(hidden=True)] = Path(),
 ) -> int:
@@ -115,25 +103,27 @@ def report(
     return 0
 
 
-@verb("Look at results", "render mini_home_field --out starts.png")
+@cli.verb("Look at results", "render mini_home_field --out starts.png")
 def render(
-    task: Task,
+    task: cli.Task,
     policy: Annotated[
         list[Path],
-        option("Run directory (default: zero action); several are shown side by side.", metavar="RUN"),
-    ] = NONE,
+        cli.option("Run directory (default: zero action); several are shown side by side.", metavar="RUN"),
+    ] = cli.NONE,
     out: Annotated[
         Path | None,
-        option(
+        cli.option(
             ".png: a sheet of initial states; .webp or .mp4: episodes (default: <task>.png).", metavar="FILE"
         ),
     ] = None,
-    starts: Annotated[int | None, count("Initial states on a sheet (default: 9).")] = None,
-    episodes: Annotated[int | None, count("Episodes of a film (default: 3).")] = None,
-    seed: TaskSeed = None,
-    size: Size = None,
-    mirrored: Annotated[bool, option("Film the mirror images of the initial states.", "--mirrored")] = False,
-    overrides: Set = NONE,
+    starts: Annotated[int | None, cli.count("Initial states on a sheet (default: 9).")] = None,
+    episodes: Annotated[int | None, cli.count("Episodes of a film (default: 3).")] = None,
+    seed: cli.TaskSeed = None,
+    size: cli.Size = None,
+    mirrored: Annotated[
+        bool, cli.option("Film the mirror images of the initial states.", "--mirrored")
+    ] = False,
+    overrides: cli.Set = cli.NONE,
 ) -> int:
     """Draw initial states of a task, or film episodes."""
     file = find(task, "task")
@@ -144,23 +134,24 @@ def render(
     )
 
 
-@verb("Look at results", "play runs/mini_home_field/equivariant/seed0")
+@cli.verb("Look at results", "play runs/mini_home_field/equivariant/seed0")
 def play(
     path: Annotated[
-        Path, argument("Run directory; or a task, whose robot stands on zero action.", "RUN|TASK", "task")
+        Path, cli.argument("Run directory; or a task, whose robot stands on zero action.", "RUN|TASK", "task")
     ],
-    task: Annotated[Path | None, option("Another task for the run's policy.", metavar="TASK")] = None,
-    seed: TaskSeed = None,
-    port: Annotated[int, count("Port, or the next that is free (default: 8080).", least=0)] = 8080,
+    task: Annotated[Path | None, cli.option("Another task for the run's policy.", metavar="TASK")] = None,
+    seed: cli.TaskSeed = None,
+    port: Annotated[int, cli.count("Port, or the next that is free (default: 8080).", least=0)] = 8080,
     host: Annotated[
-        str, option("Interface; on another than the default everyone who reaches the port controls the page.")
+        str,
+        cli.option("Interface; on another than the default everyone who reaches the port controls the page."),
     ] = "127.0.0.1",
     browser: Annotated[
         bool | None,
         typer.Option("--browser/--no-browser", help="Open a browser (default: where there is one)."),
     ] = None,
-    trust_code: Trust = False,
-    overrides: Set = NONE,
+    trust_code: cli.Trust = False,
+    overrides: cli.Set = cli.NONE,
 ) -> int:
     """Show a policy live in a browser."""
     if port >= 2**16:
@@ -171,15 +162,17 @@ def play(
     return show(file, find(task, "task") if task else None, overrides, seed, host, port, browser, trust_code)
 
 
-@verb("Look at results", "export runs/mini_home_field/equivariant/seed0")
+@cli.verb("Look at results", "export runs/mini_home_field/equivariant/seed0")
 def export(
-    run: Run,
+    run: cli.Run,
     out: Annotated[
         Path | None,
-        option("Folder to write (default: exported/<task>/<method>/seed<k>).", "-o", "--out", metavar="DIR"),
+        cli.option(
+            "Folder to write (default: exported/<task>/<method>/seed<k>).", "-o", "--out", metavar="DIR"
+        ),
     ] = None,
-    states: Annotated[int, count("Write so many initial states of the evaluation, too.")] = 0,
-    force: Annotated[bool, option("Overwrite a policy that is there.", "--force")] = False,
+    states: Annotated[int, cli.count("Write so many initial states of the evaluation, too.")] = 0,
+    force: Annotated[bool, cli.option("Overwrite a policy that is there.", "--force")] = False,
 ) -> int:
     """Write a run's policy as ONNX, with a contract of inputs, outputs, gains and limits."""
     from kickbench.deploy.export import export as write

@@ -6,69 +6,48 @@ import sys
 from pathlib import Path
 from typing import Annotated
 
-from kickbench.cli.app import (
-    NONE,
-    Device,
-    Experiment,
-    For,
-    Json,
-    Method,
-    Run,
-    Scale,
-    Seed,
-    Set,
-    Task,
-    TaskSeed,
-    Threads,
-    Trust,
-    argument,
-    count,
-    exclude,
-    number,
-    option,
-    verb,
-)
+from kickbench.cli import app as cli
 from kickbench.errors import KickbenchError, shown
 from kickbench.shipped import find, find_method
 
 
-@verb("Train", "run mini_home_field equivariant --seed 1")
+@cli.verb("Train", "run mini_home_field equivariant --seed 1")
 def run(
-    task: Task,
-    method: Method,
-    seed: Seed = 0,
-    iterations: Annotated[int | None, count("Iterations (default: the method's).")] = None,
-    scale: Scale = None,
-    num_envs: Annotated[int | None, count("Parallel envs (default: the method's).")] = None,
+    task: cli.Task,
+    method: cli.Method,
+    seed: cli.Seed = 0,
+    iterations: Annotated[int | None, cli.count("Iterations (default: the method's).")] = None,
+    scale: cli.Scale = None,
+    num_envs: Annotated[int | None, cli.count("Parallel envs (default: the method's).")] = None,
     out: Annotated[
-        Path | None, option("Run directory (default: runs/<task>/<method>/seed<k>).", metavar="DIR")
+        Path | None, cli.option("Run directory (default: runs/<task>/<method>/seed<k>).", metavar="DIR")
     ] = None,
-    overrides: Set = NONE,
-    device: Device = "cpu",
-    no_graph: Annotated[bool, option("No CUDA graphs: slow, for finding faults.", "--no-graph")] = False,
-    threads: Threads = None,
-    experiment: For = None,
+    overrides: cli.Set = cli.NONE,
+    device: cli.Device = "cpu",
+    no_graph: Annotated[bool, cli.option("No CUDA graphs: slow, for finding faults.", "--no-graph")] = False,
+    threads: cli.Threads = None,
+    experiment: cli.For = None,
     init_from: Annotated[
         Path | None,
-        option(
+        cli.option(
             "Begin with the policy of this run: network, observation statistics, action noise.", metavar="RUN"
         ),
     ] = None,
     init_std: Annotated[
         float | None,
-        option(
+        cli.option(
             "Standard deviation to begin with (default: that policy's).",
             metavar="STD",
-            parser=number(1e-3, 10),
+            parser=cli.number(1e-3, 10),
         ),
     ] = None,
-    force: Annotated[bool, option("Overwrite a run that is there.", "--force")] = False,
+    force: Annotated[bool, cli.option("Overwrite a run that is there.", "--force")] = False,
     resume: Annotated[
-        bool, option("Go on with the run that is there; --iterations may extend it.", "--resume")
+        bool, cli.option("Go on with the run that is there; --iterations may extend it.", "--resume")
     ] = False,
 ) -> int:
     """Train a method on a task and evaluate it."""
-    exclude("--resume", resume, "--force", force)
+    cli.exclude("--resume", resume, "--force", force)
     if init_std is not None and init_from is None:
         raise KickbenchError("--init-std replaces the standard deviation of a policy: it needs --init-from")
     task = find(task, "task")
@@ -116,26 +95,27 @@ def run(
     return 0
 
 
-@verb("Train", "reproduce mini_home_field --seeds 0 1 --jobs 2")
+@cli.verb("Train", "reproduce mini_home_field --seeds 0 1 --jobs 2")
 def reproduce(
-    experiment: Experiment,
-    only: Annotated[list[str], option("This condition only; may be repeated.", metavar="ARM")] = NONE,
+    experiment: cli.Experiment,
+    only: Annotated[list[str], cli.option("This condition only; may be repeated.", metavar="ARM")] = cli.NONE,
     seeds: Annotated[
-        list[int], count("Seeds: one or more numbers (default: the experiment's).", least=0, metavar="K...")
-    ] = NONE,
-    scale: Scale = None,
-    overrides: Set = NONE,
-    jobs: Annotated[int, count("Runs at a time (default: 1).")] = 1,
-    device: Device = "cpu",
-    threads: Threads = None,
+        list[int],
+        cli.count("Seeds: one or more numbers (default: the experiment's).", least=0, metavar="K..."),
+    ] = cli.NONE,
+    scale: cli.Scale = None,
+    overrides: cli.Set = cli.NONE,
+    jobs: Annotated[int, cli.count("Runs at a time (default: 1).")] = 1,
+    device: cli.Device = "cpu",
+    threads: cli.Threads = None,
     out: Annotated[
         Path | None,
-        option(
+        cli.option(
             "Folder of the runs (default: runs/<experiment>; with --scale or --set one of its own).",
             metavar="DIR",
         ),
     ] = None,
-    dry_run: Annotated[bool, option("Show the plan, write nothing.", "--dry-run")] = False,
+    dry_run: Annotated[bool, cli.option("Show the plan, write nothing.", "--dry-run")] = False,
 ) -> int:
     """Run a whole experiment, or what is left of it."""
     file = find(experiment, "reported")
@@ -148,12 +128,12 @@ def reproduce(
     return reproduce(file, selection, jobs, threads, device, dry_run)
 
 
-@verb("Train", "demo")
+@cli.verb("Train", "demo")
 def demo(
-    out: Annotated[Path, option("Folder of the runs (default: runs/demo).", metavar="DIR")] = Path(
+    out: Annotated[Path, cli.option("Folder of the runs (default: runs/demo).", metavar="DIR")] = Path(
         "runs/demo"
     ),
-    scale: Scale = None,
+    scale: cli.Scale = None,
 ) -> int:
     """Train three methods on the mini home-field task and show what came of them."""
     from kickbench.cli.demo import demo
@@ -161,28 +141,28 @@ def demo(
     return demo(out, scale)
 
 
-@verb("Train", "status runs/mini_home_field")
-def status(root: Annotated[Path, argument("Folder of runs.", "DIR")]) -> int:
+@cli.verb("Train", "status runs/mini_home_field")
+def status(root: Annotated[Path, cli.argument("Folder of runs.", "DIR")]) -> int:
     """Print how far the runs of a folder are."""
     from kickbench.cli.status import status
 
     return status(root)
 
 
-@verb("Train", "eval runs/mini_home_field/equivariant/seed1 --episodes 500", name="eval")
+@cli.verb("Train", "eval runs/mini_home_field/equivariant/seed1 --episodes 500", name="eval")
 def evaluate(
-    run: Run,
+    run: cli.Run,
     task: Annotated[
-        Path | None, option("Another task: a YAML file or a name (default: the run's).", metavar="TASK")
+        Path | None, cli.option("Another task: a YAML file or a name (default: the run's).", metavar="TASK")
     ] = None,
     save: Annotated[
-        bool, option("Keep the figures on another task in RUN/also/<task>.json.", "--save")
+        bool, cli.option("Keep the figures on another task in RUN/also/<task>.json.", "--save")
     ] = False,
-    episodes: Annotated[int | None, count("Episodes a side (default: the task's).")] = None,
-    seed: TaskSeed = None,
-    json: Json = False,
-    threads: Threads = None,
-    trust_code: Trust = False,
+    episodes: Annotated[int | None, cli.count("Episodes a side (default: the task's).")] = None,
+    seed: cli.TaskSeed = None,
+    json: cli.Json = False,
+    threads: cli.Threads = None,
+    trust_code: cli.Trust = False,
 ) -> int:
     """Evaluate the policy of a finished run again."""
     if save and not task:
