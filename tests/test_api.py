@@ -17,7 +17,7 @@ from kickbench.env import KickEnv
 from kickbench.results.metrics import Evaluation, load_metrics
 
 ROOT = Path(__file__).parents[1]
-RUN = ROOT / "results/measured/mini_home_field_first/baseline/seed0"
+RUN = ROOT / "results/measured/mini_home_field/baseline/seed0"
 
 
 def run_python(code: str) -> str:
@@ -77,7 +77,7 @@ def test_make_makes_envs_of_a_named_task():
     [
         (lambda: kickbench.make("mini_home_feild"), "did you mean 'mini_home_field'"),
         (lambda: kickbench.make("mini_home_field", device="tpu"), "no such device"),
-        (lambda: kickbench.train("mini_general", "mini/equivarant"), "did you mean 'mini/equivariant'"),
+        (lambda: kickbench.train("mini_general", "equivarant"), "did you mean 'equivariant'"),
         (lambda: kickbench.load_run("nowhere"), "not a run directory"),
         (lambda: kickbench.evaluate("nowhere"), "not a run directory"),
     ],

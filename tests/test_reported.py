@@ -101,7 +101,7 @@ def test_an_arm_has_the_experiments_values_or_its_own(load):
     assert (baseline.task.name, baseline.seeds, baseline.iterations, baseline.episodes) == (
         "mini_general",
         (0, 1),
-        450,
+        390,
         2000,
     )
     assert (other.task.name, other.method.name, other.seeds, other.iterations) == (

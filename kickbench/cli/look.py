@@ -171,7 +171,7 @@ def export(
             "Folder to write (default: exported/<task>/<method>/seed<k>).", "-o", "--out", metavar="DIR"
         ),
     ] = None,
-    states: Annotated[int, cli.count("Write so many initial states of the evaluation, too.")] = 0,
+    states: Annotated[int, cli.count("Write so many initial states of the evaluation, too.", least=0)] = 0,
     force: Annotated[bool, cli.option("Overwrite a policy that is there.", "--force")] = False,
 ) -> int:
     """Write a run's policy as ONNX, with a contract of inputs, outputs, gains and limits."""

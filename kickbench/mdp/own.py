@@ -145,11 +145,6 @@ def read_terms(file: Path) -> tuple[Term[Any], ...]:
     return _read(Path(file), Path(file).read_bytes())
 
 
-def canonical_source(file: Path) -> str:
-    """The file's code without comments and line ends: what counts for a run's identity."""
-    return ast.unparse(ast.parse(Path(file).read_bytes()))
-
-
 @cache
 def _read(file: Path, source: bytes) -> tuple[Term[Any], ...]:
     try:

@@ -8,6 +8,7 @@ Everything is a function of the files in `results/`: the same files give the sam
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from kickbench.errors import KickbenchError
@@ -85,7 +86,7 @@ def measured_results(root: Path) -> tuple[Result, ...]:
                 raise KickbenchError(problems[0])
             results += [(study, claims) for study in studies(folder, experiment)]
         else:
-            results += [(study, ()) for study in studies(folder)]
+            results += [(replace(study, name=folder.name), ()) for study in studies(folder)]
     return tuple(results)
 
 
@@ -106,7 +107,7 @@ def summary(results: tuple[Result, ...]) -> str:
     """The text between the marks of `README.md`: success of every condition, and the picture of what it loses."""
     head = ["Task", "Method", "Seeds", "Success [%]", "Mirrored [%]", "Distance [m]"]
     lines = [_row(head), _row(["---"] * len(head))]
-    for study, _ in results:
+    for study in _planned(results):
         own = study.counted()
         for condition in dict.fromkeys(own.condition):
             cells = [
@@ -120,6 +121,11 @@ def summary(results: tuple[Result, ...]) -> str:
             seeds = str(own[own.condition == condition].seed.nunique())
             lines.append(_row([study.name, condition, seeds, *cells]))
     return "\n".join([*lines, "", _image(slopes(results))])
+
+
+def _planned(results: tuple[Result, ...]) -> list[Study]:
+    """The results that an experiment plans; of others, such as earlier recipes, `results/README.md` tells."""
+    return [study for study, _ in results if study.plans]
 
 
 def _mean(study: Study, condition: str, side: str, measure: Measure) -> str:
@@ -137,7 +143,7 @@ def _mean(study: Study, condition: str, side: str, measure: Measure) -> str:
 def slopes(results: tuple[Result, ...]) -> Picture:
     """Success of every method in distribution and mirrored, where both were measured."""
     groups: dict[str, list[Pair]] = {}
-    for study, _ in results:
+    for study in _planned(results):
         found = spreads(study.rows, study.conditions, SUCCESS)
         for condition in study.conditions:
             sides = {of.side: of for of in found if of.arm == condition and of.seeds}

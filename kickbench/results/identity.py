@@ -8,6 +8,7 @@ or null by default: null counts as absent.
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import json
 from collections.abc import Iterator, Mapping
@@ -18,7 +19,6 @@ import numpy as np
 from pydantic import BaseModel, ValidationError
 
 from kickbench.errors import KeyPath, KickbenchError, shown
-from kickbench.mdp.own import canonical_source
 from kickbench.results.atomic import atomic_write_text
 from kickbench.results.record import Record
 from kickbench.scene.dynamics import dynamics_arrays
@@ -106,6 +106,11 @@ def counted_fields(spec: BaseModel, path: KeyPath) -> Iterator[tuple[str, Any]]:
     for name, info in type(spec).model_fields.items():
         if not names_file(info) and name != "description" and (*path, name) not in _UNCOUNTED:
             yield name, getattr(spec, name)
+
+
+def canonical_source(file: Path) -> str:
+    """The code of a Python file without comments and line ends."""
+    return ast.unparse(ast.parse(file.read_bytes()))
 
 
 def _plain(value: Any) -> Any:

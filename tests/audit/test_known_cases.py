@@ -226,7 +226,7 @@ def test_a_term_that_is_no_number_is_not_invariant(mini, mine, theirs):
 # Policies
 
 
-RUNS = ROOT / "results/measured/mini_home_field_first"
+RUNS = ROOT / "results/measured/mini_home_field"
 
 
 @pytest.mark.parametrize(("method", "verdict"), [("equivariant", "ok"), ("baseline", "measured")])

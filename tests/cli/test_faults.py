@@ -45,7 +45,7 @@ class FatalError(Exception):
     ],
 )
 def test_a_fault_of_the_system_is_one_line_and_an_exit_code(monkeypatch, capsys, error, code, said):
-    def fail():
+    def fail(own=None):
         raise error
 
     monkeypatch.setattr("kickbench.mdp.catalog.catalog", fail)
@@ -57,7 +57,7 @@ def test_a_fault_of_the_system_is_one_line_and_an_exit_code(monkeypatch, capsys,
 
 
 def test_a_defect_of_kickbench_keeps_its_traceback(monkeypatch):
-    def fail():
+    def fail(own=None):
         raise RuntimeError("an assumption was wrong")
 
     monkeypatch.setattr("kickbench.mdp.catalog.catalog", fail)

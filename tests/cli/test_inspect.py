@@ -253,7 +253,7 @@ def test_a_table_of_no_runs_is_an_error(place, capsys):
 @pytest.fixture
 def runs(place):
     """Two finished runs, and one whose result is damaged."""
-    measured = ROOT / "results/measured/mini_home_field_first/baseline"
+    measured = ROOT / "results/measured/mini_home_field/baseline"
     for name in ("a/seed0", "b/seed1"):
         shutil.copytree(measured / Path(name).name, place / name)
     Path("a/seed2").mkdir()
@@ -357,7 +357,7 @@ def test_a_name_that_is_a_folder_here_is_still_a_name(tmp_path, monkeypatch):
         (
             ["run", "k1_general", "mini/equivariant"],
             "mini/equivariant: this method is for mini_kicker, and the task's robot is booster_k1; "
-            "use equivariant or lite/equivariant",
+            "use equivariant or cpu/equivariant or lite/equivariant",
         ),
         (["run", "k1_general", "nowhere/x.yaml"], "the directory 'nowhere' does not exist"),
         (["run", "nowhere/x.yaml", "equivariant"], "the directory 'nowhere' does not exist"),

@@ -20,6 +20,6 @@ def _exported(name: str, folder: Path) -> tuple[Path, Path]:
 
 @pytest.fixture(scope="session")
 def exported(tmp_path_factory):
-    """Exports a recorded run once: `run, folder = exported("mini_home_field_first/baseline/seed0")`."""
+    """Exports a recorded run once: `run, folder = exported("mini_home_field/baseline/seed0")`."""
     folder = tmp_path_factory.mktemp("exported")
     return lambda name: _exported(name, folder)

@@ -13,7 +13,7 @@ from kickbench.deploy.export import contract_of
 from kickbench.results.identity import read_identity
 from kickbench.training.trained import load_run
 
-RUNS = ["mini_home_field_first/equivariant/seed0", "k1_lite/baseline/seed0"]
+RUNS = ["mini_home_field/equivariant/seed0", "k1_lite/baseline/seed0"]
 
 
 @pytest.fixture(params=RUNS)

@@ -16,13 +16,9 @@ from kickbench.env import KickEnv
 from kickbench.mdp.engines import make_engine
 from kickbench.training.trained import load_run
 
-EQUIVARIANT, BASELINE = "mini_home_field_first/equivariant/seed0", "mini_home_field_first/baseline/seed0"
+EQUIVARIANT, BASELINE = "mini_home_field/equivariant/seed0", "mini_home_field/baseline/seed0"
 METHODS = ("baseline", "augmentation", "equivariant")
-RUNS = [
-    f"{experiment}/{method}/seed0"
-    for experiment in ("mini_home_field_first", "k1_lite")
-    for method in METHODS
-]
+RUNS = [f"{experiment}/{method}/seed0" for experiment in ("mini_home_field", "k1_lite") for method in METHODS]
 
 
 def visited(run, steps: int = 60) -> torch.Tensor:

@@ -16,7 +16,7 @@ from kickbench.errors import KickbenchError
 from kickbench.mdp.engines import make_engine
 from kickbench.training.trained import load_run
 
-RUN = "mini_home_field_first/equivariant/seed0"
+RUN = "mini_home_field/equivariant/seed0"
 
 
 def test_no_heavy_library_is_imported(exported):

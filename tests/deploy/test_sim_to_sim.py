@@ -27,7 +27,7 @@ def examples(monkeypatch):
         del sys.modules[name]
 
 
-@pytest.mark.parametrize("name", ["mini_home_field_first/equivariant/seed0", "k1_lite/equivariant/seed0"])
+@pytest.mark.parametrize("name", ["mini_home_field/equivariant/seed0", "k1_lite/equivariant/seed0"])
 def test_the_scene_is_that_of_the_env(exported, examples, name):
     path, folder = exported(name)
     run = load_run(path)
@@ -67,7 +67,7 @@ def test_the_scene_is_that_of_the_env(exported, examples, name):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["mini_home_field_first/baseline/seed0", "k1_lite/equivariant/seed0"])
+@pytest.mark.parametrize("name", ["mini_home_field/baseline/seed0", "k1_lite/equivariant/seed0"])
 def test_it_kicks_as_kickbench_does(exported, examples, name):
     path, folder = exported(name)
     run = load_run(path)
@@ -82,7 +82,7 @@ def test_it_kicks_as_kickbench_does(exported, examples, name):
 @pytest.mark.slow
 def test_delayed_targets_arrive_as_in_the_env(exported, examples, tmp_path):
     """The lags are drawn from other numbers, so that only the shares can be compared."""
-    path, _ = exported("mini_home_field_first/equivariant/seed0")
+    path, _ = exported("mini_home_field/equivariant/seed0")
     task = tmp_path / "delayed.yaml"
     task.write_text(
         f"extends: {EXAMPLES.parents[1] / 'tasks/mini_home_field.yaml'}\n"

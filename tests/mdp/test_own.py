@@ -11,8 +11,8 @@ from kickbench.env import KickEnv
 from kickbench.errors import KickbenchError, SpecError
 from kickbench.experiment import load_experiment
 from kickbench.mdp.engines import make_engine
-from kickbench.mdp.own import canonical_source, read_terms
-from kickbench.results.identity import identity_of
+from kickbench.mdp.own import read_terms
+from kickbench.results.identity import canonical_source, identity_of
 from kickbench.training.trained import load_run
 
 ROOT = Path(__file__).parents[2]

@@ -83,7 +83,7 @@ def test_iterations_and_hardware_stand_beside_every_figure(results):
 
 
 def test_writing_twice_changes_nothing(tmp_path):
-    for name in ("results/reported", "results/measured/mini_home_field_first", "tasks", "methods", "assets"):
+    for name in ("results/reported", "results/measured/mini_home_field", "tasks", "methods", "assets"):
         shutil.copytree(ROOT / name, tmp_path / name)
     readme, more = tmp_path / "README.md", tmp_path / "results/README.md"
     for file in (readme, more):
@@ -96,8 +96,8 @@ def test_writing_twice_changes_nothing(tmp_path):
     assert text.startswith("before\n")
     assert text.endswith("after\n")
     assert "old" not in text
-    assert "| mini_home_field | baseline | 5 | 73.8 ± 16.1 | 32.3 ± 18.2 |" in text
-    assert "| baseline | mirrored | 32.3 ± 18.2" in more.read_text()
+    assert "| mini_home_field | baseline | 5 | 48.4 ± 13.6 | 20.2 ± 10.3 |" in text
+    assert "| baseline | mirrored | 20.2 ± 10.3" in more.read_text()
 
 
 @pytest.mark.parametrize("readme", ["", BEGIN, END, f"{END}\n{BEGIN}", f"{BEGIN}\n{END}\n{BEGIN}\n{END}"])

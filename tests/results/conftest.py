@@ -95,7 +95,7 @@ def make_metrics(
     method: str = "baseline",
     seed: int = 0,
     asymmetry: Asymmetry | None = None,
-    iterations: int = 450,
+    iterations: int = 390,
     scale: float | None = None,
     task: str = "mini_home_field",
 ) -> Metrics:

@@ -80,7 +80,7 @@ def test_every_planned_run_is_listed_whatever_is_there(spec, make, identity, tmp
     (unfinished / "progress.csv").write_text("iteration,mean_return\n0,1\n1,2\n")
     runs = of(tmp_path, spec)
     assert list(runs.state) == ["finished", "unfinished", "missing"]
-    assert [lack(run) for _, run in runs.iterrows()] == [None, "unfinished: 2 of 450 iterations", "missing"]
+    assert [lack(run) for _, run in runs.iterrows()] == [None, "unfinished: 2 of 390 iterations", "missing"]
     assert list(runs.counted) == [True, False, False]
 
 
@@ -100,8 +100,8 @@ def test_a_run_that_is_being_written_is_running(make, tmp_path):
 @pytest.mark.parametrize(
     ("options", "expected"),
     [
-        ({"iterations": 200}, "200 of 450 iterations"),
-        ({"iterations": 45, "scale": 0.1}, "scaled to 0.1, 45 of 450 iterations"),
+        ({"iterations": 200}, "200 of 390 iterations"),
+        ({"iterations": 45, "scale": 0.1}, "scaled to 0.1, 45 of 390 iterations"),
         ({"seed": 4}, "its seed is 4"),
     ],
 )
