@@ -49,9 +49,9 @@ def demo(out: Path, scale: float | None) -> int:
     run = shown(plan.folder / "equivariant/seed0")
     print(f"""
 Next:
-  kickbench play {run}        # watch the policy in a browser
-  kickbench new task my_task --from mini_general      # a task of your own
-  kickbench reproduce {EXPERIMENT} --jobs {at_a_time}    # five seeds, with verdicts on 14 claims""")
+  kickbench play {run}     # watch the policy in a browser
+  kickbench new task my_task --from mini_general     # a task of your own
+  kickbench reproduce {EXPERIMENT} --jobs {at_a_time}          # five seeds, and a verdict on every claim""")
     return 0
 
 
