@@ -153,7 +153,7 @@ def test_an_experiment_that_is_killed_twice_and_stopped_ends_like_one_left_alone
         assert_same_run(disturbed / run, alone / run)
     capfd.readouterr()
     assert main(["status", str(disturbed)]) == 0
-    assert "2 finished, 13 not begun" in capfd.readouterr().out
+    assert "2 finished, 23 not begun" in capfd.readouterr().out
 
 
 @pytest.mark.slow
