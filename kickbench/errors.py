@@ -120,12 +120,17 @@ def printable(text: str) -> str:
     return _UNPRINTABLE.sub(lambda found: found[0].encode("unicode_escape").decode("ascii"), text)
 
 
-def shown(file: str | Path) -> str:
-    """Writes a path for people, in one line: relative to the working directory if it lies below it."""
+def from_here(file: str | Path) -> str:
+    """A path relative to the working directory if it lies below it, else as it is."""
     text, here = str(file), os.getcwd()
     if os.path.isabs(text) and os.path.commonpath([text, here]) == here:
-        text = os.path.relpath(text, here)
-    return printable(text).replace("\n", "\\n").replace("\t", "\\t")
+        return os.path.relpath(text, here)
+    return text
+
+
+def shown(file: str | Path) -> str:
+    """Writes a path for people, in one line: relative to the working directory if it lies below it."""
+    return printable(from_here(file)).replace("\n", "\\n").replace("\t", "\\t")
 
 
 def nearest(name: str, choices: Iterable[str]) -> str | None:

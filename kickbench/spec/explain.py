@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from kickbench.errors import KeyPath, shown
+from kickbench.errors import KeyPath, from_here
 from kickbench.spec.base import Spec
 from kickbench.yamlio import Document, flow_yaml
 from kickbench.yamltree import Tree
@@ -98,7 +98,7 @@ def _is_leaf(value: Any) -> bool:
 def _leaf(value: Any) -> str:
     # Paths were made absolute; people and stored results want them without the machine's directories.
     is_path = isinstance(value, str) and os.path.isabs(value)
-    return flow_yaml(shown(value) if is_path else value)
+    return flow_yaml(from_here(value) if is_path else value)
 
 
 def _source(path: KeyPath, document: Document) -> str:

@@ -170,3 +170,9 @@ def test_the_text_loads_back_to_the_same_spec(data):
     spec = validate(Task, load_document("a.yaml"))
     Path("b.yaml").write_text(text, encoding="utf-8")
     assert validate(Task, load_document("b.yaml")) == spec
+
+
+def test_a_string_that_looks_like_a_path_keeps_its_control_characters():
+    text = explained('names: ["/\\x1f0\\x7f"]\n')
+    Path("b.yaml").write_text(text, encoding="utf-8")
+    assert validate(Task, load_document("b.yaml")).names == ("/\x1f0\x7f",)
