@@ -45,7 +45,7 @@ format: $(INSTALLED)  ## let ruff format and fix what it can
 
 schemas: $(INSTALLED)  ## write the JSON Schemas that editors use
 	for kind in task method robot representations reported; do \
-	  $(BIN)/kickbench schema $$kind > kickbench/spec/schemas/$$kind.schema.json || exit 1; \
+	  $(BIN)/kickbench schema $$kind > kickbench/config/schemas/$$kind.schema.json || exit 1; \
 	done
 
 clean:  ## remove .venv and caches; results of runs stay

@@ -9,7 +9,8 @@ From Python (names of tasks and methods are those of `tasks/` and `methods/`; pa
     figures = kickbench.evaluate(run, episodes=500)                  an `Evaluation`
     table = kickbench.load_runs("results/measured")                  a pandas.DataFrame, a row per run and side
 
-`import kickbench.gym` registers every task with Gymnasium, `kickbench.deploy.runner.Policy` runs an exported policy.
+`import kickbench.envs.gym` registers every task with Gymnasium; `kickbench.deploy.runner.Policy` runs an exported
+policy.
 Nothing heavy is imported before a name is used. Wrong specifications and files raise `kickbench.KickbenchError`.
 """
 
@@ -25,24 +26,24 @@ if "GOMP_SPINCOUNT" not in os.environ:
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 if TYPE_CHECKING:
-    from kickbench.env import KickEnv, make
+    from kickbench.envs.env import KickEnv, make
     from kickbench.errors import KickbenchError
+    from kickbench.launch.run import evaluate, train
     from kickbench.results.frame import load_runs
-    from kickbench.runner import evaluate, train
     from kickbench.training.trained import Run, load_run
 
 __version__ = "0.1.0"
 __all__ = ["KickEnv", "KickbenchError", "Run", "evaluate", "load_run", "load_runs", "make", "train"]
 
 _HOME = {
-    "KickEnv": "env",
+    "KickEnv": "envs.env",
     "KickbenchError": "errors",
     "Run": "training.trained",
-    "evaluate": "runner",
+    "evaluate": "launch.run",
     "load_run": "training.trained",
     "load_runs": "results.frame",
-    "make": "env",
-    "train": "runner",
+    "make": "envs.env",
+    "train": "launch.run",
 }
 
 

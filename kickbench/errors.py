@@ -7,7 +7,9 @@ import os
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 KeyPath = tuple[str | int, ...]
 """Keys and list indices that lead from the top of a file to a value."""
@@ -171,3 +173,23 @@ def _sorted_words(name: str) -> str:
 
 def _words(name: str) -> list[str]:
     return name.lower().replace("-", " ").replace("_", " ").replace(".", " ").split()
+
+
+def require(module: str, purpose: str, extra: str = "view") -> Any:
+    """Imports a library of an extra.
+
+    Args:
+        module: Full name of the module.
+        purpose: What it is needed for, as the start of the message: `a .mp4`.
+        extra: The extra that installs it.
+
+    Raises:
+        KickbenchError: The library is not installed.
+    """
+    try:
+        return import_module(module)
+    except ModuleNotFoundError:
+        library = module.partition(".")[0]
+        raise KickbenchError(
+            f"{purpose} needs {library}, which is not installed: pip install 'kickbench[{extra}]'"
+        ) from None

@@ -16,9 +16,9 @@ ROOT = Path(__file__).parent.parent
 
 @cache
 def _experiment(task: str, method: str, overrides: tuple[str, ...]):
-    from kickbench.experiment import load_experiment
+    from kickbench.trials.trial import load_trial
 
-    return load_experiment(
+    return load_trial(
         ROOT / "tasks" / f"{task}.yaml", ROOT / "methods" / "mini" / f"{method}.yaml", overrides
     )
 

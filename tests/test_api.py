@@ -13,7 +13,7 @@ import pytest
 import torch
 
 import kickbench
-from kickbench.env import KickEnv
+from kickbench.envs.env import KickEnv
 from kickbench.results.metrics import Evaluation, load_metrics
 
 ROOT = Path(__file__).parents[1]

@@ -14,35 +14,29 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 # Left to right, as data flows (architecture.md). A module imports from its own room and from those before it.
 ROOMS = (
     ("errors",),
-    ("yamltree", "yamldump", "yamlio"),
-    ("shipped",),
-    ("spec",),
+    ("config",),
     ("symmetry",),
-    ("scene",),
-    ("physics",),
-    ("mdp",),
-    ("env",),
-    ("graph",),
+    ("sim",),
+    ("envs",),
     ("nets",),
-    ("experiment",),
-    ("reported",),
-    ("speccheck",),
+    ("trials",),
     ("results",),
     ("evaluation",),
     ("training",),
     ("bench",),
-    ("runner",),
     ("audit",),
     ("view",),
-    ("gym",),
     ("deploy",),
     ("report",),
-    ("reproduce",),
+    ("launch",),
     ("cli",),
     ("__main__",),
 )
 RANK = {name: rank for rank, room in enumerate(ROOMS) for name in room}
-WITHOUT_LIBRARIES = {"", "errors", "yamltree", "yamldump", "yamlio", "spec", "symmetry", "speccheck"}
+WITHOUT_LIBRARIES = {"", "errors", "config", "symmetry"}
+ENGINES = {"batched", "cpu", "devices", "engine", "frame_model", "frames"} | {
+    f"warp{part}" for part in ("", "_capacity", "_latch", "_model")
+}
 HEAVY = {"torch", "tensordict", "rsl_rl", "mujoco", "mujoco_warp", "warp"}
 
 
@@ -57,7 +51,7 @@ def module_of(path: Path) -> str:
 
 
 def room_of(module: str) -> str:
-    """`kickbench.spec.base` -> `spec`; `kickbench` -> ``."""
+    """`kickbench.config.base` -> `spec`; `kickbench` -> ``."""
     return (*module.split("."), "")[1]
 
 
@@ -69,7 +63,7 @@ def imports(path: Path, *, everywhere: bool = True) -> Iterator[tuple[str, str]]
             yield from ((where, alias.name) for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{where}: a relative import"
-            # `from kickbench.spec import load` may import the module kickbench.spec.load.
+            # `from kickbench.config import load` may import the module kickbench.config.load.
             yield from ((where, f"{node.module}.{alias.name}") for alias in node.names)
 
 
@@ -123,13 +117,13 @@ def allowed_libraries(path: Path) -> set[str]:
         return {"torch"}
     if room in WITHOUT_LIBRARIES:
         return set()
-    if room in ("physics", "bench"):
+    if room in ("sim", "bench"):
         return HEAVY - {"rsl_rl"}
     if room == "view":
         return {"torch", "mujoco"}
-    if room == "scene":
-        return {"mujoco"}
-    return {"torch"} if room == "mdp" else HEAVY - {"mujoco", "mujoco_warp", "warp"}
+    if room == "envs":
+        return {"torch", "tensordict", "rsl_rl"}
+    return HEAVY - {"mujoco", "mujoco_warp", "warp"}
 
 
 def test_heavy_libraries_are_imported_only_where_they_belong():
@@ -141,10 +135,12 @@ def test_heavy_libraries_are_imported_only_where_they_belong():
     ]
 
 
-def test_physics_knows_nothing_of_specs_tasks_and_terms():
-    files = [path for path in FILES if room_of(module_of(path)) == "physics"]
-    assert files
-    assert {room for path in files for _, room in own_imports(path)} <= {"physics", "errors"}
+def test_engines_know_nothing_of_specs_and_scenes():
+    files = [path for path in FILES if room_of(module_of(path)) == "sim" and path.stem in ENGINES]
+    assert len(files) == len(ENGINES)
+    own = {name for path in files for _, name in imports(path) if name.startswith("kickbench.")}
+    assert not [name for name in own if name.split(".")[1] not in ("errors", "sim")]
+    assert not [name for name in own if name.split(".")[1] == "sim" and name.split(".")[2] not in ENGINES]
 
 
 def test_a_file_is_short_enough_to_read():

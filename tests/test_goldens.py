@@ -1,5 +1,6 @@
-"""What kickbench prints and simulates, as frozen in `goldens/`; `KICKBENCH_WRITE_GOLDENS=1 pytest tests/test_goldens.py`
-writes them again, which belongs in a commit of its own that says why.
+"""What kickbench prints and simulates, as frozen in `goldens/`.
+
+`KICKBENCH_WRITE_GOLDENS=1 pytest tests/test_goldens.py` writes them again: in a commit of its own that says why.
 """
 
 from __future__ import annotations
@@ -85,7 +86,12 @@ def trajectory(task: str) -> dict[str, list[float]]:
     bits = hashlib.sha256()
     for _ in range(STEPS):
         observations, rewards, dones, _ = env.step(0.5 * torch.randn(ENVS, env.num_actions, generator=draws))
-        named = {"actor": observations["actor"], "critic": observations["critic"], "reward": rewards, "done": dones}
+        named = {
+            "actor": observations["actor"],
+            "critic": observations["critic"],
+            "reward": rewards,
+            "done": dones,
+        }
         for key, value in named.items():
             bits.update(value.contiguous().numpy().tobytes())
             figures[key].append(float(value.double().abs().mean()))

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from kickbench.reported import Arm, load_reported
-from kickbench.reproduce.process import Process
+from kickbench.launch.process import Process
 from kickbench.results.frame import load_runs, run_path, runs_of
 from kickbench.results.verdicts import judge
+from kickbench.trials.experiment import Arm, load_experiment
 
 ROOT = Path(__file__).parent.parent
 ARMS = ("baseline", "equivariant")
@@ -28,7 +28,7 @@ def start_training(arm: Arm, out: Path) -> Process:
 
 @pytest.mark.slow
 def test_the_claims_about_baseline_and_equivariant_method_are_met_by_a_training_of_each(tmp_path):
-    experiment = load_reported(ROOT / "results/reported/mini_home_field.yaml", ONE_SEED)
+    experiment = load_experiment(ROOT / "results/reported/mini_home_field.yaml", ONE_SEED)
     # Two trainings of one thread each take less time than one after the other with two.
     trainings = [start_training(experiment.arms[name], run_path(tmp_path, name, 0)) for name in ARMS]
     for training in trainings:

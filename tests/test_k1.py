@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 import torch
 
-from kickbench.env import KickEnv
-from kickbench.experiment import Experiment, load_experiment
-from kickbench.mdp.engines import make_engine
+from kickbench.envs.engines import make_engine
+from kickbench.envs.env import KickEnv
+from kickbench.trials.trial import Trial, load_trial
 
 ROOT = Path(__file__).parent.parent
 QUIET = (
@@ -34,8 +34,8 @@ QUIET = (
 
 
 @cache
-def k1(*overrides: str, method: str = "equivariant") -> Experiment:
-    return load_experiment(ROOT / "tasks/k1_general_fast.yaml", ROOT / f"methods/{method}.yaml", overrides)
+def k1(*overrides: str, method: str = "equivariant") -> Trial:
+    return load_trial(ROOT / "tasks/k1_general_fast.yaml", ROOT / f"methods/{method}.yaml", overrides)
 
 
 def test_the_actor_sees_81_and_the_critic_98_numbers():
@@ -65,7 +65,7 @@ def test_the_actor_sees_81_and_the_critic_98_numbers():
 @pytest.mark.parametrize("name", ["general", "home_field"])
 @pytest.mark.parametrize("suffix", ["", "_fast"])
 def test_every_task_compiles_with_its_own_time_step(name, suffix):
-    chosen = load_experiment(ROOT / f"tasks/k1_{name}{suffix}.yaml", ROOT / "methods/baseline.yaml")
+    chosen = load_trial(ROOT / f"tasks/k1_{name}{suffix}.yaml", ROOT / "methods/baseline.yaml")
     simulation = chosen.task.spec.simulation
     assert (simulation.timestep, simulation.decimation) == ((0.005, 4) if suffix else (0.002, 10))
     assert chosen.task.spec.evaluation.mirrored == (name == "home_field")

@@ -15,14 +15,14 @@ import pytest
 import torch
 from scipy import stats
 
-from kickbench.env import KickEnv
-from kickbench.mdp.catalog import model_of_task
-from kickbench.mdp.compile import CompiledTask, compile_task
-from kickbench.mdp.delay import ActionDelay
-from kickbench.mdp.engines import make_engine
-from kickbench.mdp.pushes import Pushes
-from kickbench.mdp.randomizations import Setting
-from kickbench.spec.load import load_task
+from kickbench.config.load import load_task
+from kickbench.envs.catalog import model_of_task
+from kickbench.envs.compile import CompiledTask, compile_task
+from kickbench.envs.delay import ActionDelay
+from kickbench.envs.engines import make_engine
+from kickbench.envs.env import KickEnv
+from kickbench.envs.pushes import Pushes
+from kickbench.envs.randomizations import Setting
 
 ROOT = Path(__file__).parent.parent
 COUNT = 10_000

@@ -91,9 +91,9 @@ def test_a_measured_policy_still_does_what_was_recorded(run):
     """The specs come from the run's own folder: what is tested is the code."""
     recorded = load_metrics(run / "metrics.json").evaluation
     loaded = load_run(run)
-    many_joints = loaded.experiment.task.scene.model.nu > 12
+    many_joints = loaded.trial.task.scene.model.nu > 12
     episodes = EPISODES_OF_MANY_JOINTS if many_joints else EPISODES
-    sides, _ = run_sides(loaded.experiment.task, loaded.policy, episodes=episodes)
+    sides, _ = run_sides(loaded.trial.task, loaded.policy, episodes=episodes)
     level = FALSE_ALARM / number_of_comparisons()
     for side, table in zip(SIDES, sides, strict=True):
         old = getattr(recorded, side)
@@ -109,7 +109,7 @@ def test_the_comparison_would_notice_another_policy():
     run = MEASURED / "mini_home_field_first/baseline/seed0"
     recorded = load_metrics(run / "metrics.json").evaluation
     loaded = load_run(run)
-    sides, _ = run_sides(loaded.experiment.task, loaded.policy, episodes=128)
+    sides, _ = run_sides(loaded.trial.task, loaded.policy, episodes=128)
     assert recorded.mirrored is not None
     p = p_values(sides.in_distribution, recorded.mirrored)
     level = FALSE_ALARM / number_of_comparisons()

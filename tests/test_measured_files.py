@@ -8,15 +8,15 @@ from pathlib import Path
 import jsonschema
 import pytest
 
-from kickbench.reported import load_reported
+from kickbench.config.terms import TerminationParams
 from kickbench.results.asymmetry import Asymmetry, MirroredPairs, SideSuccess
 from kickbench.results.frame import load_runs
 from kickbench.results.metrics import Evaluation, EvaluationMetrics, load_metrics, metrics_json_schema
 from kickbench.results.statistics import mcnemar, two_proportions, wilson
 from kickbench.results.verdict_file import read_verdicts, recorded_form
 from kickbench.results.verdicts import judge
-from kickbench.spec.terms import TerminationParams
 from kickbench.training.trained import load_run
+from kickbench.trials.experiment import load_experiment
 
 ROOT = Path(__file__).parent.parent
 MEASURED, REPORTED = ROOT / "results/measured", ROOT / "results/reported"
@@ -115,7 +115,7 @@ def check_pairs(pairs: MirroredPairs, home: EvaluationMetrics, mirrored: Evaluat
 @pytest.mark.parametrize("run", RUNS, ids=lambda run: str(run.relative_to(MEASURED)))
 def test_it_is_the_result_of_its_specs(run):
     loaded = load_run(run)
-    metrics, experiment = loaded.metrics, loaded.experiment
+    metrics, experiment = loaded.metrics, loaded.trial
     algorithm, evaluation = experiment.method.spec.algorithm, experiment.task.spec.evaluation
     assert metrics.seed == metrics.provenance.seed
     assert 0 < metrics.iterations <= algorithm.iterations, "a training may be ended early, and says so"
@@ -129,7 +129,7 @@ def test_it_is_the_result_of_its_specs(run):
 
 @pytest.mark.parametrize("path", EXPERIMENTS, ids=lambda path: path.stem)
 def test_claims_are_judged_as_recorded(path):
-    experiment = load_reported(path)
+    experiment = load_experiment(path)
     verdicts = recorded_form(judge(experiment, load_runs(MEASURED / path.stem, experiment)))
     file = MEASURED / path.stem / "verdicts.json"
     recorded = read_verdicts(file) if file.is_file() else []

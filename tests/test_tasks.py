@@ -10,11 +10,11 @@ import pytest
 import torch
 
 from kickbench.cli import main
-from kickbench.env import KickEnv
-from kickbench.mdp.catalog import model_of_task
-from kickbench.mdp.compile import CompiledTask, compile_task
-from kickbench.mdp.engines import make_engine
-from kickbench.spec.load import load_task
+from kickbench.config.load import load_task
+from kickbench.envs.catalog import model_of_task
+from kickbench.envs.compile import CompiledTask, compile_task
+from kickbench.envs.engines import make_engine
+from kickbench.envs.env import KickEnv
 
 ROOT = Path(__file__).parent.parent
 SHIPPED = sorted(

@@ -10,10 +10,10 @@ import numpy as np
 from kickbench.audit.measure import Measurement, contradiction, entry_name, judge_misfits, measure
 from kickbench.audit.record import Pairs, Recording, components
 from kickbench.audit.report import Row, Verdict
-from kickbench.experiment import Symmetry
-from kickbench.mdp.compile import CompiledTask
+from kickbench.envs.compile import CompiledTask
 from kickbench.symmetry.mirror import AXIAL, POLAR, Image, mirror_joints
 from kickbench.symmetry.representation import Representation
+from kickbench.trials.trial import Symmetry
 
 _EXACT = 1e-6
 """Relative velocity error of a step that mirrors exactly."""

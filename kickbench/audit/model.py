@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from kickbench.audit.report import Row
-from kickbench.mdp.compile import CompiledTask
-from kickbench.scene.sensors import ROBOT
-from kickbench.scene.skeleton import read_skeleton
+from kickbench.envs.compile import CompiledTask
+from kickbench.sim.read_skeleton import read_skeleton
+from kickbench.sim.sensors import ROBOT
 from kickbench.symmetry.block import kind_of_coordinate
 from kickbench.symmetry.derive import Derivation, Match, derive
 from kickbench.symmetry.mirror import Image

@@ -12,20 +12,20 @@ from torch import Tensor
 
 from kickbench.audit.record import Recording
 from kickbench.audit.report import Row, Verdict
+from kickbench.envs.compile import CompiledTask
 from kickbench.errors import KickbenchError
 from kickbench.evaluation.episodes import Policy
-from kickbench.experiment import Experiment, Symmetry
-from kickbench.mdp.compile import CompiledTask
 from kickbench.nets.build import build_critic
 from kickbench.results.store import RunDirectory
 from kickbench.symmetry.torch_ops import Mirror
 from kickbench.training.checkpoint import Checkpoints
+from kickbench.trials.trial import Symmetry, Trial
 
 _TOLERANCE = 1e-4
 """Of a network that is equivariant by construction, in float32; relative to the largest output."""
 
 
-def check_run(task: CompiledTask, run: Experiment, path: Path) -> None:
+def check_run(task: CompiledTask, run: Trial, path: Path) -> None:
     """Checks that a run's networks see what the task shows.
 
     Raises:
@@ -40,7 +40,7 @@ def check_run(task: CompiledTask, run: Experiment, path: Path) -> None:
             )
 
 
-def load_critic(run: Experiment, path: Path) -> MLPModel | None:
+def load_critic(run: Trial, path: Path) -> MLPModel | None:
     """The value function in a run's newest checkpoint, where it has one.
 
     Raises:
@@ -59,7 +59,7 @@ def load_critic(run: Experiment, path: Path) -> MLPModel | None:
 
 
 def policy_rows(
-    recording: Recording, symmetry: Symmetry, run: Experiment, policy: Policy, critic: MLPModel | None
+    recording: Recording, symmetry: Symmetry, run: Trial, policy: Policy, critic: MLPModel | None
 ) -> Iterator[Row]:
     """Rows of the mean action and of the value.
 

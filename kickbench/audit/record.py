@@ -12,12 +12,12 @@ from torch import Tensor
 
 from kickbench.audit.measure import misfits
 from kickbench.audit.states import VariedActions, VariedStarts, vary_episodes
-from kickbench.env import KickEnv
+from kickbench.envs.compile import Bound, CompiledTask
+from kickbench.envs.engines import make_engine
+from kickbench.envs.env import KickEnv
+from kickbench.envs.snapshot import Snapshot
+from kickbench.envs.state import State
 from kickbench.evaluation.episodes import Policy
-from kickbench.mdp.compile import Bound, CompiledTask
-from kickbench.mdp.engines import make_engine
-from kickbench.mdp.snapshot import Snapshot
-from kickbench.mdp.state import State
 from kickbench.nets.threads import torch_threads
 from kickbench.symmetry.mirror import Image, mirror_actions, mirror_qpos, mirror_qvel
 from kickbench.symmetry.torch_ops import Mirror

@@ -19,18 +19,18 @@ from kickbench.audit.model import derive_scene, model_rows, true_image
 from kickbench.audit.policy import check_run, load_critic, policy_rows
 from kickbench.audit.record import Recording, Reflection, record
 from kickbench.audit.report import Report, Row
+from kickbench.config.load import Loaded, load, load_method, load_task
+from kickbench.config.representation import RepresentationSpec
+from kickbench.config.yamlio import load_document
+from kickbench.envs.catalog import model_of_task
+from kickbench.envs.compile import CompiledTask, compile_task
 from kickbench.errors import KickbenchError, shown
-from kickbench.experiment import Symmetry, symmetry_of
-from kickbench.mdp.catalog import model_of_task
-from kickbench.mdp.compile import CompiledTask, compile_task
 from kickbench.results.store import RunDirectory
-from kickbench.spec.load import Loaded, load, load_method, load_task
-from kickbench.spec.representation import RepresentationSpec
-from kickbench.speccheck import kind_of
 from kickbench.symmetry.derive import Derivation
 from kickbench.symmetry.mirror import Image
 from kickbench.training.trained import load_run
-from kickbench.yamlio import load_document
+from kickbench.trials.trial import Symmetry, symmetry_of
+from kickbench.trials.validate import kind_of
 
 STATES = 4096
 """States of an audit by default."""
@@ -73,7 +73,7 @@ def audit(request: AuditRequest) -> Report:
     policy = run = critic = None
     if request.run is not None:
         loaded = load_run(request.run)
-        run, policy = loaded.experiment, loaded.policy
+        run, policy = loaded.trial, loaded.policy
         check_run(task, run, request.run)
         critic = load_critic(run, request.run)
     derivation = derive_scene(task)

@@ -13,10 +13,10 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from kickbench.env import KickEnv
-from kickbench.mdp.compile import CompiledTask
-from kickbench.mdp.snapshot import Snapshot
-from kickbench.mdp.starts import Starts, StartSampler
+from kickbench.envs.compile import CompiledTask
+from kickbench.envs.env import KickEnv
+from kickbench.envs.snapshot import Snapshot
+from kickbench.envs.starts import Starts, StartSampler
 
 _BALL_SPEED = 1.2  # m/s, at which a ball rolls against a foot
 _TILT = 0.9  # rad

@@ -14,12 +14,12 @@ from kickbench.bench.physics import count_contacts, physics_alone
 from kickbench.bench.record import MethodFigures, RoomFigures, SizeFigures, StepFigures
 from kickbench.bench.timing import Stopwatch, Timing
 from kickbench.bench.training import Iterations
-from kickbench.env import KickEnv
-from kickbench.experiment import Experiment
-from kickbench.graph import fastest_steps
-from kickbench.mdp.engines import make_engine
+from kickbench.envs.engines import make_engine
+from kickbench.envs.env import KickEnv
+from kickbench.envs.graph import fastest_steps
 from kickbench.nets.threads import torch_threads
-from kickbench.physics.engine import Engine
+from kickbench.sim.engine import Engine
+from kickbench.trials.trial import Trial
 
 _STEPS_PER_ROUND = 10
 _WARM_STEPS = 60
@@ -46,20 +46,20 @@ class Setting:
     rounds: int
 
 
-def measure_size(experiments: Mapping[str, Experiment], setting: Setting, tell: Tell) -> SizeFigures:
+def measure_size(trials: Mapping[str, Trial], setting: Setting, tell: Tell) -> SizeFigures:
     """Measures everything with one number of worlds.
 
     Args:
-        experiments: Method name -> experiment, all of one task and one number of environments; the first method is
+        trials: Method name -> trial, all of one task and one number of environments; the first method is
             the reference.
         setting: How to measure.
         tell: Told of the progress.
     """
     reset_peaks(torch.device(setting.device))
     with torch_threads(1):
-        stage = _Stage(next(iter(experiments.values())), setting)
+        stage = _Stage(next(iter(trials.values())), setting)
         methods = {
-            name: Iterations(chosen, setting.device, setting.threads) for name, chosen in experiments.items()
+            name: Iterations(chosen, setting.device, setting.threads) for name, chosen in trials.items()
         }
         for method in methods.values():
             method()  # not counted: memory is allocated, kernels are chosen
@@ -88,10 +88,10 @@ def measure_size(experiments: Mapping[str, Experiment], setting: Setting, tell: 
 class _Stage:
     """An environment under random actions, and physics alone beside it."""
 
-    def __init__(self, experiment: Experiment, setting: Setting) -> None:
-        num_envs = experiment.method.spec.algorithm.num_envs
-        engine = make_engine(experiment.task, num_envs, setting.device, num_threads=setting.threads)
-        self.env = KickEnv(experiment.task, engine, seed=0)
+    def __init__(self, trial: Trial, setting: Setting) -> None:
+        num_envs = trial.method.spec.algorithm.num_envs
+        engine = make_engine(trial.task, num_envs, setting.device, num_threads=setting.threads)
+        self.env = KickEnv(trial.task, engine, seed=0)
         self.watch = Stopwatch(self.env.device)
         self._generator = torch.Generator(self.env.device).manual_seed(0)
         self._physics = physics_alone(self.env, setting.threads)
@@ -123,7 +123,7 @@ class _Stage:
 
 
 def _method_figures(method: Iterations, timing: Timing, name: str, reference: str) -> MethodFigures:
-    spec = method.experiment.method.spec
+    spec = method.trial.method.spec
     samples = spec.algorithm.num_envs * spec.algorithm.steps_per_env
     return MethodFigures(
         actor_hidden=spec.network.actor_hidden,

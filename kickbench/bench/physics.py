@@ -13,11 +13,11 @@ import torch
 from torch import Tensor
 
 from kickbench.bench.record import ContactFigures, Count
-from kickbench.env import KickEnv
-from kickbench.graph import recorded_call
-from kickbench.mdp.engines import make_engine
-from kickbench.physics.cpu import CpuEngine
-from kickbench.physics.engine import Engine
+from kickbench.envs.engines import make_engine
+from kickbench.envs.env import KickEnv
+from kickbench.envs.graph import recorded_call
+from kickbench.sim.cpu import CpuEngine
+from kickbench.sim.engine import Engine
 
 _FULL = mujoco.mjtState.mjSTATE_FULLPHYSICS
 _SAMPLED_WORLDS = 512

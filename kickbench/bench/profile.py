@@ -13,8 +13,8 @@ from torch.profiler import ProfilerActivity, profile
 
 from kickbench.bench.record import Operation, Profile, Section
 from kickbench.bench.training import Iterations
-from kickbench.env import KickEnv
-from kickbench.mdp.compile import Bound
+from kickbench.envs.compile import Bound
+from kickbench.envs.env import KickEnv
 from kickbench.nets.threads import torch_threads
 from kickbench.training.ppo import BoundedPPO
 
@@ -91,12 +91,12 @@ def profile_iteration(method: Iterations, repetitions: int) -> tuple[Profile, Pr
     env, ppo = trainer.env, trainer.ppo
     method()
     in_step, in_update = Sections(env.device), Sections(env.device)
-    steps = repetitions * trainer.experiment.method.spec.algorithm.steps_per_env
+    steps = repetitions * trainer.trial.method.spec.algorithm.steps_per_env
     with step_sections(env, ppo, in_step), update_sections(ppo, in_update):
         for _ in range(repetitions):
             method()
     step_operations, update_operations = _operations(method)
-    name, worlds = trainer.experiment.method.name, env.num_envs
+    name, worlds = trainer.trial.method.name, env.num_envs
     return (
         _profile(f"one control step of {worlds:,} worlds, {name}", in_step, steps, step_operations),
         _profile(f"one update of {name}", in_update, repetitions, update_operations),
@@ -184,7 +184,7 @@ def _operations(method: Iterations) -> tuple[tuple[Operation, ...], tuple[Operat
     """The costliest operations of one control step and of one update."""
     trainer = method.trainer
     env, ppo = trainer.env, trainer.ppo
-    steps = trainer.experiment.method.spec.algorithm.steps_per_env
+    steps = trainer.trial.method.spec.algorithm.steps_per_env
     with torch.no_grad(), torch_threads(1), _profiler(env.device) as of_steps:
         for _ in range(steps):
             env.step(ppo.act(env.get_observations()))

@@ -7,38 +7,36 @@ from typing import Any
 
 import torch
 
-from kickbench.env import KickEnv
-from kickbench.experiment import Experiment
-from kickbench.mdp.engines import make_engine
+from kickbench.envs.engines import make_engine
+from kickbench.envs.env import KickEnv
 from kickbench.nets.threads import update_threads
 from kickbench.results.history import RunHistory
 from kickbench.training.checkpoint import Checkpoints
 from kickbench.training.progress import IterationRecord
 from kickbench.training.trainer import Trainer
+from kickbench.trials.trial import Trial
 
 
 class Iterations:
     """A training that goes on by one iteration a call."""
 
-    def __init__(self, experiment: Experiment, device: str, threads: int, *, graph: bool = True) -> None:
+    def __init__(self, trial: Trial, device: str, threads: int, *, graph: bool = True) -> None:
         """Builds environments and networks.
 
         Args:
-            experiment: What is trained.
+            trial: What is trained.
             device: Torch device.
             threads: Threads of physics, and of torch in updates of wide networks.
             graph: Whether steps are recorded as CUDA graphs, on devices that have them.
         """
         torch.manual_seed(0)
-        self.experiment = experiment
-        self.update_threads = update_threads(experiment.method.spec, threads)
-        num_envs = experiment.method.spec.algorithm.num_envs
-        env = KickEnv(experiment.task, make_engine(experiment.task, num_envs, device, num_threads=threads), 0)
-        history = RunHistory(experiment.task.name, experiment.method.name, 0, num_threads=threads)
+        self.trial = trial
+        self.update_threads = update_threads(trial.method.spec, threads)
+        num_envs = trial.method.spec.algorithm.num_envs
+        env = KickEnv(trial.task, make_engine(trial.task, num_envs, device, num_threads=threads), 0)
+        history = RunHistory(trial.task.name, trial.method.name, 0, num_threads=threads)
         self._last = _LastRecord()
-        self.trainer = Trainer(
-            experiment, env, self._last, _Unkept(), history, self.update_threads, graph=graph
-        )
+        self.trainer = Trainer(trial, env, self._last, _Unkept(), history, self.update_threads, graph=graph)
 
     def __call__(self) -> IterationRecord:
         """Makes the next iteration."""

@@ -135,7 +135,7 @@ def names_of(*kinds: str) -> Callable[[str], list[str]]:
     """What a shell may complete an argument to: the names of shipped files."""
 
     def complete(incomplete: str) -> list[str]:
-        from kickbench.shipped import names
+        from kickbench.config.shipped import names
 
         return [name for kind in kinds for name in names(kind) if name.startswith(incomplete)]
 

@@ -16,13 +16,13 @@ from kickbench.bench.record import BenchReport, Profile, SizeFigures, write_repo
 from kickbench.bench.text import print_report
 from kickbench.bench.training import Iterations
 from kickbench.cli.overrides import override_of, refuse_contradiction
-from kickbench.experiment import Experiment, load_experiment
+from kickbench.config.shipped import find_method
 from kickbench.nets.threads import torch_threads
-from kickbench.physics.cpu import usable_cores
-from kickbench.physics.devices import check_device
 from kickbench.results.atomic import check_writable
 from kickbench.results.provenance import Moment, collect_provenance
-from kickbench.shipped import find_method
+from kickbench.sim.cpu import usable_cores
+from kickbench.sim.devices import check_device
+from kickbench.trials.trial import Trial, load_trial
 
 _METHODS = ("baseline", "augmentation", "equivariant")
 _NUM_ENVS = "algorithm.num_envs"
@@ -58,7 +58,7 @@ def bench(
     chosen = [_experiments(subject, num_envs) for num_envs in _sizes(subject)]
     if json:
         check_writable(json)
-    sizes = [_measured(experiments, setting) for experiments in chosen]
+    sizes = [_measured(trials, setting) for trials in chosen]
     profiles = _profiles(chosen[0], setting) if profile else ()
     report = BenchReport(
         task=chosen[0]["baseline"].task.name,
@@ -88,7 +88,7 @@ def _sizes(subject: Subject) -> Sequence[int | None]:
     return subject.num_envs or [default]
 
 
-def _experiments(subject: Subject, num_envs: int | None) -> dict[str, Experiment]:
+def _experiments(subject: Subject, num_envs: int | None) -> dict[str, Trial]:
     of_flag = [] if num_envs is None else [f"{_NUM_ENVS}={num_envs}"]
     overrides = [*subject.overrides, *of_flag]
     folder = subject.methods
@@ -96,22 +96,22 @@ def _experiments(subject: Subject, num_envs: int | None) -> dict[str, Experiment
         name: Path(folder, f"{name}.yaml") if folder else find_method(name, subject.task, overrides)
         for name in _METHODS
     }
-    return {name: load_experiment(subject.task, file, overrides) for name, file in files.items()}
+    return {name: load_trial(subject.task, file, overrides) for name, file in files.items()}
 
 
-def _measured(experiments: dict[str, Experiment], setting: Setting) -> SizeFigures:
-    num_envs = experiments["baseline"].method.spec.algorithm.num_envs
+def _measured(trials: dict[str, Trial], setting: Setting) -> SizeFigures:
+    num_envs = trials["baseline"].method.spec.algorithm.num_envs
     with _telling(f"{num_envs:,} envs", setting.rounds) as tell:
-        return measure_size(experiments, setting, tell)
+        return measure_size(trials, setting, tell)
 
 
-def _profiles(experiments: dict[str, Experiment], setting: Setting) -> tuple[Profile, ...]:
+def _profiles(trials: dict[str, Trial], setting: Setting) -> tuple[Profile, ...]:
     found: list[Profile] = []
     with torch_threads(1):
-        for name, experiment in experiments.items():
+        for name, trial in trials.items():
             print(f"profile of {name}", file=sys.stderr)
             # What a graph replays has no parts that could be told apart.
-            training = Iterations(experiment, setting.device, setting.threads, graph=False)
+            training = Iterations(trial, setting.device, setting.threads, graph=False)
             of_step, of_update = profile_iteration(training, _PROFILED_ITERATIONS)
             # The step differs between methods only by the policy: one is enough to read.
             found += [of_update] if found else [of_step, of_update]

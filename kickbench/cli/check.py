@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated
 
 from kickbench.cli import app as cli
-from kickbench.shipped import find, find_method, names
+from kickbench.config.shipped import find, find_method, names
 
 
 @cli.verb("Check", "audit k1_general equivariant")

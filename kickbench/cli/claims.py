@@ -8,17 +8,17 @@ from pathlib import Path
 import pandas as pd
 
 from kickbench.errors import KickbenchError, shown
-from kickbench.reported import LoadedReported, load_reported
 from kickbench.results.frame import load_runs, runs_of
 from kickbench.results.notes import refuse_contradictions, unplanned_lines
 from kickbench.results.power import rates_table
 from kickbench.results.verdict_file import verdicts_json
 from kickbench.results.verdicts import judge, verdict_lines
+from kickbench.trials.experiment import LoadedExperiment, load_experiment
 
 
 def claims(file: Path, folder: Path | None, *, strict: bool, power: bool, json: bool) -> int:
     """Prints the verdicts; with `strict` the exit code is 1 unless all claims are met."""
-    experiment = load_reported(file)
+    experiment = load_experiment(file)
     if power:
         print(rates_table(experiment))
         return 0
@@ -34,7 +34,7 @@ def claims(file: Path, folder: Path | None, *, strict: bool, power: bool, json: 
     return int(strict and any(verdict.outcome != "met" for verdict in verdicts))
 
 
-def _when_fixed(experiment: LoadedReported, measured: pd.DataFrame) -> list[str]:
+def _when_fixed(experiment: LoadedExperiment, measured: pd.DataFrame) -> list[str]:
     """How many of the runs that count were begun with the claims that they are judged by."""
     runs = runs_of(measured)
     records = [origin.experiment for origin in runs.provenance[runs.counted]]
@@ -46,6 +46,6 @@ def _when_fixed(experiment: LoadedReported, measured: pd.DataFrame) -> list[str]
     return [f"{len(records)} runs, begun {said}"] if records else []
 
 
-def measured_folder(experiment: LoadedReported) -> Path:
+def measured_folder(experiment: LoadedExperiment) -> Path:
     """Where the repository keeps the measured runs of an experiment: `results/measured/<experiment>`."""
     return experiment.document.file.parent.parent / "measured" / experiment.name

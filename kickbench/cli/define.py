@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from kickbench.cli import app as cli
+from kickbench.config.shipped import FOLDERS, find, find_method, names
 from kickbench.errors import KickbenchError, Problem, SpecError, printable, shown
-from kickbench.shipped import FOLDERS, find, find_method, names
 
 _KINDS = tuple(FOLDERS)
 Kind = Literal["task", "method", "robot", "representations", "reported"]
@@ -45,8 +45,8 @@ def new(
     base: Annotated[Path, cli.option("What it extends: a YAML file or a name.", "--from", metavar="BASE")],
 ) -> int:
     """Write a YAML file that extends another one, with every value as a comment to edit."""
+    from kickbench.config.yamlio import dump_yaml, load_document
     from kickbench.results.atomic import atomic_write_text
-    from kickbench.yamlio import dump_yaml, load_document
 
     file, out = find(base, kind).absolute(), Path(name).with_suffix(".yaml")
     if out.exists():
@@ -71,7 +71,7 @@ def validate(
 ) -> int:
     """Check YAML files, a single task with every method among them, and report all errors."""
     paths = [find(file, *_KINDS) for file in files]
-    from kickbench.speccheck import check_files
+    from kickbench.trials.validate import check_files
 
     problems: list[Problem] = []
     for report in check_files(paths, overrides):
@@ -109,11 +109,11 @@ def show(
         return draw(path, plot, overrides)
     if fields is not None:
         return _show_fields(path, find_method(fields, path, overrides), overrides)
-    from kickbench.mdp.catalog import model_of_task
-    from kickbench.spec.explain import explain
-    from kickbench.spec.load import load
-    from kickbench.speccheck import kind_of, model_of
-    from kickbench.yamlio import load_document
+    from kickbench.config.explain import explain
+    from kickbench.config.load import load
+    from kickbench.config.yamlio import load_document
+    from kickbench.envs.catalog import model_of_task
+    from kickbench.trials.validate import kind_of, model_of
 
     kind = kind_of(load_document(path, overrides))
     loaded = load(model_of_task if kind == "task" else model_of(kind), path, overrides)
@@ -132,8 +132,8 @@ def terms(
     """List all terms with parameters, units and source."""
     if own is not None and not own.is_file():
         raise KickbenchError(f"{own}: no such file")
-    from kickbench.mdp.catalog import catalog
-    from kickbench.mdp.describe import describe, describe_common
+    from kickbench.envs.catalog import catalog
+    from kickbench.envs.describe import describe, describe_common
 
     last = None
     for term in catalog(own).all():
@@ -150,8 +150,8 @@ def terms(
 @cli.verb("Define", "schema task")
 def schema(kind: Annotated[Kind, cli.argument("Kind of file.", "KIND")]) -> int:
     """Print the JSON Schema of a kind of file."""
-    from kickbench.spec.json_schema import json_schema
-    from kickbench.speccheck import model_of
+    from kickbench.config.json_schema import json_schema
+    from kickbench.trials.validate import model_of
 
     print(json.dumps(json_schema(model_of(kind)), indent=2))
     return 0
@@ -168,7 +168,7 @@ def derive(
     """Print the `symmetry:` block of a robot file, derived from the geometry of its MJCF."""
     if not model.is_file():
         raise KickbenchError(f"{model}: {'a folder, no file' if model.is_dir() else 'no such file'}")
-    from kickbench.scene.skeleton import compile_skeleton
+    from kickbench.sim.read_skeleton import compile_skeleton
     from kickbench.symmetry.block import symmetry_block
     from kickbench.symmetry.derive import derive
 
@@ -179,9 +179,9 @@ def derive(
 
 def _show_fields(task: Path, method: Path, overrides: list[str]) -> int:
     """Prints field tables, and the actions in both bases."""
-    from kickbench.experiment import load_experiment
+    from kickbench.trials.trial import load_trial
 
-    experiment = load_experiment(task, method, overrides)
+    experiment = load_trial(task, method, overrides)
     symmetry, names = experiment.symmetry, experiment.task.scene.layout.actuator_names
     parts = [f"observations: {group}\n{table}" for group, table in symmetry.groups.items()]
     parts.append("\n".join((f"actions: {symmetry.actions}", *symmetry.actions.describe(names))))
@@ -209,7 +209,7 @@ def _below(folder: Path) -> Iterator[Entry]:
 
 
 def _kind_and_text(path: Path, usual: str) -> tuple[str, str]:
-    from kickbench.yamlio import load_document
+    from kickbench.config.yamlio import load_document
 
     try:
         document = load_document(path)

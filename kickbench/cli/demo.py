@@ -8,13 +8,13 @@ from pathlib import Path
 import pandas as pd
 
 from kickbench.cli.reproduce import carry_out, exit_code
+from kickbench.config.shipped import find
 from kickbench.errors import KickbenchError, shown
-from kickbench.physics.cpu import usable_cores
-from kickbench.reported import load_reported
-from kickbench.reproduce.plan import Plan, Selection, make_plan
+from kickbench.launch.plan import Plan, Selection, make_plan
 from kickbench.results.frame import load_runs
 from kickbench.results.table import render_table
-from kickbench.shipped import find
+from kickbench.sim.cpu import usable_cores
+from kickbench.trials.experiment import load_experiment
 
 EXPERIMENT = "mini_home_field"
 CONDITIONS = ("baseline", "augmentation", "equivariant")
@@ -29,7 +29,7 @@ _LEARNED = 0.05
 def demo(out: Path, scale: float | None) -> int:
     """Trains, shows and says what to do next; the exit code."""
     selection = Selection(only=CONDITIONS, seeds=(0,), scale=scale, out=out)
-    plan = make_plan(load_reported(find(Path(EXPERIMENT), "reported")), selection)
+    plan = make_plan(load_experiment(find(Path(EXPERIMENT), "reported")), selection)
     cores = usable_cores()
     at_a_time = min(len(plan.runs), cores)
     print(
@@ -92,7 +92,7 @@ def _pictures(plan: Plan) -> Iterator[str]:
         write_report(folder, folder / "report.html")
         yield f"report: {shown(folder / 'report.html')}"
         paths = [folder / name / "seed0" for name in _FILM]
-        film, task = folder / "film.webp", load_run(paths[0]).experiment.task
+        film, task = folder / "film.webp", load_run(paths[0]).trial.task
         film_runs(task, paths, film, _EPISODES, task.spec.evaluation.seed, _FILM_SIZE, mirrored=True)
         yield f"film:   {shown(film)} (the side that the baseline never saw)"
     except KickbenchError as error:

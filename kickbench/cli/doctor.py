@@ -129,7 +129,7 @@ def _broken() -> dict[str, str]:
 def _cores(broken: Mapping[str, str]) -> int:
     if broken:
         return os.cpu_count() or 1
-    from kickbench.physics.cpu import usable_cores
+    from kickbench.sim.cpu import usable_cores
 
     return usable_cores()
 
@@ -175,7 +175,7 @@ def _cuda_obstacle(
 def _graph_obstacle() -> str | None:
     import torch
 
-    from kickbench.graph import graph_obstacle
+    from kickbench.envs.graph import graph_obstacle
 
     return graph_obstacle(torch.device("cuda"))
 

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from kickbench.cli import app as cli
+from kickbench.config.shipped import find
 from kickbench.errors import KickbenchError, shown
-from kickbench.shipped import find
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -95,10 +95,10 @@ def report(
         raise KickbenchError("expected a folder of runs: kickbench report DIR, or kickbench report --readme")
     file = find(experiment, "reported") if experiment else None
     from kickbench.report.write import write_report
-    from kickbench.reported import load_reported
+    from kickbench.trials.experiment import load_experiment
 
     out = out or folder / "report.html"
-    write_report(folder, out, load_reported(file) if file else None)
+    write_report(folder, out, load_experiment(file) if file else None)
     print(shown(out))
     return 0
 

@@ -6,19 +6,19 @@ import sys
 from pathlib import Path
 
 from kickbench.errors import KickbenchError, shown
-from kickbench.physics.cpu import usable_cores
-from kickbench.physics.devices import check_device
-from kickbench.reported import load_reported
-from kickbench.reproduce.display import standard_display
-from kickbench.reproduce.estimate import Remaining, estimate
-from kickbench.reproduce.jobs import Jobs, Outcome
-from kickbench.reproduce.plan import Plan, PlannedRun, Selection, make_plan
-from kickbench.reproduce.record import write_record
-from kickbench.reproduce.tables import counts, run_table
+from kickbench.launch.display import standard_display
+from kickbench.launch.estimate import Remaining, estimate
+from kickbench.launch.jobs import Jobs, Outcome
+from kickbench.launch.plan import Plan, PlannedRun, Selection, make_plan
+from kickbench.launch.record import write_record
+from kickbench.launch.tables import counts, run_table
 from kickbench.results.frame import load_runs
 from kickbench.results.store import RunDirectory
 from kickbench.results.table import render_table
 from kickbench.results.verdicts import judge, verdict_lines
+from kickbench.sim.cpu import usable_cores
+from kickbench.sim.devices import check_device
+from kickbench.trials.experiment import load_experiment
 
 
 def reproduce(
@@ -28,7 +28,7 @@ def reproduce(
     check_device(device)
     if len(set(selection.seeds)) < len(selection.seeds):
         raise KickbenchError("--seeds: a seed is there twice")
-    plan = make_plan(load_reported(file), selection)
+    plan = make_plan(load_experiment(file), selection)
     threads = threads or max(1, usable_cores() // at_a_time)
     _print_plan(plan, at_a_time, threads)
     if dry_run:

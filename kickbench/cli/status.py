@@ -8,10 +8,10 @@ from pathlib import Path
 import pandas as pd
 
 from kickbench.errors import KickbenchError, shown
-from kickbench.reproduce.estimate import Remaining, estimate
-from kickbench.reproduce.record import PlanRecord, read_record
-from kickbench.reproduce.state import RunState, State, state_of
-from kickbench.reproduce.tables import counts, run_table
+from kickbench.launch.estimate import Remaining, estimate
+from kickbench.launch.record import PlanRecord, read_record
+from kickbench.launch.state import RunState, State, state_of
+from kickbench.launch.tables import counts, run_table
 from kickbench.results.columns import non_finite_note
 from kickbench.results.frame import load_runs, runs_of
 from kickbench.results.notes import repeat_lines

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Annotated
 
 from kickbench.cli import app as cli
+from kickbench.config.shipped import find, find_method
 from kickbench.errors import KickbenchError, shown
-from kickbench.shipped import find, find_method
 
 
 @cli.verb("Train", "run mini_home_field equivariant --seed 1")
@@ -53,10 +53,10 @@ def run(
     task = find(task, "task")
     method = find_method(method, task, overrides)
     from kickbench.cli.overrides import refuse_contradiction
+    from kickbench.launch.run import RunRequest
+    from kickbench.launch.run import run as run_experiment
     from kickbench.results.frame import frame_of
     from kickbench.results.table import render_table
-    from kickbench.runner import RunRequest
-    from kickbench.runner import run as run_experiment
 
     for flag, value in (("iterations", iterations), ("num_envs", num_envs)):
         values = None if value is None else [value]
@@ -120,7 +120,7 @@ def reproduce(
     """Run a whole experiment, or what is left of it."""
     file = find(experiment, "reported")
     from kickbench.cli.reproduce import reproduce
-    from kickbench.reproduce.plan import Selection
+    from kickbench.launch.plan import Selection
 
     selection = Selection(
         only=tuple(only), seeds=tuple(seeds), scale=scale, overrides=tuple(overrides), out=out
@@ -168,18 +168,18 @@ def evaluate(
     if save and not task:
         raise KickbenchError("--save keeps the figures on another task beside the run: it needs --task")
     task = find(task, "task") if task else None
+    from kickbench.launch.run import evaluate as measure
     from kickbench.results.frame import frame_of
     from kickbench.results.integrity import write_also
     from kickbench.results.metrics import metrics_bytes
     from kickbench.results.store import RunDirectory
     from kickbench.results.table import render_table
-    from kickbench.runner import evaluate as measure
     from kickbench.training.trained import load_run
 
     loaded = load_run(run, task, trust_code=trust_code)
     figures = measure(loaded, episodes=episodes, seed=seed, threads=threads)
     # Where a run keeps its task, the file's name is not the task's.
-    name = loaded.experiment.task.name if task else loaded.metrics.task
+    name = loaded.trial.task.name if task else loaded.metrics.task
     metrics = loaded.metrics.model_copy(update={"task": name, "evaluation": figures})
     if save:
         directory = RunDirectory(run)

@@ -11,7 +11,7 @@ from kickbench.errors import KickbenchError, shown
 from kickbench.view.backend import check_mujoco
 
 if TYPE_CHECKING:
-    from kickbench.mdp.compile import CompiledTask
+    from kickbench.envs.compile import CompiledTask
 
 _STARTS, _EPISODES = 9, 3
 _SHEET_SIZE, _FILM_SIZE = (400, 300), (640, 480)
@@ -41,9 +41,9 @@ def render(file: Path, out: Path | None, overrides: Sequence[str], picture: Pict
     """Draws a contact sheet of initial states, or a film of episodes."""
     check_mujoco()
     draw = _render_of(out, picture)
-    from kickbench.mdp.catalog import model_of_task
-    from kickbench.mdp.compile import compile_task
-    from kickbench.spec.load import load_task
+    from kickbench.config.load import load_task
+    from kickbench.envs.catalog import model_of_task
+    from kickbench.envs.compile import compile_task
 
     task = compile_task(load_task(model_of_task, file, overrides))
     out = out or Path(f"{task.name}.png")
@@ -64,7 +64,7 @@ def play(
 ) -> int:
     """Shows a policy, or a robot without one, live in a browser."""
     check_mujoco()
-    from kickbench.mdp.compile import read_task
+    from kickbench.envs.compile import read_task
     from kickbench.training.trained import load_run
     from kickbench.view.play import play as show
     from kickbench.view.recording import fitting
@@ -73,7 +73,7 @@ def play(
     if run is None and task is not None:
         raise KickbenchError(f"--task is for a run's policy, and {shown(path)} is not a run directory")
     if run is not None and task is None and not overrides:
-        compiled = run.experiment.task
+        compiled = run.trial.task
     else:
         compiled = read_task(task or (run.directory.task_spec if run else path), overrides)
         compiled = replace(compiled, is_trusted=run is None or task is not None or trust_code)
@@ -91,12 +91,12 @@ def play(
 
 def plot(file: Path, out: Path, overrides: Sequence[str]) -> int:
     """Draws a task's sampling regions from above."""
-    from kickbench.mdp.catalog import model_of_task
-    from kickbench.mdp.compile import compile_task
-    from kickbench.spec.load import load_task
-    from kickbench.speccheck import kind_of
+    from kickbench.config.load import load_task
+    from kickbench.config.yamlio import load_document
+    from kickbench.envs.catalog import model_of_task
+    from kickbench.envs.compile import compile_task
+    from kickbench.trials.validate import kind_of
     from kickbench.view.regions import plot_regions
-    from kickbench.yamlio import load_document
 
     kind = kind_of(load_document(file))
     if kind != "task":

@@ -16,10 +16,10 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from kickbench.mdp.term import Frame
-from kickbench.spec.base import FloatList, NameList, Spec, VectorPair
-from kickbench.spec.robot import ActuatorSpec, FeetSpec
-from kickbench.spec.task import BallSpec, EpisodeSpec, FloorSpec, SimulationSpec
+from kickbench.config.base import FloatList, NameList, Spec, VectorPair
+from kickbench.config.robot import ActuatorSpec, FeetSpec
+from kickbench.config.task import BallSpec, EpisodeSpec, FloorSpec, SimulationSpec
+from kickbench.envs.term import Frame
 from kickbench.symmetry.representation import Representation
 
 IntList = Annotated[tuple[int, ...], Field(strict=False)]

@@ -13,19 +13,18 @@ import numpy as np
 import torch
 
 from kickbench import __version__
+from kickbench.config.terms import TerminationParams
 from kickbench.deploy import contract as parts
 from kickbench.deploy.contract import Contract, SignedPermutation
-from kickbench.errors import KickbenchError, shown
+from kickbench.envs.compile import CompiledTask, Field
+from kickbench.errors import KickbenchError, require, shown
 from kickbench.evaluation.episodes import draw_starts
-from kickbench.mdp.compile import CompiledTask, Field
 from kickbench.nets.policy import TrainedPolicy
 from kickbench.results.atomic import atomic_file, atomic_write_bytes, atomic_write_text, check_writable
 from kickbench.results.identity import read_identity
-from kickbench.scene.layout import SceneLayout
-from kickbench.spec.terms import TerminationParams
+from kickbench.sim.layout import SceneLayout
 from kickbench.symmetry.representation import Representation
 from kickbench.training.trained import Run, load_run
-from kickbench.view.extra import require
 
 OPSET = 13
 """ONNX operators of 2020: every runtime reads them."""
@@ -61,7 +60,7 @@ def export(
     network = onnx_bytes(loaded.policy, contract)
     check_writable(folder / "policy.onnx")
     if states:
-        write_states(folder / "initial_states.npz", loaded.experiment.task, states)
+        write_states(folder / "initial_states.npz", loaded.trial.task, states)
     atomic_write_bytes(folder / "policy.onnx", network)
     atomic_write_text(folder / "policy.json", contract.text())
     return folder
@@ -92,7 +91,7 @@ def contract_of(run: Run) -> Contract:
     Raises:
         KickbenchError: The run has no result or no identity.
     """
-    task, symmetry, robot = run.experiment.task, run.experiment.symmetry, run.specs.robot
+    task, symmetry, robot = run.trial.task, run.trial.symmetry, run.specs.robot
     defaults = zip(robot.actuators.items(), task.scene.layout.default_target.tolist(), strict=True)
     return Contract(
         base=robot.base,

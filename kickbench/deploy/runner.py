@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from kickbench.errors import KickbenchError, shown
-from kickbench.view.extra import require
+from kickbench.errors import KickbenchError, require, shown
 
 
 class Policy:

@@ -14,21 +14,21 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 
-from kickbench.env import KickEnv
+from kickbench.envs.compile import CompiledTask
+from kickbench.envs.draws import EpisodeDraws
+from kickbench.envs.engines import make_engine
+from kickbench.envs.env import KickEnv
+from kickbench.envs.episode import FOOT_NAMES
+from kickbench.envs.starts import Starts, StartSampler
 from kickbench.evaluation.equivariance import EquivarianceProbe
 from kickbench.evaluation.kick import KickRecord
 from kickbench.evaluation.progress import EVALUATING, Steps
-from kickbench.experiment import Symmetry, state_symmetry
-from kickbench.mdp.compile import CompiledTask
-from kickbench.mdp.draws import EpisodeDraws
-from kickbench.mdp.engines import make_engine
-from kickbench.mdp.episode import FOOT_NAMES
-from kickbench.mdp.starts import Starts, StartSampler
 from kickbench.nets.threads import torch_threads
 from kickbench.results.asymmetry import EquivarianceError
 from kickbench.results.episodes import NON_FINITE, EpisodeSides, EpisodeTable
 from kickbench.results.frame import SIDES
 from kickbench.symmetry.torch_ops import Mirror
+from kickbench.trials.trial import Symmetry, state_symmetry
 
 Policy = Callable[[TensorDict], Tensor]
 """Observations {group: [B, width]} -> actions [B, nu]."""

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from kickbench.mdp.state import State
+from kickbench.envs.state import State
 
 LAUNCH_WINDOW = 0.2
 """Time from the beginning of the first touch within which the ball is launched, s. A kick takes a few control steps;

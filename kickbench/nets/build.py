@@ -10,9 +10,9 @@ from rsl_rl.modules import GaussianDistribution
 from tensordict import TensorDict
 from torch import nn
 
+from kickbench.config.method import MethodSpec
 from kickbench.nets.distribution import TiedGaussianDistribution
 from kickbench.nets.models import EquivariantModel, SymmetricNormMLPModel
-from kickbench.spec.method import MethodSpec
 from kickbench.symmetry.field_table import FieldTable
 from kickbench.symmetry.representation import TRIVIAL, Representation
 

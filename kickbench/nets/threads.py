@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 import torch
 
-from kickbench.spec.method import MethodSpec
+from kickbench.config.method import MethodSpec
 
 _WIDE = 256
 """Hidden width from which on an update gains from more than one thread; narrower layers only wait for each other.

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from kickbench.config.claims import Side
 from kickbench.results.episodes import EpisodeSides, EpisodeTable
 from kickbench.results.frame import SIDES
 from kickbench.results.statistics import Interval, wilson
-from kickbench.spec.claims import Side
 
 _LEAST_EPISODES = 20
 """A bin with fewer says nothing and is left out."""

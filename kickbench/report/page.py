@@ -9,6 +9,7 @@ from typing import Literal
 
 import pandas as pd
 
+from kickbench.errors import require
 from kickbench.report.breakdown import COORDINATES, binned_success
 from kickbench.report.curves import QUANTITIES, SPLIT, curve_panels, has_quantity
 from kickbench.report.figures.binned import draw_binned
@@ -34,7 +35,6 @@ from kickbench.report.tables import (
     reported_of,
     runs_table,
 )
-from kickbench.view.extra import require
 
 
 @dataclass(frozen=True)

@@ -31,8 +31,8 @@ from kickbench.report.tables import (
     reported_of,
 )
 from kickbench.report.write import judged
-from kickbench.reported import load_reported
 from kickbench.results.atomic import atomic_write_text
+from kickbench.trials.experiment import load_experiment
 
 BEGIN = "<!-- results: written by `kickbench report --readme` from results/measured; do not edit by hand -->"
 END = "<!-- results: end -->"
@@ -80,7 +80,7 @@ def measured_results(root: Path) -> tuple[Result, ...]:
     for folder in folders:
         spec = root / "results/reported" / f"{folder.name}.yaml"
         if spec.is_file():
-            experiment = load_reported(spec)
+            experiment = load_experiment(spec)
             claims, problems = judged(folder, experiment)
             if problems:
                 raise KickbenchError(problems[0])

@@ -9,15 +9,15 @@ from typing import TypeVar
 
 import pandas as pd
 
+from kickbench.config.claims import Side
 from kickbench.errors import KickbenchError
-from kickbench.reported import Arm, LoadedReported
 from kickbench.results.episodes import EpisodeSides, read_episodes
 from kickbench.results.frame import load_runs, runs_of
 from kickbench.results.groups import group_lines, setting_lines, with_groups
 from kickbench.results.notes import left_out_lines, repeat_lines, unplanned_lines
 from kickbench.results.progress import Progress, read_progress
 from kickbench.results.store import RunDirectory
-from kickbench.spec.claims import Side
+from kickbench.trials.experiment import Arm, LoadedExperiment
 
 T = TypeVar("T")
 SIDE_WORDS: dict[Side, str] = {"in_distribution": "in distribution", "mirrored": "mirrored"}
@@ -77,7 +77,7 @@ class Study:
         return runs if condition is None else runs[runs.condition == condition]
 
 
-def studies(root: Path, experiment: LoadedReported | None = None) -> tuple[Study, ...]:
+def studies(root: Path, experiment: LoadedExperiment | None = None) -> tuple[Study, ...]:
     """What a folder holds: one study of the experiment, or without it one of every setting.
 
     Args:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import pandas as pd
 
+from kickbench.config.claims import Side
 from kickbench.report.remarks import listed, remarks
 from kickbench.report.spread import (
     DISTANCE,
@@ -23,7 +24,6 @@ from kickbench.results.columns import non_finite_note
 from kickbench.results.frame import HOME, known
 from kickbench.results.provenance import Provenance
 from kickbench.results.statistics import Interval
-from kickbench.spec.claims import Side
 
 NOT_MEASURED, NOT_REPORTED = "not measured", "not reported"
 

@@ -10,15 +10,15 @@ from kickbench.errors import KickbenchError, printable
 from kickbench.report.headline import Claimed, claimed
 from kickbench.report.page import anchors, part_of, render
 from kickbench.report.study import studies
-from kickbench.reported import LoadedReported
 from kickbench.results.atomic import atomic_write_text
 from kickbench.results.frame import load_runs
 from kickbench.results.notes import refuse_contradictions
 from kickbench.results.provenance import code_state
 from kickbench.results.verdicts import judge
+from kickbench.trials.experiment import LoadedExperiment
 
 
-def write_report(root: Path, out: Path, experiment: LoadedReported | None = None) -> None:
+def write_report(root: Path, out: Path, experiment: LoadedExperiment | None = None) -> None:
     """Writes the page of a folder of runs.
 
     Args:
@@ -42,7 +42,7 @@ def write_report(root: Path, out: Path, experiment: LoadedReported | None = None
     atomic_write_text(out, printable(render(title, parts, _made_by())))
 
 
-def judged(root: Path, experiment: LoadedReported) -> tuple[tuple[Claimed, ...], tuple[str, ...]]:
+def judged(root: Path, experiment: LoadedExperiment) -> tuple[tuple[Claimed, ...], tuple[str, ...]]:
     """The claims of an experiment with their verdicts; and, where they cannot be judged, why not."""
     try:
         runs = load_runs(root, experiment)

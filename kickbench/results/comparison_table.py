@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from kickbench.config.claims import Side
 from kickbench.errors import shown
 from kickbench.results.columns import (
     NOTHING,
@@ -33,7 +34,6 @@ from kickbench.results.paired import PairedComparison
 from kickbench.results.pairwise import Pair, compare_methods, compare_methods_on_starts
 from kickbench.results.store import RunDirectory
 from kickbench.results.table import pairs_of
-from kickbench.spec.claims import Side
 
 # Fixed, so that the same scores always give the same intervals.
 _BOOTSTRAP_SEED = 3

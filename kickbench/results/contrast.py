@@ -18,11 +18,7 @@ from math import inf, sqrt
 import numpy as np
 import pandas as pd
 
-from kickbench.results.comparison import welch
-from kickbench.results.run_figures import Figure, figure_of, pair_correlation, row_of
-from kickbench.results.statistics import Interval
-from kickbench.results.student import two_sided_quantile
-from kickbench.spec.claims import (
+from kickbench.config.claims import (
     AnyClaim,
     AtLeast,
     AtMost,
@@ -36,6 +32,10 @@ from kickbench.spec.claims import (
     RatioAtLeast,
     RatioAtMost,
 )
+from kickbench.results.comparison import welch
+from kickbench.results.run_figures import Figure, figure_of, pair_correlation, row_of
+from kickbench.results.statistics import Interval
+from kickbench.results.student import two_sided_quantile
 
 LEVEL = 0.95
 

@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import BaseModel
 
+from kickbench.config.annotations import names_file
+from kickbench.config.load import LoadedMethod, LoadedTask, load_method, load_task
+from kickbench.config.terms import TermParams, TermTable
+from kickbench.config.yamldump import flow_yaml
 from kickbench.errors import KeyPath, dotted
 from kickbench.results.identity import identity_of, read_identity
 from kickbench.results.store import RunDirectory
-from kickbench.spec.annotations import names_file
-from kickbench.spec.load import LoadedMethod, LoadedTask, load_method, load_task
-from kickbench.spec.terms import TermParams, TermTable
-from kickbench.yamldump import flow_yaml
 
 if TYPE_CHECKING:
-    from kickbench.experiment import Experiment
+    from kickbench.trials.trial import Trial
 
 EPISODES = "task: evaluation.episodes"
 _ITERATIONS = "method: algorithm.iterations"
@@ -44,13 +44,13 @@ def stored_specs(directory: RunDirectory) -> Specs:
     Raises:
         KickbenchError: A file is missing or not valid.
     """
-    from kickbench.mdp.catalog import model_of_task
+    from kickbench.envs.catalog import model_of_task
 
     task, method = load_task(model_of_task, directory.task_spec), load_method(directory.method_spec)
     return Specs(_values(task, method), read_identity(directory.path).parts)
 
 
-def planned_specs(experiment: Experiment) -> Specs:
+def planned_specs(experiment: Trial) -> Specs:
     """The specs of a compiled task and method."""
     values = _values(experiment.loaded_task, experiment.method)
     return Specs(values, identity_of(experiment).parts)

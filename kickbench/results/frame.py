@@ -31,6 +31,8 @@ import numpy as np
 import pandas as pd
 from pydantic import BaseModel
 
+from kickbench.config.claims import Side
+from kickbench.config.load import load_method
 from kickbench.errors import KickbenchError, shown
 from kickbench.results.asymmetry import Asymmetry
 from kickbench.results.episodes import NON_FINITE
@@ -39,11 +41,9 @@ from kickbench.results.integrity import check
 from kickbench.results.metrics import EvaluationMetrics, Metrics, load_metrics
 from kickbench.results.progress import read_done
 from kickbench.results.store import RunDirectory, find_begun_runs
-from kickbench.spec.claims import Side
-from kickbench.spec.load import load_method
 
 if TYPE_CHECKING:
-    from kickbench.reported import Arm, LoadedReported
+    from kickbench.trials.experiment import Arm, LoadedExperiment
 
 SIDES: tuple[Side, ...] = get_args(Side)
 HOME: Side = "in_distribution"
@@ -62,7 +62,7 @@ _OF_THE_SETTING = ("task", "robot", "model", "terms")
 _DISTANCES = tuple(f"{name}_distance{end}" for name in ("mean", "median") for end in ("", "_low", "_high"))
 
 
-def load_runs(root: Path | str | Sequence[Path], experiment: LoadedReported | None = None) -> pd.DataFrame:
+def load_runs(root: Path | str | Sequence[Path], experiment: LoadedExperiment | None = None) -> pd.DataFrame:
     """Reads all runs in a folder, finished or not.
 
     Args:
@@ -255,7 +255,7 @@ def _check_same_run(path: Path, result: Metrics, own: Metrics) -> None:
             raise KickbenchError(f"{path}: expected the {key} {expected}, found {getattr(result, key)}")
 
 
-def _planned_rows(root: Path, experiment: LoadedReported) -> Iterator[Row]:
+def _planned_rows(root: Path, experiment: LoadedExperiment) -> Iterator[Row]:
     """The rows of every planned run, compared with the plan."""
     for arm in experiment.arms.values():
         planned = _Planned(arm)
@@ -284,12 +284,12 @@ class _Planned:
 
     def is_identity(self, fingerprint: str) -> bool:
         """Whether a run is of the planned task and method."""
-        from kickbench.experiment import load_experiment
         from kickbench.results.identity import identity_of
+        from kickbench.trials.trial import load_trial
 
         if self._compiled is None:
             arm = self._arm
-            self._compiled = load_experiment(arm.task.document.file, arm.method.document.file, arm.overrides)
+            self._compiled = load_trial(arm.task.document.file, arm.method.document.file, arm.overrides)
             self._fingerprint = identity_of(self._compiled).fingerprint
         return fingerprint == self._fingerprint
 

@@ -18,17 +18,17 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from pydantic import BaseModel, ValidationError
 
+from kickbench.config.annotations import names_file
+from kickbench.config.terms import TermParams, TermTable
 from kickbench.errors import KeyPath, KickbenchError, shown
 from kickbench.results.atomic import atomic_write_text
 from kickbench.results.record import Record
-from kickbench.scene.dynamics import dynamics_arrays
-from kickbench.spec.annotations import names_file
-from kickbench.spec.terms import TermParams, TermTable
+from kickbench.sim.dynamics import dynamics_arrays
 
 if TYPE_CHECKING:
     from os import PathLike
 
-    from kickbench.experiment import Experiment
+    from kickbench.trials.trial import Trial
 
 FILE = "identity.json"
 ITERATIONS: KeyPath = ("algorithm", "iterations")
@@ -57,7 +57,7 @@ class Identity(Record):
     """What the part `model` is made of: the beginning of the SHA-256 of each array of the compiled model."""
 
 
-def identity_of(experiment: Experiment) -> Identity:
+def identity_of(experiment: Trial) -> Identity:
     """Computes the identity of a run of an experiment."""
     task, method = experiment.loaded_task, experiment.method
     specs = {

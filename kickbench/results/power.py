@@ -14,13 +14,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kickbench.reported import LoadedReported
+from kickbench.config.claims import AnyClaim, Operand
 from kickbench.results.columns import render_block
 from kickbench.results.contrast import RunTerms, Term, contrast_of
 from kickbench.results.run_figures import Figure
 from kickbench.results.statistics import wilson
 from kickbench.results.verdicts import judge_parts
-from kickbench.spec.claims import AnyClaim, Operand
+from kickbench.trials.experiment import LoadedExperiment
 
 WORSE: Mapping[str, float] = {"success_rate": -0.15, "mean_distance": 0.19}
 """What the condition of a claim differs by in the world in which it is worse."""
@@ -50,7 +50,7 @@ class Rates:
         return self.replication >= LEAST_POWER and false <= MOST_FALSE
 
 
-def rates(experiment: LoadedReported, draws: int = 2000) -> dict[str, Rates]:
+def rates(experiment: LoadedExperiment, draws: int = 2000) -> dict[str, Rates]:
     """The rates of every claim whose figures were reported with their deviations.
 
     Args:
@@ -68,7 +68,7 @@ def rates(experiment: LoadedReported, draws: int = 2000) -> dict[str, Rates]:
     return found
 
 
-def rates_table(experiment: LoadedReported, draws: int = 2000) -> str:
+def rates_table(experiment: LoadedExperiment, draws: int = 2000) -> str:
     """The rates as a table."""
     rows = []
     for name, found in rates(experiment, draws).items():
@@ -79,14 +79,14 @@ def rates_table(experiment: LoadedReported, draws: int = 2000) -> str:
     return render_block(f"{experiment.name}: {draws:,} draws", ("",) * len(header), header, rows)
 
 
-def _reported(experiment: LoadedReported, operand: Operand, claim: AnyClaim) -> tuple[float, float] | None:
+def _reported(experiment: LoadedExperiment, operand: Operand, claim: AnyClaim) -> tuple[float, float] | None:
     """Mean and standard deviation over seeds as reported; None if they were not."""
     figures = experiment.arms[operand.arm].figures_of(operand)
     mean, deviation = (getattr(figures, f"{claim.metric}{end}", None) for end in ("", "_std"))
     return None if mean is None or deviation is None else (mean, deviation)
 
 
-def _met(experiment: LoadedReported, claim: AnyClaim, world: str, draws: int) -> float:
+def _met(experiment: LoadedExperiment, claim: AnyClaim, world: str, draws: int) -> float:
     """Share of the draws of a world in which a claim is met."""
     rng = np.random.default_rng(_SEED)
     value = _reported(experiment, claim.value, claim)

@@ -1,4 +1,4 @@
-"""How each metric that a claim may be about (`kickbench.spec.claims.Metric`) follows from one run."""
+"""How each metric that a claim may be about (`kickbench.config.claims.Metric`) follows from one run."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from kickbench.config.claims import OF_A_RUN, AnyClaim, Metric, Operand
 from kickbench.errors import KickbenchError
 from kickbench.results import learning
 from kickbench.results.frame import known
@@ -17,7 +18,6 @@ from kickbench.results.notes import lack, unfinished_words
 from kickbench.results.progress import read_progress
 from kickbench.results.statistics import Interval, wilson
 from kickbench.results.store import RunDirectory
-from kickbench.spec.claims import OF_A_RUN, AnyClaim, Metric, Operand
 
 _END_OF_TRAINING = 0.1
 """Share of the iterations, from the last backwards, that the behaviour at the end of a training is taken from."""

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from kickbench.results.statistics import Interval
-from kickbench.spec.claims import (
+from kickbench.config.claims import (
     AnyClaim,
     AtLeast,
     AtMost,
@@ -14,6 +13,7 @@ from kickbench.spec.claims import (
     RatioAtLeast,
     RatioAtMost,
 )
+from kickbench.results.statistics import Interval
 
 
 @dataclass(frozen=True)

@@ -10,23 +10,23 @@ from typing import Any
 
 from pydantic import BaseModel
 
+from kickbench.config.load import LoadedMethod, load_method, load_task
+from kickbench.config.terms import TermParams, TermTable
+from kickbench.config.yamlio import Document, dump_yaml, flow_yaml
+from kickbench.envs.catalog import model_of_task
 from kickbench.errors import KeyPath, KickbenchError, Problem
-from kickbench.experiment import Experiment, load_experiment
-from kickbench.mdp.catalog import model_of_task
 from kickbench.results.atomic import atomic_write_bytes, atomic_write_text
 from kickbench.results.identity import Identity, counted_fields, identity_of, read_identity, write_identity
 from kickbench.results.integrity import MODEL_FOLDER, forget, seal
 from kickbench.results.store import RunDirectory
-from kickbench.scene.build import files_read_by
-from kickbench.spec.load import LoadedMethod, load_method, load_task
-from kickbench.spec.terms import TermParams, TermTable
-from kickbench.yamlio import Document, dump_yaml, flow_yaml
+from kickbench.sim.build import files_read_by
+from kickbench.trials.trial import Trial, load_trial
 
 _MODEL_SIZE = 200_000_000
 """Largest size of a model's files in all, bytes: every run has a copy of them."""
 
 
-def write_specs(directory: RunDirectory, experiment: Experiment) -> None:
+def write_specs(directory: RunDirectory, experiment: Trial) -> None:
     """Writes task, method, robot, representation table and the robot's model, then the identity and the sums.
 
     What `extends` and `--set` contributed is merged in. The MJCF and every file it reads, however deep, are copied byte
@@ -56,7 +56,7 @@ def write_specs(directory: RunDirectory, experiment: Experiment) -> None:
     seal(directory)
 
 
-def update_specs(directory: RunDirectory, experiment: Experiment) -> None:
+def update_specs(directory: RunDirectory, experiment: Trial) -> None:
     """Writes task and method of a run that goes on, since its length may be another, and the sums of both.
 
     A kill in between leaves files without sums, not files with wrong ones.
@@ -67,7 +67,7 @@ def update_specs(directory: RunDirectory, experiment: Experiment) -> None:
     seal(directory)
 
 
-def _write_task_and_method(directory: RunDirectory, experiment: Experiment) -> None:
+def _write_task_and_method(directory: RunDirectory, experiment: Trial) -> None:
     task, method = experiment.loaded_task, experiment.method
     files = {"robot": directory.robot_spec.name} | (
         {"terms": directory.terms.name} if task.spec.terms else {}
@@ -76,7 +76,7 @@ def _write_task_and_method(directory: RunDirectory, experiment: Experiment) -> N
     _write(directory.method_spec, method.document, {"representations": directory.representations_spec.name})
 
 
-def model_files(experiment: Experiment) -> list[Path]:
+def model_files(experiment: Trial) -> list[Path]:
     """The robot's MJCF and every file it reads: included and attached models, meshes, textures, height fields, skins.
 
     Raises:
@@ -100,16 +100,16 @@ def stored_method(directory: RunDirectory) -> LoadedMethod:
     return load_method(directory.method_spec)
 
 
-def stored_experiment(directory: RunDirectory) -> Experiment:
+def stored_experiment(directory: RunDirectory) -> Trial:
     """The experiment as `write_specs` has left it.
 
     Raises:
         SpecError: A file is missing or not valid.
     """
-    return load_experiment(directory.task_spec, directory.method_spec)
+    return load_trial(directory.task_spec, directory.method_spec)
 
 
-def spec_differences(directory: RunDirectory, experiment: Experiment) -> list[Problem]:
+def spec_differences(directory: RunDirectory, experiment: Trial) -> list[Problem]:
     """Every key in which an experiment differs from the stored one by its identity, and whether its model does.
 
     Defaults count as if they were written out. The order of terms counts too: it is the order of the vectors.
@@ -150,7 +150,7 @@ def _model_difference(ours: Identity, theirs: Identity) -> str:
 
 
 def _check_copy(
-    directory: RunDirectory, experiment: Experiment, copies: Iterable[str], identity: Identity
+    directory: RunDirectory, experiment: Trial, copies: Iterable[str], identity: Identity
 ) -> None:
     """Compiles what has been stored: it must be the same experiment, and need no file elsewhere."""
     robot = experiment.loaded_task.robot.document

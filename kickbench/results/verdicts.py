@@ -13,7 +13,7 @@ from typing import Literal
 
 import pandas as pd
 
-from kickbench.reported import LoadedReported
+from kickbench.config.claims import AnyClaim, NearReported, Operand, RatioAtLeast, RatioAtMost
 from kickbench.results.columns import NOTHING, non_finite_note, render_block
 from kickbench.results.contrast import (
     Contrast,
@@ -27,7 +27,7 @@ from kickbench.results.contrast import (
 from kickbench.results.run_figures import lack_of, non_finite_share
 from kickbench.results.run_units import Unit, unit_of
 from kickbench.results.statistics import Interval
-from kickbench.spec.claims import AnyClaim, NearReported, Operand, RatioAtLeast, RatioAtMost
+from kickbench.trials.experiment import LoadedExperiment
 
 Outcome = Literal["met", "not met", "holds", "does not hold", "not enough data"]
 """With fewer than `FEWEST_SEEDS` seeds nothing is said of a method: a claim *holds* or *does not hold* for the policies
@@ -82,7 +82,7 @@ class Verdict:
         return f"{self.claim.statement}: {self.words}. {figure}{basis}{reason}"
 
 
-def judge(experiment: LoadedReported, measured: pd.DataFrame) -> tuple[Verdict, ...]:
+def judge(experiment: LoadedExperiment, measured: pd.DataFrame) -> tuple[Verdict, ...]:
     """Judges every claim of an experiment, in the order of its file.
 
     Args:
@@ -95,7 +95,7 @@ def judge(experiment: LoadedReported, measured: pd.DataFrame) -> tuple[Verdict, 
     return tuple(_judge(name, claim, experiment, measured) for name, claim in experiment.claims.items())
 
 
-def verdict_lines(experiment: LoadedReported, verdicts: Sequence[Verdict]) -> list[str]:
+def verdict_lines(experiment: LoadedExperiment, verdicts: Sequence[Verdict]) -> list[str]:
     """Verdicts as lines of a table: outcome, figure beside what was reported, and below it what is missing."""
     if not verdicts:
         return [f"{experiment.name}: no claims"]
@@ -118,7 +118,7 @@ def _row(verdict: Verdict) -> tuple[str, ...]:
     return verdict.name, verdict.words, measured, verdict.basis, reported
 
 
-def _judge(name: str, claim: AnyClaim, experiment: LoadedReported, measured: pd.DataFrame) -> Verdict:
+def _judge(name: str, claim: AnyClaim, experiment: LoadedExperiment, measured: pd.DataFrame) -> Verdict:
     contrast = contrast_of(claim, _reported(claim.value, claim, experiment))
     parts, lacks = _parts(claim, contrast, measured)
     outcome, estimated, reason = judge_parts(claim, contrast, parts)
@@ -243,12 +243,12 @@ def _possible(claim: AnyClaim, interval: Interval | None) -> Interval | None:
     return Interval(max(0.0, interval.low), min(1.0, interval.high))
 
 
-def _reported(operand: Operand, claim: AnyClaim, experiment: LoadedReported) -> float | None:
+def _reported(operand: Operand, claim: AnyClaim, experiment: LoadedExperiment) -> float | None:
     """What was reported of an operand's metric."""
     return getattr(experiment.arms[operand.arm].figures_of(operand), claim.metric, None)
 
 
-def _reported_figure(claim: AnyClaim, contrast: Contrast, experiment: LoadedReported) -> float | None:
+def _reported_figure(claim: AnyClaim, contrast: Contrast, experiment: LoadedExperiment) -> float | None:
     """The claim's figure from what was reported: of every operand, or of none."""
     values = [(weight, _reported(operand, claim, experiment)) for weight, operand in contrast.terms]
     known = [weight * value for weight, value in values if value is not None]

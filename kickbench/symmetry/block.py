@@ -6,9 +6,9 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from kickbench.config.yamldump import flow_yaml
 from kickbench.symmetry.derive import Derivation, Match
 from kickbench.symmetry.representation import BY_NAME, Representation
-from kickbench.yamldump import flow_yaml
 
 Columns = tuple[list[str], list[str]]
 

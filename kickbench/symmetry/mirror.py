@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from kickbench.spec.robot import ActuatorSpec
+from kickbench.config.robot import ActuatorSpec
 from kickbench.symmetry.representation import Representation
 
 Image = Mapping[str, tuple[str, int]]

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import reduce
 
+from kickbench.config.representation import Expression, Product, RepresentationSpec, Sum, parse_expression
+from kickbench.config.yamlio import Document
 from kickbench.errors import Problem, SpecError, nearest
-from kickbench.spec.representation import Expression, Product, RepresentationSpec, Sum, parse_expression
 from kickbench.symmetry.field_table import FieldTable
 from kickbench.symmetry.representation import BY_NAME, Representation, direct_sum, tensor
-from kickbench.yamlio import Document
 
 
 def resolve_expression(text: str, own: Mapping[str, Representation]) -> Representation:

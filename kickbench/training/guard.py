@@ -9,7 +9,7 @@ import torch
 from rsl_rl.algorithms import PPO
 from torch import Tensor, nn
 
-from kickbench.env import KickEnv
+from kickbench.envs.env import KickEnv
 from kickbench.errors import KickbenchError
 
 

@@ -9,12 +9,12 @@ import torch
 from rsl_rl.models import MLPModel
 
 from kickbench.errors import KickbenchError, shown
-from kickbench.experiment import Experiment
 from kickbench.nets.build import build_actor
 from kickbench.results.identity import read_identity
 from kickbench.results.provenance import InitialRef
 from kickbench.training.ranks import fingerprint
 from kickbench.training.trained import Run
+from kickbench.trials.trial import Trial
 
 
 @dataclass(frozen=True)
@@ -30,24 +30,24 @@ class Initial:
     ref: InitialRef
 
 
-def begin_from(experiment: Experiment, run: Run, std: float | None) -> tuple[Experiment, Initial]:
-    """Lets an experiment begin with the policy of a run.
+def begin_from(trial: Trial, run: Run, std: float | None) -> tuple[Trial, Initial]:
+    """Lets a trial begin with the policy of a run.
 
     Args:
-        experiment: The experiment.
+        trial: The trial.
         run: The run.
         std: Standard deviation of all actions to begin with; None: the run's.
 
     Returns:
-        The experiment, whose identity covers the policy, and the policy.
+        The trial, whose identity covers the policy, and the policy.
 
     Raises:
         KickbenchError: The policy is one of another robot, of other observations or of another network.
     """
-    if misfits := ", ".join(_misfits(experiment, run.experiment)):
+    if misfits := ", ".join(_misfits(trial, run.trial)):
         raise KickbenchError(f"{shown(run.directory.path)}: its policy cannot begin this run: {misfits}")
-    symmetry = experiment.symmetry
-    own = build_actor(experiment.method.spec, symmetry.groups["actor"], symmetry.actions)
+    symmetry = trial.symmetry
+    own = build_actor(trial.method.spec, symmetry.groups["actor"], symmetry.actions)
     own.load_state_dict(run.policy.network.state_dict())
     if std is not None:
         _set_std(own, std)
@@ -61,10 +61,10 @@ def begin_from(experiment: Experiment, run: Run, std: float | None) -> tuple[Exp
         policy=weights,
         std=std,
     )
-    return replace(experiment, initial_policy=weights), Initial(own, ref)
+    return replace(trial, initial_policy=weights), Initial(own, ref)
 
 
-def _misfits(ours: Experiment, theirs: Experiment) -> Iterator[str]:
+def _misfits(ours: Trial, theirs: Trial) -> Iterator[str]:
     def compare(name: str, mine: object, other: object) -> Iterator[str]:
         if mine != other:
             yield f"{name} {mine}, there {other}"

@@ -15,12 +15,12 @@ from rsl_rl.storage import RolloutStorage
 from tensordict import TensorDict
 from torch import Tensor
 
-from kickbench.experiment import Experiment
-from kickbench.experiment import Symmetry as Reflection
+from kickbench.config.method import AlgorithmSpec, SymmetrySpec
 from kickbench.nets.augmentation import Augmentation
 from kickbench.nets.build import build_actor, build_critic
-from kickbench.spec.method import AlgorithmSpec, SymmetrySpec
 from kickbench.training.ranks import ALONE, Ranks
+from kickbench.trials.trial import Symmetry as Reflection
+from kickbench.trials.trial import Trial
 
 
 class BoundedPPO(PPO):
@@ -88,17 +88,17 @@ class _AugmentationOnly(Symmetry):
 
 
 def build_ppo(
-    experiment: Experiment, observations: TensorDict, device: torch.device, ranks: Ranks = ALONE
+    trial: Trial, observations: TensorDict, device: torch.device, ranks: Ranks = ALONE
 ) -> BoundedPPO:
-    """Builds networks, storage and PPO of an experiment.
+    """Builds networks, storage and PPO of a trial.
 
     Args:
-        experiment: The experiment.
+        trial: The trial.
         observations: Example observations {group: [B, width]}.
         device: Where to train.
         ranks: The processes that train together.
     """
-    method, symmetry = experiment.method.spec, experiment.symmetry
+    method, symmetry = trial.method.spec, trial.symmetry
     settings = method.algorithm
     actor = build_actor(method, symmetry.groups["actor"], symmetry.actions)
     critic = build_critic(method, symmetry.groups["critic"])

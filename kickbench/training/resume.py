@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from kickbench.errors import KickbenchError, Problem, SpecError, shown
-from kickbench.experiment import Experiment
 from kickbench.results.identity import ITERATIONS
 from kickbench.results.integrity import find_damage, seal
 from kickbench.results.metrics import load_metrics
@@ -18,6 +17,7 @@ from kickbench.results.store import RunDirectory
 from kickbench.training.checkpoint import Checkpoints, save_policy
 from kickbench.training.initial import Initial
 from kickbench.training.progress_files import rows_before
+from kickbench.trials.trial import Trial
 
 
 @dataclass(frozen=True)
@@ -35,10 +35,10 @@ class Resume:
     directory: RunDirectory | None = None
 
 
-def begin(directory: RunDirectory, experiment: Experiment, initial: Initial | None = None) -> Resume:
-    """Begins a run in a directory without one, which stays as it was if the experiment cannot be stored."""
+def begin(directory: RunDirectory, trial: Trial, initial: Initial | None = None) -> Resume:
+    """Begins a run in a directory without one, which stays as it was if the trial cannot be stored."""
     try:
-        write_specs(directory, experiment)
+        write_specs(directory, trial)
         if initial is not None:
             save_policy(directory.initial_policy, initial.policy)
             seal(directory)
@@ -52,7 +52,7 @@ def begin(directory: RunDirectory, experiment: Experiment, initial: Initial | No
 
 def take_up(
     directory: RunDirectory,
-    experiment: Experiment,
+    trial: Trial,
     seed: int,
     *,
     scale: float | None = None,
@@ -66,10 +66,10 @@ def take_up(
 
     Args:
         directory: The run directory.
-        experiment: The experiment as the resume states it.
+        trial: The trial as the resume states it.
         seed: Its seed.
         scale: What it is scaled down by.
-        extend: Whether the experiment may have more iterations than the run.
+        extend: Whether the trial may have more iterations than the run.
         initial: What the run begins with.
 
     Raises:
@@ -78,17 +78,17 @@ def take_up(
     """
     if directory.beside.holds_a_run:
         try:
-            return take_up(directory.beside, experiment, seed, scale=scale, extend=extend, initial=initial)
+            return take_up(directory.beside, trial, seed, scale=scale, extend=extend, initial=initial)
         except KickbenchError:
             print(
                 f"{shown(directory.beside.path)}: another run that --force began is left out", file=sys.stderr
             )
     if not directory.holds_a_run:
-        return begin(directory, experiment, initial)
+        return begin(directory, trial, initial)
     if _is_intact(directory) and directory.metrics.exists():
         recorded = load_metrics(directory.metrics)
-        _check_same(directory, experiment, seed, scale, recorded.model_dump(), extend)
-        if recorded.iterations >= experiment.method.spec.algorithm.iterations:
+        _check_same(directory, trial, seed, scale, recorded.model_dump(), extend)
+        if recorded.iterations >= trial.method.spec.algorithm.iterations:
             return Resume(finished=True, directory=directory)
     state = Checkpoints(directory.checkpoints).load()
     if state is None:
@@ -97,15 +97,15 @@ def take_up(
                 f"{directory.path}: holds a run without a checkpoint; --force starts it again"
             )
         directory.clear()
-        return begin(directory, experiment, initial)
-    _check_same(directory, experiment, seed, scale, state["run"], extend)
+        return begin(directory, trial, initial)
+    _check_same(directory, trial, seed, scale, state["run"], extend)
     rows_before(directory.progress, state["iteration"])  # before anything is removed
     return Resume(state, directory=directory)
 
 
 def run_differences(
     directory: RunDirectory,
-    experiment: Experiment,
+    trial: Trial,
     seed: int,
     scale: float | None,
     recorded: Mapping[str, Any] | None,
@@ -116,11 +116,11 @@ def run_differences(
 
     Args:
         directory: The run directory; it holds a run.
-        experiment: The experiment as it is to be now.
+        trial: The trial as it is to be now.
         seed: Its seed.
         scale: What it is scaled down by.
         recorded: Seed and scale as the run has recorded them; None: not yet.
-        extend: Whether the experiment may have more iterations than the run.
+        extend: Whether the trial may have more iterations than the run.
 
     Raises:
         SpecError: A stored spec is missing or not valid.
@@ -131,13 +131,13 @@ def run_differences(
         for key, value in (("seed", seed), ("scale", scale))
         if recorded is not None and value != recorded.get(key)
     ]
-    problems += spec_differences(directory, experiment)
+    problems += spec_differences(directory, trial)
     had = stored_method(directory).spec.algorithm.iterations
-    wanted = experiment.method.spec.algorithm.iterations
+    wanted = trial.method.spec.algorithm.iterations
     if wanted < had or (wanted > had and not extend):
         what = f"{wanted}, but the run has {had}"
         hint = f"--iterations {had} finishes it, a larger number extends it"
-        problems.append(experiment.method.document.problem(ITERATIONS, what, hint))
+        problems.append(trial.method.document.problem(ITERATIONS, what, hint))
     return problems
 
 
@@ -161,12 +161,12 @@ def _is_intact(directory: RunDirectory) -> bool:
 
 def _check_same(
     directory: RunDirectory,
-    experiment: Experiment,
+    trial: Trial,
     seed: int,
     scale: float | None,
     recorded: Mapping[str, Any],
     extend: bool,
 ) -> None:
-    problems = run_differences(directory, experiment, seed, scale, recorded, extend=extend)
+    problems = run_differences(directory, trial, seed, scale, recorded, extend=extend)
     if problems:
         raise SpecError([Problem(None, (), f"{directory.path} holds another run"), *problems])

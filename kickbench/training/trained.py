@@ -9,19 +9,19 @@ from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
 
+from kickbench.config.method import MethodSpec
+from kickbench.config.representation import RepresentationSpec
+from kickbench.config.robot import RobotSpec
+from kickbench.config.shipped import find
+from kickbench.config.task import TaskSpec
 from kickbench.errors import KickbenchError, shown
-from kickbench.experiment import Experiment, load_experiment
 from kickbench.nets.build import build_actor
 from kickbench.nets.policy import TrainedPolicy
 from kickbench.results import integrity
 from kickbench.results.metrics import Metrics, load_metrics
 from kickbench.results.store import RunDirectory
-from kickbench.shipped import find
-from kickbench.spec.method import MethodSpec
-from kickbench.spec.representation import RepresentationSpec
-from kickbench.spec.robot import RobotSpec
-from kickbench.spec.task import TaskSpec
 from kickbench.training.checkpoint import Checkpoints, load_policy, load_unfinished
+from kickbench.trials.trial import Trial, load_trial
 
 
 class Specs(NamedTuple):
@@ -39,18 +39,18 @@ class Run:
 
     Attributes:
         directory: Its folder.
-        experiment: Its task and method, compiled.
+        trial: Its task and method, compiled.
         policy: Its policy.
     """
 
     directory: RunDirectory
-    experiment: Experiment
+    trial: Trial
     policy: TrainedPolicy
 
     @property
     def specs(self) -> Specs:
         """Task, method, robot and representations."""
-        task, method = self.experiment.loaded_task, self.experiment.method
+        task, method = self.trial.loaded_task, self.trial.method
         return Specs(task.spec, method.spec, task.robot.spec, method.representations.spec)
 
     @cached_property
@@ -82,15 +82,15 @@ def load_run(
         raise KickbenchError(f"{os.fspath(path)}: not a run directory (it has no {directory.task_spec.name})")
     integrity.check(directory)
     own = directory.task_spec if task is None else find(task, "task")
-    experiment = load_experiment(own, directory.method_spec)
+    trial = load_trial(own, directory.method_spec)
     if task is None and not trust_code:
-        experiment = replace(experiment, task=replace(experiment.task, is_trusted=False))
-    symmetry = experiment.symmetry
-    network = build_actor(experiment.method.spec, symmetry.groups["actor"], symmetry.actions)
+        trial = replace(trial, task=replace(trial.task, is_trusted=False))
+    symmetry = trial.symmetry
+    network = build_actor(trial.method.spec, symmetry.groups["actor"], symmetry.actions)
     if unfinished and not directory.policy.exists():
         iteration = load_unfinished(Checkpoints(directory.checkpoints), network)
         what = f"not finished; this is its policy after {iteration} iterations"
         print(f"{shown(directory.path)}: {what}", file=sys.stderr)
     else:
         load_policy(directory.policy, network)
-    return Run(directory, experiment, TrainedPolicy(network))
+    return Run(directory, trial, TrainedPolicy(network))

@@ -12,12 +12,11 @@ import torch
 from rsl_rl.models import MLPModel
 from torch import Tensor
 
-from kickbench.env import KickEnv
+from kickbench.envs.compile import grown
+from kickbench.envs.curriculum import Growth
+from kickbench.envs.env import KickEnv
+from kickbench.envs.graph import fastest_steps
 from kickbench.errors import KickbenchError
-from kickbench.experiment import Experiment
-from kickbench.graph import fastest_steps
-from kickbench.mdp.compile import grown
-from kickbench.mdp.curriculum import Growth
 from kickbench.nets.relaxed import residual_share
 from kickbench.nets.threads import torch_threads
 from kickbench.results.frame import SIDES
@@ -28,6 +27,7 @@ from kickbench.training.ppo import BoundedPPO, build_ppo
 from kickbench.training.progress import IterationRecord, Progress
 from kickbench.training.ranks import ALONE, Ranks, fingerprint
 from kickbench.training.stop import StopRequest
+from kickbench.trials.trial import Trial
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class TrainingResult:
 
 
 class Trainer:
-    """Trains one experiment with one seed.
+    """Trains one trial with one seed.
 
     Its state between two iterations is all there is: N iterations, a checkpoint, and M iterations in another
     process give the very bits of N + M iterations on the CPU (at the same number of update threads; the time that
@@ -59,7 +59,7 @@ class Trainer:
 
     def __init__(
         self,
-        experiment: Experiment,
+        trial: Trial,
         env: KickEnv,
         progress: Progress,
         checkpoints: Checkpoints,
@@ -74,7 +74,7 @@ class Trainer:
         """Builds the networks; seed torch before.
 
         Args:
-            experiment: What to train.
+            trial: What to train.
             env: Environments, already seeded.
             progress: Told after every iteration.
             checkpoints: Where everything needed to go on is kept, at the start, now and then, and at the end.
@@ -86,20 +86,20 @@ class Trainer:
             ranks: The processes that train together; each has its share of the environments.
             evaluate: Success of the policy by side, for the task's evaluations during the training.
         """
-        self.experiment, self.env, self.progress = experiment, env, progress
+        self.trial, self.env, self.progress = trial, env, progress
         self._graph, self._levels = graph, dict[str, float]()
         self._steps = fastest_steps(env, graph=graph)
-        self.ppo: BoundedPPO = build_ppo(experiment, env.get_observations(), torch.device(env.device), ranks)
+        self.ppo: BoundedPPO = build_ppo(trial, env.get_observations(), torch.device(env.device), ranks)
         self._ranks, self._evaluate = ranks, evaluate
         self.iteration = 0
-        curriculum = experiment.task.spec.curriculum
+        curriculum = trial.task.spec.curriculum
         self._growth = Growth(curriculum) if curriculum else None
         self._update_threads = update_threads
         self._horizon, self._seconds = 0, 0.0
         self._checkpoints, self._history = checkpoints, history
         self._every = (checkpoint_every, checkpoint_seconds)
         self._kept: TrainingResult | None = None
-        self._steps_per_iteration = experiment.method.spec.algorithm.steps_per_env * env.num_envs * ranks.size
+        self._steps_per_iteration = trial.method.spec.algorithm.steps_per_env * env.num_envs * ranks.size
 
     def _grow(self) -> None:
         """Gives the environments the values that the curriculum has come to."""
@@ -108,7 +108,7 @@ class Trainer:
         levels = self._growth.levels(min(1.0, self.iteration / max(self._horizon, 1)))
         if levels != self._levels:
             self._levels = levels
-            self.env.grow(grown(self.experiment.task, levels))
+            self.env.grow(grown(self.trial.task, levels))
             self._steps = fastest_steps(self.env, graph=self._graph)
 
     def _begin_growth(self) -> None:
@@ -187,10 +187,10 @@ class Trainer:
         }
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Goes to where another trainer of the same experiment was.
+        """Goes to where another trainer of the same trial was.
 
         Raises:
-            KickbenchError: The state is that of another experiment or of another version of kickbench.
+            KickbenchError: The state is that of another trial or of another version of kickbench.
         """
         trained_by = len(state.get("ranks", ())) or 1
         if trained_by != self._ranks.size:
@@ -211,7 +211,7 @@ class Trainer:
             self.env.load_state_dict(own["env"])
             _set_rng_states(own["rng"], self.env.device)
         except (LookupError, RuntimeError, TypeError, ValueError) as error:
-            raise KickbenchError(f"the checkpoint is not one of this experiment: {error}") from error
+            raise KickbenchError(f"the checkpoint is not one of this trial: {error}") from error
         self._kept, self._kept_at = self._result(), time.monotonic()
 
     def _gather_ranks(self, own: Mapping[str, Any]) -> list[Mapping[str, Any]]:
@@ -234,7 +234,7 @@ class Trainer:
         return self.iteration % iterations == 0 or time.monotonic() - self._kept_at >= seconds
 
     def _anneal(self) -> None:
-        spec = self.experiment.method.spec.algorithm
+        spec = self.trial.method.spec.algorithm
         if spec.final_desired_kl is not None:
             fraction = min(self.iteration / max(self._horizon - 1, 1), 1.0)
             self.ppo.desired_kl = spec.desired_kl + fraction * (spec.final_desired_kl - spec.desired_kl)
@@ -266,7 +266,7 @@ class Trainer:
         """Nothing in it waits for a number from the device; those are read once an iteration, afterwards."""
         with torch.no_grad():
             observations = self._steps.get_observations()
-            for _ in range(self.experiment.method.spec.algorithm.steps_per_env):
+            for _ in range(self.trial.method.spec.algorithm.steps_per_env):
                 actions = self.ppo.act(observations)
                 observations, rewards, dones, extras = self._steps.step(actions)
                 self.ppo.process_env_step(observations, rewards, dones, extras)
@@ -306,7 +306,7 @@ class Trainer:
 
     def _evaluation(self) -> Mapping[str, float]:
         """Success by side, NaN between evaluations; nothing if there are none."""
-        protocol = self.experiment.task.spec.evaluation
+        protocol = self.trial.task.spec.evaluation
         if protocol.every is None or self._evaluate is None:
             return {}
         sides = SIDES if protocol.mirrored else SIDES[:1]

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 
 from PIL import Image, ImageDraw
 
+from kickbench.envs.compile import CompiledTask
 from kickbench.errors import KickbenchError
-from kickbench.mdp.compile import CompiledTask
 from kickbench.view.caption import INK, PALE, PAPER, describe_start, font
 from kickbench.view.minimap import MiniMap
 from kickbench.view.outline import outlines

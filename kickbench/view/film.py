@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from kickbench.envs.compile import CompiledTask
 from kickbench.evaluation.episodes import Policy, mirror_starts
 from kickbench.evaluation.progress import tracked
-from kickbench.mdp.compile import CompiledTask
 from kickbench.results.metrics import load_metrics
 from kickbench.results.store import RunDirectory
 from kickbench.training.trained import load_run

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kickbench.spec.task import SamplingSpec
+from kickbench.config.task import SamplingSpec
 
 Interval = tuple[float, float]
 """Low and high; equal for a constant."""

@@ -10,8 +10,8 @@ from types import TracebackType
 import mujoco
 import numpy as np
 
-from kickbench.mdp.compile import CompiledTask
-from kickbench.scene.sensors import ROBOT
+from kickbench.envs.compile import CompiledTask
+from kickbench.sim.sensors import ROBOT
 from kickbench.view.backend import make_context
 from kickbench.view.camera import Camera, choose_camera
 from kickbench.view.look import dress, flag_points

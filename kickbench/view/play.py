@@ -12,18 +12,18 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from kickbench.env import KickEnv
+from kickbench.envs.compile import CompiledTask
+from kickbench.envs.draws import EpisodeDraws
+from kickbench.envs.engines import make_engine
+from kickbench.envs.env import KickEnv
+from kickbench.envs.episode import FOOT_NAMES, Outcome
+from kickbench.envs.starts import Starts
 from kickbench.errors import KickbenchError
 from kickbench.evaluation.episodes import Policy
-from kickbench.experiment import state_symmetry
-from kickbench.mdp.compile import CompiledTask
-from kickbench.mdp.draws import EpisodeDraws
-from kickbench.mdp.engines import make_engine
-from kickbench.mdp.episode import FOOT_NAMES, Outcome
-from kickbench.mdp.starts import Starts
 from kickbench.nets.threads import torch_threads
 from kickbench.results.episodes import NON_FINITE
 from kickbench.symmetry.torch_ops import Mirror
+from kickbench.trials.trial import state_symmetry
 from kickbench.view.look import dress
 from kickbench.view.outline import outlines
 from kickbench.view.starts import evaluation_starts

@@ -8,12 +8,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from kickbench.env import KickEnv
+from kickbench.envs.compile import CompiledTask
+from kickbench.envs.engines import make_engine
+from kickbench.envs.env import KickEnv
+from kickbench.envs.starts import Starts
 from kickbench.errors import KickbenchError
 from kickbench.evaluation.episodes import Policy
-from kickbench.mdp.compile import CompiledTask
-from kickbench.mdp.engines import make_engine
-from kickbench.mdp.starts import Starts
 from kickbench.results.episodes import NON_FINITE
 from kickbench.training.trained import Run
 
@@ -115,7 +115,7 @@ def fitting(task: CompiledTask, run: Run) -> Policy:
     Raises:
         KickbenchError: It sees or moves something else than the task has.
     """
-    trained, path = run.experiment.task, run.directory.path
+    trained, path = run.trial.task, run.directory.path
     if _sees(trained) != _sees(task):
         raise KickbenchError(
             f"{path}: its policy sees {_words(_sees(trained))}; the task {task.name} has {_words(_sees(task))}"

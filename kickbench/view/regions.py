@@ -8,11 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from kickbench.errors import KickbenchError
+from kickbench.envs.compile import CompiledTask
+from kickbench.errors import KickbenchError, require
 from kickbench.evaluation.episodes import draw_starts
-from kickbench.mdp.compile import CompiledTask
 from kickbench.results.atomic import atomic_file
-from kickbench.view.extra import require
 from kickbench.view.outline import Outlines, outlines
 
 FORMATS = (".png", ".svg")

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import torch
 
+from kickbench.envs.compile import CompiledTask
+from kickbench.envs.starts import Starts
 from kickbench.evaluation.episodes import draw_starts
-from kickbench.mdp.compile import CompiledTask
-from kickbench.mdp.starts import Starts
 
 
 def evaluation_starts(task: CompiledTask, count: int, seed: int) -> Starts:

@@ -9,11 +9,10 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw
 
-from kickbench.errors import KickbenchError
-from kickbench.mdp.compile import CompiledTask
+from kickbench.envs.compile import CompiledTask
+from kickbench.errors import KickbenchError, require
 from kickbench.results.atomic import atomic_file
 from kickbench.view.caption import font
-from kickbench.view.extra import require
 from kickbench.view.minimap import MiniMap
 from kickbench.view.outline import outlines
 from kickbench.view.picture import Stage

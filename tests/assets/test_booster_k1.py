@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import torch
 
-from kickbench.env import make_engine
-from kickbench.mdp.catalog import model_of_task
-from kickbench.mdp.compile import CompiledTask, compile_task
-from kickbench.spec.load import load, load_task
-from kickbench.spec.robot import RobotSpec
+from kickbench.config.load import load, load_task
+from kickbench.config.robot import RobotSpec
+from kickbench.envs.catalog import model_of_task
+from kickbench.envs.compile import CompiledTask, compile_task
+from kickbench.envs.env import make_engine
 from kickbench.symmetry.mirror import AXIAL, POLAR, mirror_actions, mirror_qpos, mirror_qvel
 from kickbench.symmetry.torch_ops import Mirror
 

@@ -11,9 +11,9 @@ from kickbench.audit.model import derive_scene
 from kickbench.audit.record import Recording, record
 from kickbench.audit.report import Row
 from kickbench.audit.run import judge, reflection_of
-from kickbench.experiment import Experiment, Symmetry, load_experiment
 from kickbench.symmetry.derive import Derivation
 from kickbench.symmetry.mirror import Image
+from kickbench.trials.trial import Symmetry, Trial, load_trial
 
 ROOT = Path(__file__).parents[2]
 
@@ -22,19 +22,19 @@ ROOT = Path(__file__).parents[2]
 class Audited:
     """An experiment with what the audit recorded of it."""
 
-    experiment: Experiment
+    trial: Trial
     derivation: Derivation
     recording: Recording
 
     def rows(self, symmetry: Symmetry | None = None, declared: Image | None = None) -> list[Row]:
         """Rows of checks 1 to 6 for tables; default: those of the experiment."""
-        chosen = self.experiment
+        chosen = self.trial
         image = declared or chosen.task.robot.spec.symmetry.image()
         return list(judge(self.recording, self.derivation, symmetry or chosen.symmetry, image))
 
 
 def audited(task: str, method: str, states: int) -> Audited:
-    chosen = load_experiment(ROOT / "tasks" / f"{task}.yaml", ROOT / "methods" / f"{method}.yaml")
+    chosen = load_trial(ROOT / "tasks" / f"{task}.yaml", ROOT / "methods" / f"{method}.yaml")
     derivation = derive_scene(chosen.task)
     recording = record(chosen.task, reflection_of(chosen.task, derivation), states, threads=1)
     return Audited(chosen, derivation, recording)

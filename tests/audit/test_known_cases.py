@@ -15,10 +15,10 @@ from kickbench.audit.record import record
 from kickbench.audit.report import Report
 from kickbench.audit.run import judge, reflection_of
 from kickbench.cli import main
+from kickbench.config.load import load
+from kickbench.config.representation import RepresentationSpec
 from kickbench.errors import KickbenchError
-from kickbench.experiment import load_experiment, symmetry_of
-from kickbench.spec.load import load
-from kickbench.spec.representation import RepresentationSpec
+from kickbench.trials.trial import load_trial, symmetry_of
 
 ROOT = Path(__file__).parents[2]
 K1_FAST = ROOT / "tasks/k1_general_fast.yaml"
@@ -52,7 +52,7 @@ def test_the_states_have_kicks_falls_pushes_and_endings(k1):
 
 def test_the_thesis_table_fails_on_the_contact_forces_and_on_nothing_else(k1):
     table = load(RepresentationSpec, TABLES / "booster_k1_thesis.yaml")
-    rows = k1.rows(symmetry_of(k1.experiment.task, table))
+    rows = k1.rows(symmetry_of(k1.trial.task, table))
     assert failures(rows) == ["foot_contact_forces"]
     assert (
         report(k1, rows).conclusion
@@ -63,7 +63,7 @@ def test_the_thesis_table_fails_on_the_contact_forces_and_on_nothing_else(k1):
 @pytest.fixture(scope="module")
 def asymmetric():
     override = f"robot={ROOT / 'assets/booster_k1/asymmetric.yaml'}"
-    chosen = load_experiment(K1_FAST, ROOT / "methods/equivariant.yaml", [override])
+    chosen = load_trial(K1_FAST, ROOT / "methods/equivariant.yaml", [override])
     derivation = derive_scene(chosen.task)
     recording = record(chosen.task, reflection_of(chosen.task, derivation), 512, threads=1)
     declared = chosen.task.robot.spec.symmetry.image()
@@ -105,21 +105,19 @@ def test_what_a_planar_robot_never_does_is_not_passed_in_silence(mini):
 
 
 def test_a_field_that_never_moves_has_a_verdict_of_its_own(mini):
-    chosen = load_experiment(
+    chosen = load_trial(
         ROOT / "tasks/mini_general.yaml",
         ROOT / "methods/mini/equivariant.yaml",
         ["observations.critic.ball_touched.clip=[-1.0, 0.0]"],
     )
     recording = record(chosen.task, mini.recording.reflection, 64, threads=1)
-    rows = judge(
-        recording, mini.derivation, chosen.symmetry, mini.experiment.task.robot.spec.symmetry.image()
-    )
+    rows = judge(recording, mini.derivation, chosen.symmetry, mini.trial.task.robot.spec.symmetry.image())
     row = next(row for row in rows if row.name == "ball_touched")
     assert (row.verdict, row.detail) == ("never excited", "zero in every state")
 
 
 def test_a_clip_that_is_not_symmetric_is_found():
-    chosen = load_experiment(
+    chosen = load_trial(
         ROOT / "tasks/mini_general.yaml",
         ROOT / "methods/mini/equivariant.yaml",
         ["observations.actor.ball_position.clip=[0.0, 1.0]"],
@@ -134,7 +132,7 @@ def test_a_clip_that_is_not_symmetric_is_found():
 
 def test_a_reward_of_one_side_only_is_found(k1):
     override = "rewards.arm_posture.joints=[Left_Shoulder_Roll]"
-    chosen = load_experiment(K1_FAST, ROOT / "methods/equivariant.yaml", [override])
+    chosen = load_trial(K1_FAST, ROOT / "methods/equivariant.yaml", [override])
     recording = record(chosen.task, k1.recording.reflection, 256, threads=1)
     declared = chosen.task.robot.spec.symmetry.image()
     rows = list(judge(recording, k1.derivation, chosen.symmetry, declared))
@@ -163,9 +161,7 @@ def test_a_servo_that_differs_from_its_partner_is_named(key, value, row, words, 
         text.replace(line, changed).replace("model: mini_kicker.xml", f"model: {model}")
     )
     override = f"robot={tmp_path / 'robot.yaml'}"
-    chosen = load_experiment(
-        ROOT / "tasks/mini_general.yaml", ROOT / "methods/mini/baseline.yaml", [override]
-    )
+    chosen = load_trial(ROOT / "tasks/mini_general.yaml", ROOT / "methods/mini/baseline.yaml", [override])
     declared = chosen.task.robot.spec.symmetry.image()
     rows = list(model_rows(chosen.task, derive_scene(chosen.task), declared))
     assert failures(rows) == [row]
@@ -250,7 +246,7 @@ def test_a_broken_equivariant_policy_fails(mini):
     def broken(observations):
         return loaded.policy(observations) + torch.tensor([0.0, 0.01, 0.0, 0.0, 0.0, 0.0, 0.0])
 
-    rows = list(policy_rows(mini.recording, mini.experiment.symmetry, loaded.experiment, broken, None))
+    rows = list(policy_rows(mini.recording, mini.trial.symmetry, loaded.trial, broken, None))
     assert [row.verdict for row in rows] == ["FAIL", "not compared"]
     assert rows[0].error == pytest.approx(0.02, rel=0.01)
 
@@ -261,9 +257,9 @@ def test_the_value_is_measured_where_there_is_a_critic(mini):
     from kickbench.training.trained import load_run
 
     loaded = load_run(RUNS / "equivariant/seed0")
-    run = loaded.experiment
+    run = loaded.trial
     critic = build_critic(run.method.spec, run.symmetry.groups["critic"]).eval()
-    rows = list(policy_rows(mini.recording, mini.experiment.symmetry, run, loaded.policy, critic))
+    rows = list(policy_rows(mini.recording, mini.trial.symmetry, run, loaded.policy, critic))
     assert [(row.name, row.verdict) for row in rows] == [("mean action", "ok"), ("value", "ok")]
 
 
@@ -271,16 +267,16 @@ def test_a_policy_of_another_robot_is_refused(k1):
     from kickbench.audit.policy import check_run
     from kickbench.training.trained import load_run
 
-    run = load_run(RUNS / "baseline/seed0").experiment
+    run = load_run(RUNS / "baseline/seed0").trial
     with pytest.raises(KickbenchError, match="which is not what k1_general_fast shows"):
-        check_run(k1.experiment.task, run, Path("runs/x"))
+        check_run(k1.trial.task, run, Path("runs/x"))
 
 
 def test_a_declared_joint_table_that_geometry_contradicts_is_judged_by_geometry(k1):
     """States are mirrored by the geometry's table, so the wrong joint and its fields fail, and nothing else does."""
-    image = dict(k1.experiment.task.robot.spec.symmetry.image())
+    image = dict(k1.trial.task.robot.spec.symmetry.image())
     image["Left_Hip_Yaw"], image["Right_Hip_Yaw"] = ("Right_Hip_Yaw", 1), ("Left_Hip_Yaw", 1)
-    rows = k1.rows(replace(k1.experiment.symmetry), image)
+    rows = k1.rows(replace(k1.trial.symmetry), image)
     assert {row.check for row in rows if row.failed} == {"model", "dynamics"}
     first = next(row for row in rows if row.failed)
     assert first.detail == "declared regular with Right_Hip_Yaw; measured: regular_sign with Right_Hip_Yaw"

@@ -14,16 +14,16 @@ import torch
 from tensordict import TensorDict
 
 from kickbench.audit.record import Reflection
-from kickbench.env import KickEnv
-from kickbench.experiment import Symmetry, symmetry_of
-from kickbench.mdp.engines import make_engine
+from kickbench.config.load import Loaded
+from kickbench.config.robot import JointPairs, JointSymmetrySpec
+from kickbench.envs.engines import make_engine
+from kickbench.envs.env import KickEnv
 from kickbench.nets.build import build_actor
-from kickbench.spec.load import Loaded
-from kickbench.spec.robot import JointPairs, JointSymmetrySpec
 from kickbench.symmetry import BY_NAME, FieldTable, Representation
 from kickbench.symmetry.block import kind_of_coordinate
 from kickbench.symmetry.mirror import Image
 from kickbench.symmetry.torch_ops import Mirror
+from kickbench.trials.trial import Symmetry, symmetry_of
 
 
 @dataclass(frozen=True)
@@ -127,7 +127,7 @@ def self_consistent(mutant: Mutant, method) -> bool:
 
 @pytest.fixture(scope="module")
 def mutants(k1) -> list[Mutant]:
-    chosen = k1.experiment
+    chosen = k1.trial
     made = [*joint_mutants(chosen), *field_mutants(chosen), *action_mutants(chosen)]
     assert len({mutant.name for mutant in made}) == len(made)
     return made
@@ -152,15 +152,15 @@ def test_the_audit_catches_every_wrong_entry_and_names_it(mutants, failures):
 
 
 def test_a_wrong_field_fails_alone(k1, mutants, failures):
-    fields = k1.experiment.symmetry.groups["critic"].names
+    fields = k1.trial.symmetry.groups["critic"].names
     for mutant in mutants:
         if mutant.entry[0] in fields:
             assert failures[mutant.name] == list(mutant.entry), mutant.name
 
 
 def test_a_check_of_the_tables_against_themselves_catches_none(k1, mutants):
-    network = k1.experiment.method.spec.network.model_copy(update={"actor_hidden": (16,)})
-    method = k1.experiment.method.spec.model_copy(update={"network": network})
+    network = k1.trial.method.spec.network.model_copy(update={"actor_hidden": (16,)})
+    method = k1.trial.method.spec.model_copy(update={"network": network})
     caught = [mutant.name for mutant in mutants if not self_consistent(mutant, method)]
     print(f"\n{len(mutants)} mutants: rho^2 = 1 and network equivariance catch {len(caught)}")
     assert not caught
@@ -168,7 +168,7 @@ def test_a_check_of_the_tables_against_themselves_catches_none(k1, mutants):
 
 def test_the_dynamics_alone_catch_every_wrong_joint(k1):
     """States mirrored by the wrong table itself, as they are where geometry gives no other."""
-    chosen = k1.experiment
+    chosen = k1.trial
     env, other = (KickEnv(chosen.task, make_engine(chosen.task, 32, num_threads=1), 0) for _ in range(2))
     actions = torch.randn(32, env.num_actions, generator=torch.Generator().manual_seed(1))
     for _ in range(5):

@@ -16,10 +16,10 @@ from kickbench.bench.physics import count_contacts, physics_alone
 from kickbench.bench.record import BenchReport, read_report, write_report
 from kickbench.bench.training import Iterations
 from kickbench.cli import main
-from kickbench.env import KickEnv
+from kickbench.envs.engines import make_engine, make_warp_engine
+from kickbench.envs.env import KickEnv
 from kickbench.errors import KickbenchError
-from kickbench.experiment import load_experiment
-from kickbench.mdp.engines import make_engine, make_warp_engine
+from kickbench.trials.trial import load_trial
 
 ROOT = Path(__file__).parent.parent.parent
 METHODS = ["baseline", "augmentation", "equivariant"]
@@ -120,7 +120,7 @@ def test_physics_alone_repeats_the_control_steps_of_the_environment(name):
     if name.startswith("k1"):
         short, method = [*short, "randomization.pushes.interval=[0.0, 0.04]"], "lite"
     paths = ROOT / f"tasks/{name}.yaml", ROOT / f"methods/{method}/baseline.yaml"
-    task = load_experiment(*paths, short).task
+    task = load_trial(*paths, short).task
     env = KickEnv(task, make_engine(task, 4, num_threads=1), seed=3)
     prepare, engine, done = physics_alone(env, threads=1), env.engine, []
     generator = torch.Generator().manual_seed(0)

@@ -8,8 +8,8 @@ import pytest
 
 from kickbench.cli import main
 from kickbench.errors import KickbenchError
-from kickbench.reported import load_reported
 from kickbench.results.verdict_file import read_verdicts
+from kickbench.trials.experiment import load_experiment
 
 ROOT = Path(__file__).parents[2]
 MINI = str(ROOT / "results/reported/mini_home_field.yaml")
@@ -72,5 +72,5 @@ def test_runs_of_another_task_count_nowhere_and_it_is_said_why(capsys):
     text = capsys.readouterr().out
     assert "baseline seeds 0, 1, 2: task: sampling.ball.y: [0.0, 0.3] (planned [-0.3, 0.3]), " in text
     table = text.split("\n\n")[1].splitlines()[2:]
-    assert len(table) == len(load_reported(GENERAL).claims)
+    assert len(table) == len(load_experiment(GENERAL).claims)
     assert all(" ".join(row.split()[1:6]) == "not enough data - -" for row in table)

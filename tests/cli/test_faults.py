@@ -48,7 +48,7 @@ def test_a_fault_of_the_system_is_one_line_and_an_exit_code(monkeypatch, capsys,
     def fail(own=None):
         raise error
 
-    monkeypatch.setattr("kickbench.mdp.catalog.catalog", fail)
+    monkeypatch.setattr("kickbench.envs.catalog.catalog", fail)
     assert main(["terms"]) == code
     printed = capsys.readouterr()
     assert printed.err.startswith(said)
@@ -60,7 +60,7 @@ def test_a_defect_of_kickbench_keeps_its_traceback(monkeypatch):
     def fail(own=None):
         raise RuntimeError("an assumption was wrong")
 
-    monkeypatch.setattr("kickbench.mdp.catalog.catalog", fail)
+    monkeypatch.setattr("kickbench.envs.catalog.catalog", fail)
     with pytest.raises(RuntimeError, match="assumption"):
         main(["terms"])
 

@@ -11,10 +11,10 @@ from pathlib import Path
 import pytest
 
 from kickbench.cli import main
-from kickbench.mdp.catalog import catalog
-from kickbench.shipped import find, find_method
-from kickbench.speccheck import KINDS
-from kickbench.yamlio import load_document
+from kickbench.config.shipped import find, find_method
+from kickbench.config.yamlio import load_document
+from kickbench.envs.catalog import catalog
+from kickbench.trials.validate import KINDS
 
 ROOT = Path(__file__).parents[2]
 HEAVY = ("torch", "mujoco", "warp", "rsl_rl", "tensordict", "numpy", "pydantic")
@@ -62,7 +62,8 @@ def test_help_imports_nothing_heavy(argv):
 
 
 def test_reading_specs_imports_no_physics_and_no_learning():
-    code = "import kickbench.spec.load, kickbench.spec.explain, kickbench.symmetry.tables, kickbench.symmetry.mirror"
+    rooms = ("config.load", "config.explain", "symmetry.tables", "symmetry.mirror")
+    code = "; ".join(f"import kickbench.{room}" for room in rooms)
     assert not modules_after(code) & {"torch", "mujoco", "warp", "rsl_rl", "tensordict"}
 
 
@@ -148,7 +149,7 @@ def resolve(schema, root):
 
 
 def test_schema_is_a_json_schema_that_knows_the_keys_of_the_shipped_files(kind, printed):
-    from kickbench.yamlio import load_document
+    from kickbench.config.yamlio import load_document
 
     schema = json.loads(printed("schema", kind))
     assert schema["$schema"] == "https://json-schema.org/draft/2020-12/schema"

@@ -28,7 +28,7 @@ def test_it_survives_json(run, exported):
 
 
 def test_observations_are_those_of_the_actor(run):
-    fields, task = contract_of(run).observations, run.experiment.task
+    fields, task = contract_of(run).observations, run.trial.task
     assert [field.name for field in fields] == [field.name for field in task.groups["actor"]]
     assert [len(field.components) for field in fields] == [field.size for field in task.groups["actor"]]
     by_name = {field.name: field for field in fields}
@@ -43,7 +43,7 @@ def test_observations_are_those_of_the_actor(run):
 
 
 def test_targets_gains_and_limits_are_those_of_the_robot(run):
-    contract, layout = contract_of(run), run.experiment.task.scene.layout
+    contract, layout = contract_of(run), run.trial.task.scene.layout
     assert tuple(action.name for action in contract.actions) == layout.actuator_names
     for key, expected in {
         "default": layout.default_target,

@@ -12,8 +12,8 @@ import torch
 
 from kickbench.cli import main
 from kickbench.deploy.runner import Policy
-from kickbench.env import KickEnv
-from kickbench.mdp.engines import make_engine
+from kickbench.envs.engines import make_engine
+from kickbench.envs.env import KickEnv
 from kickbench.training.trained import load_run
 
 EQUIVARIANT, BASELINE = "mini_home_field/equivariant/seed0", "mini_home_field/baseline/seed0"
@@ -23,7 +23,7 @@ RUNS = [f"{experiment}/{method}/seed0" for experiment in ("mini_home_field", "k1
 
 def visited(run, steps: int = 60) -> torch.Tensor:
     """Observations that a policy meets."""
-    task = run.experiment.task
+    task = run.trial.task
     env = KickEnv(task, make_engine(task, 8, num_threads=1), seed=0)
     seen = [env.get_observations()]
     with torch.inference_mode():

@@ -11,9 +11,9 @@ import pytest
 import torch
 
 from kickbench.deploy.runner import Policy
-from kickbench.env import KickEnv
+from kickbench.envs.engines import make_engine
+from kickbench.envs.env import KickEnv
 from kickbench.errors import KickbenchError
-from kickbench.mdp.engines import make_engine
 from kickbench.training.trained import load_run
 
 RUN = "mini_home_field/equivariant/seed0"
@@ -36,7 +36,7 @@ print(sorted({{"torch", "mujoco", "pydantic", "rsl_rl", "onnx", "yaml", "pandas"
 def test_a_control_loop_gets_the_targets_of_the_env(exported, name):
     path, folder = exported(name)
     run, policy = load_run(path), Policy(folder)
-    task = run.experiment.task
+    task = run.trial.task
     env = KickEnv(task, make_engine(task, 1, num_threads=1), seed=0, noise=False)
     default = np.array([joint["default"] for joint in policy.contract["joints"]])
     low, high = np.array([a["limits"] or (-np.inf, np.inf) for a in policy.contract["actions"]]).T

@@ -33,7 +33,7 @@ def test_the_scene_is_that_of_the_env(exported, examples, name):
     run = load_run(path)
     contract = Contract.model_validate_json((folder / "policy.json").read_bytes())
     plain = examples[0].build(contract.model_dump(), str(run.specs.robot.model))
-    own = run.experiment.task.scene.model
+    own = run.trial.task.scene.model
     arrays = (
         *(
             "body_mass",
@@ -72,7 +72,7 @@ def test_it_kicks_as_kickbench_does(exported, examples, name):
     path, folder = exported(name)
     run = load_run(path)
     hits = examples[1].main(folder, str(run.specs.robot.model))
-    sides, _ = run_sides(run.experiment.task, run.policy, episodes=200)
+    sides, _ = run_sides(run.trial.task, run.policy, episodes=200)
     own = sides.in_distribution.success
     assert 0.2 < own.mean() < 1.0
     assert abs(np.mean(hits) - own.mean()) <= 0.02
@@ -92,10 +92,10 @@ def test_delayed_targets_arrive_as_in_the_env(exported, examples, tmp_path):
     contract = contract_of(run)
     (tmp_path / "policy.json").write_text(contract.text())
     (tmp_path / "policy.onnx").write_bytes(onnx_bytes(run.policy, contract))
-    write_states(tmp_path / "initial_states.npz", run.experiment.task, 400)
+    write_states(tmp_path / "initial_states.npz", run.trial.task, 400)
     hits = examples[1].main(tmp_path, str(run.specs.robot.model))
     shares = [
-        run_sides(load_run(path, which).experiment.task, run.policy, episodes=400)[
+        run_sides(load_run(path, which).trial.task, run.policy, episodes=400)[
             0
         ].in_distribution.success.mean()
         for which in (task, None)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from kickbench.env import KickEnv
+from kickbench.envs.env import KickEnv
 from kickbench.evaluation.episodes import draw_starts, mirror_starts, run_episodes
 from kickbench.nets.build import build_actor
 

@@ -10,11 +10,11 @@ from pathlib import Path
 import pytest
 
 from kickbench.cli import main
-from kickbench.experiment import load_experiment
-from kickbench.reported import load_reported
 from kickbench.results.identity import identity_of
 from kickbench.results.integrity import seal
 from kickbench.results.metrics import load_metrics, write_metrics
+from kickbench.trials.experiment import load_experiment
+from kickbench.trials.trial import load_trial
 
 ROOT = Path(__file__).parents[2]
 REPORTED = ROOT / "results/reported/mini_home_field.yaml"
@@ -198,9 +198,9 @@ def test_a_run_that_the_experiment_does_not_plan_is_named(folder):
 
 
 def test_a_mean_says_of_how_many_seeds_it_is(folder):
-    experiment = load_reported(REPORTED)
+    experiment = load_experiment(REPORTED)
     arm = experiment.arms["baseline"]
-    identity = identity_of(load_experiment(arm.task.document.file, arm.method.document.file, arm.overrides))
+    identity = identity_of(load_trial(arm.task.document.file, arm.method.document.file, arm.overrides))
     for seed in range(3):
         folder.add("baseline", seed, identity=identity if seed else None, curves=None, table=False)
     page, _ = page_of(folder.path, "--experiment", str(REPORTED))
@@ -264,7 +264,7 @@ def test_wrong_use_is_an_error_and_writes_nothing(tmp_path, monkeypatch, capsys,
 
 @pytest.mark.parametrize("module", ["jinja2", "matplotlib.figure"])
 def test_a_missing_library_is_named_with_what_installs_it(folder, monkeypatch, capsys, module):
-    import kickbench.view.extra as extra
+    import kickbench.errors as extra
 
     real = extra.import_module
 

@@ -8,14 +8,14 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from kickbench.experiment import load_experiment
-from kickbench.reported import LoadedReported, load_reported
 from kickbench.results.asymmetry import Asymmetry, EquivarianceError, LegPreference, MirroredPairs
 from kickbench.results.frame import frame_of
 from kickbench.results.identity import Identity, identity_of
 from kickbench.results.metrics import Evaluation, EvaluationMetrics, FootCounts, Kicks, Metrics
 from kickbench.results.provenance import Provenance
 from kickbench.results.statistics import Interval, wilson
+from kickbench.trials.experiment import LoadedExperiment, load_experiment
+from kickbench.trials.trial import load_trial
 
 ROOT = Path(__file__).parents[2]
 
@@ -126,11 +126,11 @@ def make_measured(arms: dict[str, list[Metrics | None]], lack: str | None = None
     return pd.concat(tables, ignore_index=True)
 
 
-def planned_identity(experiment: LoadedReported, name: str) -> Identity:
+def planned_identity(experiment: LoadedExperiment, name: str) -> Identity:
     """The identity of the runs of a condition."""
     arm = experiment.arms[name]
     files = arm.task.document.file, arm.method.document.file
-    return identity_of(load_experiment(*files, arm.overrides))
+    return identity_of(load_trial(*files, arm.overrides))
 
 
 class Make:
@@ -148,10 +148,10 @@ def make() -> type[Make]:
 
 
 @pytest.fixture
-def experiment(tmp_path) -> Callable[..., LoadedReported]:
+def experiment(tmp_path) -> Callable[..., LoadedExperiment]:
     """`experiment(claim, ...)` is the mini home-field experiment with these claims, `c0`, `c1`, ..., and no others."""
 
-    def experiment(*claims: str) -> LoadedReported:
+    def experiment(*claims: str) -> LoadedExperiment:
         arms = "\n".join(
             f"  {name}: {{method: {ROOT}/methods/mini/{name}.yaml}}"
             for name in ("baseline", "augmentation", "equivariant")
@@ -161,6 +161,6 @@ def experiment(tmp_path) -> Callable[..., LoadedReported]:
         path.write_text(
             f"task: {ROOT}/tasks/mini_home_field.yaml\nseeds: [0, 1, 2]\narms:\n{arms}\nclaims:\n{lines}\n"
         )
-        return load_reported(path)
+        return load_experiment(path)
 
     return experiment

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from kickbench.config.claims import DifferenceWithin, Operand
 from kickbench.results.contrast import (
     Contrast,
     RunTerms,
@@ -22,7 +23,6 @@ from kickbench.results.contrast import (
 from kickbench.results.frame import frame_of
 from kickbench.results.run_figures import Figure
 from kickbench.results.statistics import Interval, two_proportions, wilson
-from kickbench.spec.claims import DifferenceWithin, Operand
 
 ARM = Operand(arm="a")
 NUMBER = st.floats(-100, 100)

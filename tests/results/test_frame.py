@@ -9,7 +9,6 @@ import pandas as pd
 import pytest
 
 from kickbench.cli import main
-from kickbench.experiment import load_experiment
 from kickbench.results.frame import frame_of, load_runs, run_path, runs_of
 from kickbench.results.identity import identity_of
 from kickbench.results.integrity import seal
@@ -17,6 +16,7 @@ from kickbench.results.metrics import write_metrics
 from kickbench.results.notes import lack
 from kickbench.results.specs import write_specs
 from kickbench.results.store import RunDirectory
+from kickbench.trials.trial import load_trial
 
 from ..conftest import write_result
 from .conftest import planned_identity
@@ -43,7 +43,7 @@ def of(folder: Path, spec, condition: str = "baseline") -> pd.DataFrame:
 
 def write_real(path: Path, make, *overrides: str, **options) -> None:
     """A run with the specs and the identity of a real one."""
-    experiment = load_experiment(TASK, METHOD, overrides)
+    experiment = load_trial(TASK, METHOD, overrides)
     write_specs(RunDirectory(path), experiment)
     rate = options.pop("rate", 0.5)
     write_result(path, make.metrics(make.side(rate), make.side(rate / 2), **options), identity_of(experiment))

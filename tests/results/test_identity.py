@@ -13,12 +13,12 @@ import yaml
 from PIL import Image
 
 from kickbench.errors import KickbenchError, SpecError
-from kickbench.experiment import load_experiment
 from kickbench.results import specs
 from kickbench.results.identity import Identity, identity_of, read_identity, write_identity
 from kickbench.results.specs import stored_experiment, write_specs
 from kickbench.results.store import RunDirectory
 from kickbench.training.resume import begin
+from kickbench.trials.trial import load_trial
 
 ROOT = Path(__file__).parents[2]
 METHOD = ROOT / "methods/mini/equivariant.yaml"
@@ -42,7 +42,7 @@ def edit(robot: Path, old: str, new: str, file: str = "mini_kicker.xml", encodin
 def experiment(robot: Path, *overrides: str):
     task = robot / "task.yaml"
     task.write_text(f"extends: {ROOT}/tasks/mini_home_field.yaml\nrobot: robot.yaml\n")
-    return load_experiment(task, METHOD, overrides)
+    return load_trial(task, METHOD, overrides)
 
 
 def identity(robot: Path, *overrides: str) -> Identity:
@@ -109,16 +109,16 @@ def test_specs_count_by_what_they_mean(robot, override, parts):
 
 
 def test_the_order_of_terms_counts_and_that_of_other_keys_does_not(tmp_path):
-    base = load_experiment(ROOT / "tasks/mini_home_field.yaml", METHOD).loaded_task.document.data
+    base = load_trial(ROOT / "tasks/mini_home_field.yaml", METHOD).loaded_task.document.data
     for name, data in {
         "same.yaml": dict(reversed(base.items())),
         "other.yaml": {**base, "rewards": dict(reversed(base["rewards"].items()))},
     }.items():
         data = {**data, "robot": str(ROOT / "assets/mini_kicker/robot.yaml")}
         (tmp_path / name).write_text(yaml.safe_dump(data, sort_keys=False))
-    before = identity_of(load_experiment(ROOT / "tasks/mini_home_field.yaml", METHOD))
-    assert identity_of(load_experiment(tmp_path / "same.yaml", METHOD)) == before
-    assert changed(before, identity_of(load_experiment(tmp_path / "other.yaml", METHOD))) == {"task"}
+    before = identity_of(load_trial(ROOT / "tasks/mini_home_field.yaml", METHOD))
+    assert identity_of(load_trial(tmp_path / "same.yaml", METHOD)) == before
+    assert changed(before, identity_of(load_trial(tmp_path / "other.yaml", METHOD))) == {"task"}
 
 
 def test_an_identity_is_read_as_written_and_a_changed_one_is_refused(robot, tmp_path):

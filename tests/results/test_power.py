@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from kickbench.reported import load_reported
 from kickbench.results.power import rates
+from kickbench.trials.experiment import load_experiment
 
 ROOT = Path(__file__).parents[2]
 GENERAL = ROOT / "results/reported/general.yaml"
@@ -15,11 +15,11 @@ GENERAL = ROOT / "results/reported/general.yaml"
 
 @pytest.fixture(scope="module")
 def simulated():
-    return rates(load_reported(GENERAL), draws=300)
+    return rates(load_experiment(GENERAL), draws=300)
 
 
 def test_what_three_seeds_cannot_decide_says_so(simulated):
-    claims = load_reported(GENERAL).claims
+    claims = load_experiment(GENERAL).claims
     assert {name: claims[name].decidable for name in simulated} == {
         n: r.decides for n, r in simulated.items()
     }
@@ -41,8 +41,8 @@ def test_the_table_of_the_readme_is_that_of_the_simulation(simulated):
 
 
 def test_more_seeds_decide_what_three_cannot():
-    few = rates(load_reported(GENERAL), draws=100)["baseline_as_reported"]
+    few = rates(load_experiment(GENERAL), draws=100)["baseline_as_reported"]
     ten = ["seeds=[0,1,2,3,4,5,6,7,8,9]", "claims.baseline_as_reported.bound=0.1"]
-    many = rates(load_reported(GENERAL, ten), draws=100)["baseline_as_reported"]
+    many = rates(load_experiment(GENERAL, ten), draws=100)["baseline_as_reported"]
     assert few.replication < many.replication
     assert many.decides

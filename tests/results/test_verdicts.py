@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from kickbench.reported import load_reported
 from kickbench.results.frame import load_runs
 from kickbench.results.verdicts import is_met_as_reported, judge, verdict_lines
+from kickbench.trials.experiment import load_experiment
 
 from ..conftest import write_result
 from .conftest import planned_identity
@@ -284,7 +284,7 @@ def test_the_lines_hold_every_claim_with_its_words(experiment, make, seeds):
 
 @pytest.mark.parametrize("name", ["general", "home_field"])
 def test_the_thesis_own_figures_meet_its_claims(name):
-    experiment = load_reported(ROOT / f"results/reported/{name}.yaml")
+    experiment = load_experiment(ROOT / f"results/reported/{name}.yaml")
     verdicts = judge(experiment, load_runs("nowhere", experiment))
     met = {verdict.name: is_met_as_reported(verdict) for verdict in verdicts}
     assert sum(value is not None for value in met.values()) >= 5
@@ -292,7 +292,7 @@ def test_the_thesis_own_figures_meet_its_claims(name):
 
 
 def test_five_measured_seeds_of_the_mini_kicker_show_what_the_baseline_loses_and_leave_its_half_open():
-    experiment = load_reported(ROOT / "results/reported/mini_home_field.yaml")
+    experiment = load_experiment(ROOT / "results/reported/mini_home_field.yaml")
     measured = load_runs(ROOT / "results/measured/mini_home_field", experiment)
     outcomes = {v.name: v.outcome for v in judge(experiment, measured)}
     assert outcomes["baseline_loses"] == "met"
@@ -314,7 +314,7 @@ def test_near_reported_with_the_arms_own_task_named_is_as_without(make):
     claim = f"{{statement: S, kind: near_reported, metric: success_rate, value: {value}, bound: 0.1}}"
     figures = "{section: S, in_distribution: {success_rate: 0.5}}"
     overrides = [f"claims.near={claim}", f"arms.baseline.reported={figures}"]
-    experiment = load_reported(ROOT / "results/reported/mini_home_field.yaml", overrides)
+    experiment = load_experiment(ROOT / "results/reported/mini_home_field.yaml", overrides)
     runs = [make.metrics(make.side(0.51), seed=seed) for seed in range(5)]
     verdicts = judge(experiment, make.measured({name: runs for name in experiment.arms}))
     (near,) = (verdict for verdict in verdicts if verdict.name == "near")

@@ -11,9 +11,9 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from kickbench.scene.skeleton import compile_skeleton, read_skeleton
-from kickbench.spec.load import load
-from kickbench.spec.robot import JointSymmetrySpec, RobotSpec
+from kickbench.config.load import load
+from kickbench.config.robot import JointSymmetrySpec, RobotSpec
+from kickbench.sim.read_skeleton import compile_skeleton, read_skeleton
 from kickbench.symmetry.block import symmetry_block
 from kickbench.symmetry.derive import Derivation, derive
 

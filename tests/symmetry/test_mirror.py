@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from kickbench.spec.robot import ActuatorSpec, JointPairs, JointSymmetrySpec
+from kickbench.config.robot import ActuatorSpec, JointPairs, JointSymmetrySpec
 from kickbench.symmetry.mirror import (
     AXIAL,
     POLAR,

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from kickbench.config.load import load
+from kickbench.config.representation import RepresentationSpec
 from kickbench.errors import SpecError
-from kickbench.spec.load import load
-from kickbench.spec.representation import RepresentationSpec
 from kickbench.symmetry import REGULAR, REGULAR_SIGN, SIGN, TRIVIAL, direct_sum, tensor
 from kickbench.symmetry.tables import field_table, resolve_expression
 

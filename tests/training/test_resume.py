@@ -16,12 +16,11 @@ import pytest
 import torch
 import yaml
 
-from kickbench import runner
 from kickbench.cli import main
-from kickbench.env import KickEnv
+from kickbench.envs.engines import make_engine
+from kickbench.envs.env import KickEnv
 from kickbench.errors import KickbenchError
-from kickbench.experiment import load_experiment
-from kickbench.mdp.engines import make_engine
+from kickbench.launch import run as runner
 from kickbench.results import specs
 from kickbench.results.history import RunHistory
 from kickbench.results.identity import read_identity
@@ -30,6 +29,7 @@ from kickbench.results.metrics import load_metrics
 from kickbench.training.checkpoint import FORMAT, Checkpoints
 from kickbench.training.progress_files import CsvProgress
 from kickbench.training.trainer import Trainer
+from kickbench.trials.trial import load_trial
 
 ROOT = Path(__file__).parents[2]
 # Episodes so short that every world uses up its share of the pool of starts.
@@ -120,7 +120,7 @@ def test_so_many_iterations_and_so_many_more_are_those_of_one_training(
 
 
 def test_delay_pushes_and_friction_of_the_k1_go_on_to_the_bit():
-    task = load_experiment(ROOT / "tasks/k1_general.yaml", ROOT / "methods/baseline.yaml").task
+    task = load_trial(ROOT / "tasks/k1_general.yaml", ROOT / "methods/baseline.yaml").task
     assert {bound.name for bound in task.processes} >= {"action_delay", "pushes"}
     generator = torch.Generator().manual_seed(0)
 
@@ -162,7 +162,7 @@ def test_a_state_of_another_size_or_task_is_refused(experiment):
     state = KickEnv(task, make_engine(task, 8), 0).state_dict()
     with pytest.raises(ValueError, match="expected"):
         KickEnv(task, make_engine(task, 9), 0).load_state_dict(state)
-    k1 = load_experiment(ROOT / "tasks/k1_general_fast.yaml", ROOT / "methods/baseline.yaml").task
+    k1 = load_trial(ROOT / "tasks/k1_general_fast.yaml", ROOT / "methods/baseline.yaml").task
     with pytest.raises(ValueError, match="expected"):
         KickEnv(k1, make_engine(k1, 8), 0).load_state_dict(state)
 

@@ -10,9 +10,9 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from kickbench.env import KickEnv
+from kickbench.envs.engines import make_engine
+from kickbench.envs.env import KickEnv
 from kickbench.errors import KickbenchError
-from kickbench.mdp.engines import make_engine
 from kickbench.nets.build import build_actor
 from kickbench.results.history import RunHistory
 from kickbench.symmetry.torch_ops import Mirror

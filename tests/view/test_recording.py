@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 import torch
 
+from kickbench.config.load import load_task
+from kickbench.envs.catalog import model_of_task
+from kickbench.envs.compile import compile_task
 from kickbench.errors import KickbenchError
 from kickbench.evaluation.episodes import draw_starts, run_episodes
-from kickbench.mdp.catalog import model_of_task
-from kickbench.mdp.compile import compile_task
 from kickbench.nets.build import build_actor
 from kickbench.results.specs import write_specs
 from kickbench.results.store import RunDirectory
-from kickbench.spec.load import load_task
 from kickbench.training.checkpoint import Checkpoints, save_policy
 from kickbench.training.trained import load_run
 from kickbench.view.recording import fitting, record_episodes

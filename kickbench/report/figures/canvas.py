@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from typing import Any
 from xml.etree import ElementTree
 
+from kickbench.errors import require
 from kickbench.report.palette import COLOURS, INK, MUTED, RULE
-from kickbench.view.extra import require
 
 _SVG, _XLINK = "http://www.w3.org/2000/svg", "http://www.w3.org/1999/xlink"
 _POINTS = 72.0

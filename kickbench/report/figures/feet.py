@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from kickbench.errors import require
 from kickbench.report.figures.canvas import Panel, Picture
 from kickbench.report.palette import INK, LEFT_FOOT, OTHER, RIGHT_FOOT
 from kickbench.results.episodes import EpisodeSides
-from kickbench.view.extra import require
 
 _WIDTH = 300
 _LOOKS = {"left": LEFT_FOOT, "right": RIGHT_FOOT, "other": OTHER}

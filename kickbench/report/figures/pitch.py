@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from kickbench.config.claims import Side
 from kickbench.report.breakdown import Episodes, tables_of
 from kickbench.report.figures.canvas import Panel, Picture
 from kickbench.report.palette import INK, OTHER, Look
 from kickbench.report.study import SIDE_WORDS
 from kickbench.results.frame import SIDES
-from kickbench.spec.claims import Side
 
 _WIDTH = 300
 _OUTSIDE = 0.002

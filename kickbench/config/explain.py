@@ -1,0 +1,119 @@
+"""A resolved spec as YAML that says, value by value, where it came from."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from kickbench.config.base import Spec
+from kickbench.config.yamlio import Document, flow_yaml
+from kickbench.config.yamltree import Tree
+from kickbench.errors import KeyPath, from_here
+
+_MAX_FLOW = 72
+"""Longer lists are written one item a line."""
+_MAX_ALIGNED = 48
+"""Longer lines do not push the column of comments to the right."""
+
+
+def explain(model_instance: Spec, document: Document) -> str:
+    """Writes a spec as YAML with a comment on each value: the file and line, the override, or `default`.
+
+    The text loads back to the same spec if it is saved in the working directory. Values that are null and
+    that no file wrote are left out.
+
+    Args:
+        model_instance: A validated spec.
+        document: The document it was made of.
+    """
+    data = _visible(model_instance.model_dump(mode="json"), (), document)
+    lines = list(_mapping_lines(data, (), document)) if data else [_Line("{}")]
+    widths = [len(line.text) for line in lines if line.comment and len(line.text) <= _MAX_ALIGNED]
+    return "".join(line.aligned(max(widths, default=0)) + "\n" for line in lines)
+
+
+@dataclass(frozen=True)
+class _Line:
+    """A line of YAML and the comment behind it."""
+
+    text: str
+    comment: str | None = None
+
+    def aligned(self, width: int) -> str:
+        # An override may have line breaks; a comment ends at one.
+        return f"{self.text:<{width}}  # {' '.join(self.comment.split())}" if self.comment else self.text
+
+    def below(self, prefix: str) -> _Line:
+        """The line as part of a block that is one level further in."""
+        return _Line(prefix + self.text, self.comment)
+
+
+def _visible(value: Any, path: KeyPath, document: Document) -> Any:
+    """Drops nulls that no file wrote, and puts written keys first, in the order written."""
+    if isinstance(value, list):
+        return [_visible(item, (*path, index), document) for index, item in enumerate(value)]
+    if not isinstance(value, dict):
+        return value
+    tree = document.node(path)
+    written = tree.value if tree and isinstance(tree.value, dict) else {}
+    order = [key for key in written if key in value] + [key for key in value if key not in written]
+    kept = [key for key in order if value[key] is not None or key in written]
+    return {key: _visible(value[key], (*path, key), document) for key in kept}
+
+
+def _mapping_lines(mapping: Any, path: KeyPath, document: Document) -> Iterator[_Line]:
+    for key, value in mapping.items():
+        here, name = (*path, key), flow_yaml(key)
+        if _is_leaf(value):
+            yield _Line(f"{name}: {_leaf(value)}", _source(here, document))
+        else:
+            yield _Line(f"{name}:")
+            yield from (line.below("  ") for line in _block_lines(value, here, document))
+
+
+def _list_lines(items: Any, path: KeyPath, document: Document) -> Iterator[_Line]:
+    for index, item in enumerate(items):
+        here = (*path, index)
+        if _is_leaf(item):
+            yield _Line(f"- {_leaf(item)}", _source(here, document))
+        else:
+            lines = _block_lines(item, here, document)
+            yield from (line.below("  " if number else "- ") for number, line in enumerate(lines))
+
+
+def _block_lines(value: Any, path: KeyPath, document: Document) -> Iterator[_Line]:
+    lines = _mapping_lines if isinstance(value, dict) else _list_lines
+    return lines(value, path, document)
+
+
+def _is_leaf(value: Any) -> bool:
+    if isinstance(value, list):
+        flat = not any(isinstance(item, dict | list) and item for item in value)
+        return flat and len(flow_yaml(value)) <= _MAX_FLOW
+    return not isinstance(value, dict) or not value
+
+
+def _leaf(value: Any) -> str:
+    # Paths were made absolute; people and stored results want them without the machine's directories.
+    is_path = isinstance(value, str) and os.path.isabs(value)
+    return flow_yaml(from_here(value) if is_path else value)
+
+
+def _source(path: KeyPath, document: Document) -> str:
+    """Names the places that gave a value: one, unless an override changed a part of a list."""
+    tree: Tree | None = document.tree
+    for key in path:
+        below = tree.child(key) if tree else None
+        if below is None and tree and isinstance(tree.value, dict | list):
+            return "default"
+        # A scalar may stand for a whole structure: its parts were written where it was.
+        tree = below or tree
+    return ", ".join(dict.fromkeys(_places(tree))) if tree else "default"
+
+
+def _places(tree: Tree) -> Iterator[str]:
+    yield tree.key.place
+    items = tree.value if isinstance(tree.value, list) else []
+    yield from (place for item in items for place in _places(item) if item.key.is_override)

@@ -1,0 +1,236 @@
+"""Task specification: scene, sampling regions, terms and the evaluation protocol."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, Field, model_validator
+
+from kickbench.config.base import (
+    Bounds,
+    FileRef,
+    Fraction,
+    NonNegativeFloat,
+    NonNegativeInt,
+    NonNegativeRange,
+    PositiveFloat,
+    PositiveInt,
+    Range,
+    Seed,
+    Spec,
+    VectorPair,
+)
+from kickbench.config.curriculum import CurriculumSpec
+from kickbench.config.terms import RewardTable, TermTable
+
+_TURN = 6.2832
+"""2 pi, rounded up as people round it."""
+
+Friction = Annotated[tuple[NonNegativeFloat, NonNegativeFloat, NonNegativeFloat], Field(strict=False)]
+"""Sliding, torsional and rolling friction."""
+
+
+class BallSpec(Spec):
+    """The ball (thesis Table 3.1)."""
+
+    mass: PositiveFloat = Field(default=0.1, le=1000)
+    """Mass, kg."""
+    radius: PositiveFloat = Field(default=0.08, le=10)
+    """Radius, m."""
+    inertia: Literal["solid", "shell"]
+    """How the mass is spread. solid: throughout, 2/5 m r^2; shell: on the surface, 2/3 m r^2. A solid ball rolls
+    farther from the same kick: 8.6 against 7.6 m at 6.4 m/s."""
+    friction: Friction = (1.0, 0.5, 0.015)
+    """Sliding, torsional (m) and rolling (m) friction."""
+    condim: Literal[3, 4, 6] = 6
+    """Contact dimensions; 6 adds torsional and rolling friction."""
+    priority: NonNegativeInt = 2
+    """Contact priority: the ball's friction wins over floor and feet."""
+    solref: VectorPair = (0.02, 1.0)
+    """Contact time constant, s, and damping ratio."""
+
+
+class FloorSpec(Spec):
+    """The floor: an infinite plane."""
+
+    friction: Friction = (1.0, 0.005, 0.0001)
+    """Sliding, torsional (m) and rolling (m) friction."""
+
+
+class SimulationSpec(Spec):
+    """Time discretisation and solver of MuJoCo."""
+
+    timestep: float = Field(ge=1e-6, le=1)
+    """Physics time step, s."""
+    control_interval: PositiveFloat = Field(le=10)
+    """Time between two actions, s; a whole multiple of the time step."""
+    integrator: Literal["euler", "implicit", "implicitfast"] = "euler"
+    """Integrator."""
+    cone: Literal["elliptic", "pyramidal"] = "elliptic"
+    """Friction cone; the pyramidal one makes the ball's roll depend on its heading (not in the thesis)."""
+    jacobian: Literal["dense", "sparse", "auto"] = "auto"
+    """How the constraint Jacobian is stored, which changes the speed and not the physics. auto: sparse from 32 degrees
+    of freedom on, dense below."""
+    iterations: PositiveInt = 10
+    """Newton iterations."""
+    ls_iterations: PositiveInt = 20
+    """Line-search iterations."""
+    max_contacts: PositiveInt | None = None
+    """Contacts that a GPU has room for, a world on average; default: measured. On a CPU there is no limit."""
+    max_constraints: PositiveInt | None = None
+    """Constraint rows that a GPU has room for in every world; default: measured. On a CPU there is no limit."""
+    allowed_overflow: Fraction = 0.001
+    """Largest share of the control steps in which a GPU may lack that room; a run that exceeds it ends."""
+
+    @model_validator(mode="after")
+    def _whole_decimation(self) -> SimulationSpec:
+        steps = self.control_interval / self.timestep
+        if round(steps) < 1 or abs(steps - round(steps)) > 1e-6:
+            raise ValueError(
+                f"control_interval {self.control_interval} s is not a whole multiple of timestep "
+                f"{self.timestep} s (ratio {steps:g})"
+            )
+        return self
+
+    @property
+    def decimation(self) -> int:
+        """Physics steps per control step."""
+        return round(self.control_interval / self.timestep)
+
+
+class EpisodeSpec(Spec):
+    """What all terms share about an episode (thesis Table B.2)."""
+
+    max_steps: PositiveInt
+    """Maximum episode length T_max, control steps."""
+    contact_window: PositiveInt
+    """Contact window T_window, control steps from the first touch on, the step of the touch counted."""
+    stop_speed: PositiveFloat
+    """Speed epsilon below which the ball counts as stopped, m/s."""
+
+
+class BallSampling(Spec):
+    """Where the ball starts, in the robot's start frame."""
+
+    x: Range
+    """Forward distance, m."""
+    y: Range
+    """Lateral offset, m; left is positive."""
+
+
+def _within_a_turn(angle: tuple[float, float]) -> tuple[float, float]:
+    if max(map(abs, angle)) > _TURN:
+        worst = max(angle, key=abs)
+        raise ValueError(f"expected angles from -2 pi to 2 pi, in radians, found {worst:g}")
+    return angle
+
+
+class TargetSampling(Spec):
+    """Where the target lies, in polar coordinates of the robot's start frame."""
+
+    distance: NonNegativeRange
+    """Distance from the robot, m."""
+    angle: Annotated[Range, AfterValidator(_within_a_turn)]
+    """Angle from straight ahead, rad; left is positive."""
+
+    def extent(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Smallest and largest x and y of the region, m."""
+        low, high = self.angle
+        quarter = math.pi / 2
+        axes = [k * quarter for k in range(math.ceil(low / quarter), math.floor(high / quarter) + 1)]
+        points = [(r * math.cos(a), r * math.sin(a)) for r in self.distance for a in (low, high, *axes)]
+        x, y = zip(*points, strict=True)
+        return (min(x), max(x)), (min(y), max(y))
+
+
+class FieldSpec(Spec):
+    """The playing field, in the robot's start frame.
+
+    It has no walls and no lines: a ball may roll off it. Sampling regions that leave it are errors.
+    """
+
+    x: Bounds
+    """Forward extent, m."""
+    y: Bounds
+    """Lateral extent, m; left is positive."""
+
+
+class SamplingSpec(Spec):
+    """Start distribution of an episode."""
+
+    ball: BallSampling
+    """Ball."""
+    target: TargetSampling
+    """Target."""
+
+
+class ObservationSpec(Spec):
+    """Observation groups: the fields of each, in the order of the vector."""
+
+    actor: TermTable
+    """What the policy sees."""
+    critic: TermTable
+    """What the value function sees in training."""
+
+
+class EvaluationSpec(Spec):
+    """How a policy is measured."""
+
+    episodes: PositiveInt
+    """Episodes a side."""
+    seed: Seed = 20_000
+    """Seed of the starts; all methods and training seeds meet the same episodes."""
+    mirrored: bool
+    """Also evaluate the exact mirror images of the starts."""
+    success_radius: PositiveFloat
+    """An episode succeeds if the ball ends at rest within this distance of the target, m."""
+    observation_noise: bool = False
+    """Apply the observation noise of the task."""
+    pushes: bool = False
+    """Apply the pushes of the task; starts and the action delay are always randomised as in training."""
+    every: PositiveInt | None = None
+    """Iterations between two evaluations during the training, whose success is logged beside that of exploration;
+    default: none. They do not change the training."""
+    every_episodes: PositiveInt = 200
+    """Episodes a side of such an evaluation: the first of the whole."""
+
+
+class TaskSpec(Spec):
+    """A task. Tables of terms are narrowed by `mdp.catalog.task_model` to the terms that exist."""
+
+    description: str = ""
+    """One line for lists and reports."""
+    robot: FileRef
+    """Path of the robot's YAML file."""
+    terms: FileRef | None = None
+    """Path of a Python file with terms of one's own, which the tables may then name: `kickbench.envs.own`."""
+    ball: BallSpec
+    """Ball."""
+    floor: FloorSpec = FloorSpec()
+    """Floor."""
+    field: FieldSpec | None = None
+    """Playing field that ball and target must start within; default: as large as the regions ask for."""
+    simulation: SimulationSpec
+    """Time discretisation and solver."""
+    episode: EpisodeSpec
+    """Limits shared by all terms."""
+    sampling: SamplingSpec
+    """Start distribution."""
+    observations: ObservationSpec
+    """Observation groups."""
+    rewards: RewardTable
+    """Reward terms."""
+    terminations: TermTable
+    """Termination terms."""
+    randomization: TermTable = TermTable()
+    """Randomisation terms."""
+    evaluation: EvaluationSpec
+    """Evaluation protocol."""
+    curriculum: CurriculumSpec | None = None
+    """Values that grow during the training."""
+
+    @property
+    def seconds(self) -> float:
+        """Length of an episode that runs out of time, s."""
+        return self.episode.max_steps * self.simulation.control_interval

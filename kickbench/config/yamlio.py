@@ -1,0 +1,294 @@
+"""YAML files as documents: data that knows the file, line and column of every key and value.
+
+A file may say `extends: other.yaml`, relative to itself: mappings are merged key by key, everything else
+replaces, and `null` stays as null, which switches a term off. Overrides (`--set key.path=value`) are merged
+last, by the same rules.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+from codecs import BOM_UTF8
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from kickbench.config.yamldump import dump_yaml, flow_yaml
+from kickbench.config.yamltree import MAX_DEPTH, Source, Tree, describe, parse
+from kickbench.errors import KeyPath, Mark, Problem, SpecError, did_you_mean, dotted, shown
+
+__all__ = ["Document", "describe", "dump_yaml", "flow_yaml", "load_document"]
+
+EXTENDS = "extends"
+"""The key that names the file to build on."""
+
+
+@dataclass(frozen=True)
+class Document:
+    """The data of a file with everything it extends and every override.
+
+    Attributes:
+        file: The file loaded, absolute.
+        data: Its data as dicts, lists and scalars.
+        sources: Every file read: `file` first, then what it extends.
+        tree: The data with marks.
+    """
+
+    file: Path
+    data: dict[str, Any]
+    sources: tuple[Path, ...]
+    tree: Tree = field(repr=False)
+
+    def mark(self, path: KeyPath) -> Mark:
+        """Where the key at the path was written; else the nearest key above it; else the file's start."""
+        return self._nearest(path).key
+
+    def value_mark(self, path: KeyPath) -> Mark:
+        """Where the value at the path was written; else the value of the nearest key above it."""
+        return self._nearest(path).mark
+
+    def origin(self, path: KeyPath) -> Path | None:
+        """The file that gave the value: paths are relative to it. None for overrides and defaults."""
+        tree = self.node(path)
+        return tree.origin if tree else None
+
+    def node(self, path: KeyPath) -> Tree | None:
+        """The value at a path with its marks; None if nothing was written there."""
+        tree: Tree | None = self.tree
+        for key in path:
+            tree = tree.child(key) if tree else None
+        return tree
+
+    def problem(self, path: KeyPath, message: str, hint: str | None = None) -> Problem:
+        """Words a problem with the key at the path."""
+        return Problem(self.mark(path), path, message, hint)
+
+    def error(self, path: KeyPath, message: str, hint: str | None = None) -> SpecError:
+        """Words a problem with the key at the path as an error to raise."""
+        return SpecError([self.problem(path, message, hint)])
+
+    def _nearest(self, path: KeyPath) -> Tree:
+        found = self.tree
+        for key in path:
+            tree = found.child(key)
+            if tree is None:
+                break
+            found = tree
+        return found
+
+
+def load_document(
+    path: str | Path, overrides: Sequence[str] = (), *, named_by: tuple[Document, KeyPath] | None = None
+) -> Document:
+    """Loads a YAML file, what it extends, and overrides.
+
+    Args:
+        path: The file; relative to the file that names it, else to the working directory.
+        overrides: `key.path=value` each; the value is YAML, a number in the path is a list index.
+        named_by: The document and the key that name the file: where to point if it cannot be read.
+
+    Raises:
+        SpecError: With every problem of the file, the files it extends and the overrides.
+    """
+    reading = _Reading()
+    naming = None
+    if named_by is not None:
+        document, key = named_by
+        origin = document.origin(key)
+        path = origin.parent / path if origin else path
+        naming = Problem(document.mark(key), key, "")
+    file = Path(os.path.abspath(path))
+    tree = reading.tree(file, naming, ())
+    for text in overrides:
+        tree = reading.override(tree, text)
+    if reading.problems:
+        raise SpecError(reading.problems)
+    assert tree is not None
+    return Document(file, tree.plain(), tuple(reading.sources), tree)
+
+
+class _Reading:
+    """One load: the files read so far and the problems found so far."""
+
+    def __init__(self) -> None:
+        self.sources: list[Path] = []
+        self.problems: list[Problem] = []
+
+    def tree(self, file: Path, naming: Problem | None, chain: tuple[Path, ...]) -> Tree | None:
+        """Reads a file and what it extends.
+
+        Args:
+            file: The file, absolute.
+            naming: Where the file is named, without a message.
+            chain: The files that led here through `extends`.
+        """
+        text = self._text(file, naming)
+        if text is None:
+            return None
+        self.sources.append(file)
+        start = Mark(str(file), 1, 1)
+        tree, problems = parse(Source(text, str(file), file))
+        self.problems += problems
+        if tree is None or not isinstance(tree.value, dict):
+            if not problems:
+                data = tree.plain() if tree else None
+                found = "the file is empty" if data is None else f"found {describe(data)}"
+                self._report(start, (), f"expected keys at the top of the file; {found}")
+            return None
+        return self._extend(Tree(dict(tree.value), start, start, file), file, (*chain, file))
+
+    def override(self, tree: Tree | None, text: str) -> Tree | None:
+        """Merges `key.path=value` into a tree."""
+        name = f"--set {text}"
+        mark = Mark(name, 0, 0)
+        left, equals, right = text.partition("=")
+        keys = [key.strip() for key in left.split(".")]
+        if not equals or not all(keys):
+            self._report(mark, (), "expected key.path=value", "for example rewards.fall.weight=-2")
+            return tree
+        path: KeyPath = tuple(keys)
+        if keys[0] == EXTENDS:
+            self._report(mark, path, f"`{EXTENDS}` cannot be set: it is read from files only")
+            return tree
+        if len(keys) > MAX_DEPTH:
+            self._report(mark, (), "nested too deeply")
+            return tree
+        value, problems = parse(Source(right, name, None, path))
+        self.problems += problems
+        if tree is None or problems:
+            return tree
+        try:
+            return _put(tree, keys, value or Tree(None, mark, mark, None), mark)
+        except _NoRoom as error:
+            self._report(mark, path, str(error))
+            return tree
+
+    def _extend(self, child: Tree, file: Path, chain: tuple[Path, ...]) -> Tree | None:
+        assert isinstance(child.value, dict)
+        extends = child.value.pop(EXTENDS, None)
+        if extends is None:
+            return child
+        if not isinstance(extends.value, str) or not extends.value or "\0" in extends.value:
+            found = describe(extends.plain())
+            self._report(extends.key, (EXTENDS,), f"expected the path of a file, found {found}")
+            return None
+        base = Path(os.path.abspath(file.parent / extends.value))
+        if os.path.realpath(base) in map(os.path.realpath, chain):
+            circle = " -> ".join(shown(link) for link in (*chain, base))
+            self._report(extends.key, (EXTENDS,), f"files extend each other in a circle: {circle}")
+            return None
+        tree = self.tree(base, Problem(extends.key, (EXTENDS,), ""), chain)
+        return merge(tree, child) if tree else None
+
+    def _text(self, file: Path, naming: Problem | None) -> str | None:
+        mark, path = (naming.mark, naming.path) if naming else (Mark(str(file), 0, 0), ())
+        try:
+            data = read_regular(file)
+        except (OSError, ValueError) as error:  # ValueError: a null byte in the path
+            self.problems.append(Problem(mark, path, *unreadable(file, error)))
+            return None
+        # Not the codec utf-8-sig: the places of its errors do not count the mark.
+        data = data.removeprefix(BOM_UTF8)
+        try:
+            return data.decode()
+        except UnicodeDecodeError as error:
+            before = data[: error.start]
+            line, column = before.count(b"\n") + 1, len(before.rpartition(b"\n")[2].decode()) + 1
+            self._report(Mark(str(file), line, column), (), f"not UTF-8: the byte 0x{data[error.start]:02x}")
+            return None
+
+    def _report(self, mark: Mark, path: KeyPath, message: str, hint: str | None = None) -> None:
+        self.problems.append(Problem(mark, path, message, hint))
+
+
+_LARGEST_FILE = 2**24
+"""Bytes of a YAML file at most."""
+
+
+def read_regular(file: Path) -> bytes:
+    """Reads a regular file of sensible size: a device or a pipe might never end.
+
+    Raises:
+        OSError: It cannot be read, or is no such file.
+    """
+    check_regular(file)
+    if file.stat().st_size > _LARGEST_FILE:
+        raise OSError(errno.EFBIG, f"larger than {_LARGEST_FILE // 2**20} MiB")
+    return file.read_bytes()
+
+
+def check_regular(file: Path) -> None:
+    """Raises an `OSError` for what is there but is no regular file; a folder is `IsADirectoryError`."""
+    mode = file.stat().st_mode
+    if stat.S_ISDIR(mode):
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(file))
+    if not stat.S_ISREG(mode):
+        raise OSError(errno.EINVAL, "it is no regular file, but a pipe, socket or device")
+
+
+def unreadable(file: Path, error: Exception) -> tuple[str, str | None]:
+    """Says why a file cannot be read, with the nearest name that exists as a hint.
+
+    Returns:
+        Message and hint.
+    """
+    if isinstance(error, IsADirectoryError):
+        return f"'{shown(file)}' is a directory, not a file", None
+    if isinstance(error, FileNotFoundError | NotADirectoryError):
+        return f"no such file: '{shown(file)}'", _near_file(file)
+    reason = error.strerror if isinstance(error, OSError) else str(error)
+    return f"'{shown(file)}' cannot be read: {reason}", None
+
+
+def merge(base: Tree, child: Tree) -> Tree:
+    """Merges mappings key by key, keys of the base first; any other value of the child replaces."""
+    if not isinstance(base.value, dict) or not isinstance(child.value, dict):
+        return child
+    merged = dict(base.value)
+    for key, tree in child.value.items():
+        merged[key] = merge(merged[key], tree) if key in merged else tree
+    return Tree(merged, child.mark, child.key, child.origin)
+
+
+def _near_file(file: Path) -> str | None:
+    folder = file.parent
+    if not folder.is_dir():
+        return f"the directory '{shown(folder)}' does not exist"
+    try:
+        names = sorted(entry.name for entry in folder.iterdir() if entry.is_file())
+    except OSError:
+        return None
+    stems = [name for name in names if name.startswith(file.name + ".")]
+    return did_you_mean(stems[0], stems) if stems else did_you_mean(file.name, names)
+
+
+class _NoRoom(Exception):
+    """An override leads to a place where no value can stand."""
+
+
+def _put(tree: Tree, keys: list[str], value: Tree, mark: Mark, done: KeyPath = ()) -> Tree:
+    """Puts a value under `keys` of a tree; null counts as an empty mapping: a term is switched on again."""
+    if not keys:
+        return merge(tree, Tree(value.value, value.mark, mark, None))
+    entries = {} if tree.value is None else tree.value
+    if isinstance(entries, list):
+        index = _index(keys[0], entries, done)
+        items = list(entries)
+        items[index] = _put(items[index], keys[1:], value, mark, (*done, index))
+        return Tree(items, tree.mark, tree.key, tree.origin)
+    if not isinstance(entries, dict):
+        raise _NoRoom(f"'{dotted(done)}' is {describe(entries)} and has no key '{keys[0]}'")
+    inner = entries.get(keys[0]) or Tree(None, mark, mark, None)
+    changed = entries | {keys[0]: _put(inner, keys[1:], value, mark, (*done, keys[0]))}
+    return Tree(changed, tree.mark, tree.key, tree.origin)
+
+
+def _index(key: str, items: list[Tree], path: KeyPath) -> int:
+    # Python refuses to read integers of thousands of digits; no list is so long.
+    if key.isdecimal() and len(key) < 10 and int(key) < len(items):
+        return int(key)
+    expected = f"expected an index below {len(items)}, found '{key}'"
+    raise _NoRoom(f"'{dotted(path)}' is a list of {len(items)}; {expected}")

@@ -1,0 +1,1 @@
+"""Terms, named by YAML; initial states; one step of many envs, and that step as a CUDA graph."""

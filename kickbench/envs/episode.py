@@ -1,0 +1,173 @@
+"""Book-keeping of episodes: what one has recorded, and running sums over finished ones; on the device."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+
+import torch
+from torch import Tensor
+
+from kickbench.envs.state import State
+from kickbench.envs.stateful import Stateful
+
+NO_FOOT, LEFT, RIGHT, BOTH, OTHER = 0, 1, 2, 3, 4
+"""Codes of what touched the ball first: the sum of the feet that did, or OTHER, a part that is no foot."""
+FOOT_NAMES = ("none", "left", "right", "other", "other")
+"""Names of the codes in tables of episodes; both feet at once count as other."""
+
+
+@dataclass
+class EpisodeRecord(Stateful):
+    """What is recorded of the running episode; one row a world.
+
+    Its tensors are replaced, never written to, so a shallow copy keeps what was recorded.
+
+    Attributes:
+        by_reward_raw: Unweighted sum of every reward term [B, R].
+        kick_foot: What touched the ball first [B], codes of this module.
+        kick_step: Control step of the first touch, -1 before [B].
+        peak_ball_speed: Largest horizontal ball speed so far [B], m/s.
+    """
+
+    by_reward_raw: Tensor
+    kick_foot: Tensor
+    kick_step: Tensor
+    peak_ball_speed: Tensor
+
+    @staticmethod
+    def empty(worlds: int, rewards: int, device: torch.device) -> EpisodeRecord:
+        """Records of episodes that have not begun."""
+        table = torch.zeros(worlds, rewards, device=device)
+        foot = torch.zeros(worlds, dtype=torch.int64, device=device)
+        return EpisodeRecord(table, foot, foot - 1, torch.zeros(worlds, device=device))
+
+    def clear(self, mask: Tensor) -> None:
+        """Starts new records in the worlds in `mask` [B]."""
+        for field in fields(self):
+            empty = -1 if field.name == "kick_step" else 0
+            value = getattr(self, field.name)
+            cleared = value.masked_fill(mask if value.dim() == 1 else mask.unsqueeze(1), empty)
+            setattr(self, field.name, cleared)
+
+    def mirrored(self) -> EpisodeRecord:
+        """The record of the mirrored episode: left and right feet swap."""
+        foot = self.kick_foot
+        swapped = torch.where(foot == LEFT, RIGHT, torch.where(foot == RIGHT, LEFT, foot))
+        return replace(self, kick_foot=swapped)
+
+    def note_touch(self, state: State, failed: Tensor, has_feet: bool) -> None:
+        """Remembers step and foot of the first touch, and the ball's peak speed.
+
+        Args:
+            state: The state that the control step has led to.
+            failed: Worlds whose numbers mean nothing [B] bool; no speed is taken from them.
+            has_feet: Whether the scene tells which foot touches the ball.
+        """
+        first = state.ball_contact & (self.kick_step < 0)
+        if has_feet:
+            left, right = state.foot_ball_contact.unbind(dim=1)
+            code = left + RIGHT * right
+            self.kick_foot = torch.where(first, torch.where(code > 0, code, OTHER), self.kick_foot)
+        else:
+            self.kick_foot = torch.where(first, OTHER, self.kick_foot)
+        self.kick_step = torch.where(first, state.episode.step, self.kick_step)
+        peak = torch.maximum(self.peak_ball_speed, state.ball_ground_speed)
+        self.peak_ball_speed = torch.where(failed, self.peak_ball_speed, peak)
+
+
+@dataclass
+class Totals(Stateful):
+    """Sums over the episodes finished since the last reading.
+
+    Attributes:
+        steps: Their control steps.
+        endings: How many ended in each way [3 + T]: any, with success, because their numbers were not finite, by
+            each termination.
+        by_reward_raw: Unweighted sums of each reward term [R].
+        weights: Weight of each reward term [R].
+    """
+
+    steps: Tensor
+    endings: Tensor
+    by_reward_raw: Tensor
+    weights: Tensor
+
+    @staticmethod
+    def zeros(terminations: int, weights: Tensor) -> Totals:
+        """Nothing counted yet."""
+        endings = torch.zeros(3 + terminations, device=weights.device)
+        return Totals(torch.zeros((), device=weights.device), endings, torch.zeros_like(weights), weights)
+
+    def add(self, outcome: Outcome) -> None:
+        """Adds the worlds that are done."""
+        done = outcome.done.float()
+        kinds = torch.stack([outcome.done, outcome.success, outcome.failed], dim=1)
+        self.endings += done @ torch.cat([kinds, outcome.terminated], dim=1).float()
+        self.steps += done @ outcome.steps.float()
+        self.by_reward_raw += done @ outcome.record.by_reward_raw
+
+    def take(self) -> FinishedEpisodes:
+        """Returns all sums and sets them to zero."""
+        raw, endings = self.by_reward_raw.clone(), self.endings.clone()
+        episodes, successes, failures = endings[:3].unbind()
+        finished = FinishedEpisodes(
+            episodes, successes, failures, self.steps.clone(), endings[3:], raw * self.weights, raw
+        )
+        for sums in (self.steps, self.endings, self.by_reward_raw):
+            sums.zero_()
+        return finished
+
+
+@dataclass(frozen=True)
+class FinishedEpisodes:
+    """What `Totals` has counted.
+
+    Attributes:
+        episodes: Number of episodes.
+        successes: Those that ended with the ball at rest in the success radius.
+        failures: Worlds reset because their numbers were not finite.
+        steps: Control steps of all.
+        terminations: Episodes ended by each termination [T].
+        rewards: Weighted sums of each reward term [R]; together they are the sum of the returns.
+        raw_rewards: Unweighted sums of each reward term [R].
+    """
+
+    episodes: Tensor
+    successes: Tensor
+    failures: Tensor
+    steps: Tensor
+    terminations: Tensor
+    rewards: Tensor
+    raw_rewards: Tensor
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How the last control step ended, before any reset; one row a world.
+
+    Attributes:
+        done: The episode ended [B] bool.
+        failed: It ended because its numbers were not finite [B] bool.
+        terminated: Which terminations fired [B, T] bool; none in a world that failed.
+        success: The ball is at rest within the success radius, after a kick [B] bool.
+        ball: Ball position [B, 2], m.
+        distance: Ball to target [B], m.
+        steps: Length of the episode so far [B].
+        record: The episode's record.
+        weights: Weight of each reward term [R].
+    """
+
+    done: Tensor
+    failed: Tensor
+    terminated: Tensor
+    success: Tensor
+    ball: Tensor
+    distance: Tensor
+    steps: Tensor
+    record: EpisodeRecord
+    weights: Tensor
+
+    @property
+    def rewards(self) -> Tensor:
+        """Weighted sum of every reward term so far [B, R]; together they are the return."""
+        return self.record.by_reward_raw * self.weights

@@ -1,0 +1,240 @@
+"""The environment's step as one CUDA graph: recorded once, replayed with a single launch.
+
+A graph replays the very kernels it has recorded, on the very addresses. So whatever a step reads or writes must stay
+where it is: actions come in through one buffer, and the tensors that a step replaces (`KickEnv.tensors`) are copied
+back into buffers of their own at its end. No kernel may depend on a number that the host would have to read; the
+environment is resident then (`KickEnv`), and starts, resets and random numbers are masked.
+
+No GPU has run this yet: what is tested is the same code without the recording, on the CPU (tests/test_graph.py). The
+tests that carry the marker `cuda` are what to run first on a GPU.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Protocol
+
+import torch
+from tensordict import TensorDict
+from torch import Tensor
+
+from kickbench.envs.env import KickEnv
+from kickbench.errors import KickbenchError
+from kickbench.sim.engine import Engine
+
+StepResult = tuple[TensorDict, Tensor, Tensor, dict[str, Tensor]]
+"""Observations, rewards, dones and extras of a step, as rsl_rl takes them."""
+
+
+class Steps(Protocol):
+    """What a training steps: an environment, or its captured step."""
+
+    def get_observations(self) -> TensorDict:
+        """Observations of the present state by group, {group: [B, width]}."""
+        ...
+
+    def step(self, actions: Tensor) -> StepResult:
+        """Advances every world by one control step."""
+        ...
+
+
+_LEAST_DRIVER = (12, 4)
+"""CUDA of the first drivers with loops in graphs, by which mujoco_warp's solver ends when all worlds have converged."""
+_WARM_UP = 3
+"""Steps before the recording: libraries load kernels and make workspaces in their first calls, which a graph cannot
+hold."""
+
+
+def graph_obstacle(device: torch.device) -> str | None:
+    """Why steps on a device cannot be recorded, or None if they can."""
+    if device.type != "cuda":
+        return f"CUDA graphs need a CUDA device, not {device.type}"
+    if not torch.cuda.is_available():
+        return "torch sees no CUDA device"
+    version = driver_version()
+    if version is None or version < _LEAST_DRIVER:
+        has, needs = (f"{major}.{minor}" for major, minor in (version or (0, 0), _LEAST_DRIVER))
+        return f"the driver knows CUDA {has}; the solver's loop needs the graphs of {needs}"
+    if not hasattr(torch.cuda.CUDAGraph, "register_generator_state"):
+        return f"torch {torch.__version__} cannot draw random numbers from its own generators in a graph"
+    return None
+
+
+def driver_version() -> tuple[int, int] | None:
+    """Newest version of CUDA that the NVIDIA driver here knows, major and minor; None: there is no driver."""
+    number = ctypes.c_int()
+    try:
+        failed = ctypes.CDLL("libcuda.so.1").cuDriverGetVersion(ctypes.byref(number))
+    except (OSError, AttributeError):
+        return None
+    return None if failed else (number.value // 1000, number.value % 1000 // 10)
+
+
+class WithoutGraphs(UserWarning):
+    """Steps run on a CUDA device one kernel at a time: correct, and several times slower."""
+
+
+class StaticTensors:
+    """Buffers for the tensors that a step replaces.
+
+    Between two steps every such tensor of the environment is its buffer. Whoever binds another one in the meantime
+    (a reset, a checkpoint, a snapshot) is noticed by `adopt`.
+    """
+
+    def __init__(self, env: KickEnv) -> None:
+        """Copies the present tensors and puts the copies in their place."""
+        self._env = env
+        self._buffers = {
+            part: {name: value.clone(memory_format=torch.contiguous_format) for name, value in table.items()}
+            for part, table in env.tensors().items()
+        }
+        env.bind(self._buffers)
+
+    def adopt(self) -> None:
+        """Takes over the values of all tensors that are not their buffers; afterwards they are.
+
+        Raises:
+            ValueError: One has another name, shape or type than its buffer.
+        """
+        moved = list(self._moved())
+        if not moved:
+            return
+        places = {buffer.untyped_storage().data_ptr() for buffer, _ in self._pairs()}
+        # A new value may be another one's buffer, or lie in it: no copy may overwrite what another has yet to read.
+        values = [v.clone() if v.untyped_storage().data_ptr() in places else v for _, v in moved]
+        for (buffer, _), value in zip(moved, values, strict=True):
+            buffer.copy_(value)
+        self._env.bind(self._buffers)
+
+    def _moved(self) -> Iterator[tuple[Tensor, Tensor]]:
+        return ((buffer, value) for buffer, value in self._pairs() if value is not buffer)
+
+    def _pairs(self) -> Iterator[tuple[Tensor, Tensor]]:
+        """Every buffer with the environment's present tensor."""
+        tables = self._env.tensors()
+        for part, buffers in self._buffers.items():
+            if tables[part].keys() != buffers.keys():
+                raise ValueError(f"{part}: expected {sorted(buffers)}, found {sorted(tables[part])}")
+            for name, buffer in buffers.items():
+                value = tables[part][name]
+                if (value.shape, value.dtype) != (buffer.shape, buffer.dtype):
+                    raise ValueError(f"{part}.{name}: expected {_kind(buffer)}, found {_kind(value)}")
+                yield buffer, value
+
+
+def _kind(value: Tensor) -> str:
+    return f"{value.dtype} {list(value.shape)}"
+
+
+class CapturedStep:
+    """Steps an environment by replaying a graph, where the device can; by the same code without one elsewhere.
+
+    Trajectories are those of `KickEnv.step`, random numbers included. What `step` and `get_observations` return is the
+    caller's to keep; `KickEnv.outcome` and the environment's state are valid until the next step. The environment
+    itself may be reset, restored or loaded between two steps.
+    """
+
+    def __init__(self, env: KickEnv, *, graph: bool = True) -> None:
+        """Wraps an environment.
+
+        Args:
+            env: The environment; it must be resident to be recorded.
+            graph: Whether to record at all.
+        """
+        self.env = env
+        self._static = StaticTensors(env)
+        self._actions = torch.zeros(env.num_envs, env.num_actions, device=env.device)
+        self._warm_up = _WARM_UP
+        self._result: StepResult | None = None
+        self._replay: Callable[[], None] | None = None
+        self.obstacle = graph_obstacle(env.device) if graph else "they are switched off"
+        """Why no graph is recorded; None: one is."""
+        if self.obstacle and env.device.type == "cuda":
+            what = f"the environment runs without CUDA graphs, several times slower: {self.obstacle}"
+            warnings.warn(what, WithoutGraphs, stacklevel=2)
+
+    def get_observations(self) -> TensorDict:
+        """Observations of the present state by group, {group: [B, width]}."""
+        return self.env.get_observations().clone()
+
+    def step(self, actions: Tensor) -> StepResult:
+        """Advances every world by one control step; see `KickEnv.step`."""
+        self._static.adopt()
+        self._actions.copy_(actions)
+        if self.obstacle or self._warm_up:
+            self._warm_up -= bool(self._warm_up)
+            self._run()
+        else:
+            self._replay = self._replay or self._record()
+            self._replay()
+        assert self._result is not None
+        observations, rewards, done, extras = self._result
+        kept = {name: value.clone() for name, value in extras.items()}
+        return observations.clone(), rewards.clone(), done.clone(), kept
+
+    def _run(self) -> None:
+        """A step from buffers to buffers: all that is ever recorded."""
+        self._result = self.env.step(self._actions)
+        self._static.adopt()
+
+    def _record(self) -> Callable[[], None]:
+        """Records one step, without running it.
+
+        Raises:
+            KickbenchError: The device or a library refuses.
+        """
+        recorded, self._memory = torch.cuda.CUDAGraph(), torch.cuda.MemPool()
+        recorded.register_generator_state(self.env.generator)
+        try:
+            with _recording(recorded, self._memory, self.env.engine):
+                self._run()
+        except RuntimeError as error:
+            reason = f"a step cannot be recorded as a CUDA graph: {error}"
+            raise KickbenchError(f"{reason}\n--no-graph trains without one, several times slower") from error
+        return recorded.replay
+
+
+def fastest_steps(env: KickEnv, *, graph: bool = True) -> Steps:
+    """The captured step of an environment on a CUDA device; elsewhere the environment, which copies nothing."""
+    return CapturedStep(env, graph=graph) if env.device.type == "cuda" else env
+
+
+@contextmanager
+def _recording(graph: torch.cuda.CUDAGraph, pool: torch.cuda.MemPool, engine: Engine) -> Iterator[None]:
+    """Everything that is launched in the block becomes part of the graph, and runs when that is replayed.
+
+    The engine's own library learns of the recording as well. Where it records a loop whose length the device decides,
+    it ends torch's recording and resumes it under another identity, by which torch would no longer know what memory
+    belongs to the graph: so all memory of the block comes from a pool, which must live as long as the graph does.
+    """
+    device = engine.device
+    with (
+        torch.cuda.device(device),
+        # The mode that the engine tells its library.
+        torch.cuda.graph(graph, stream=torch.cuda.Stream(device), capture_error_mode="thread_local"),
+        torch.cuda.use_mem_pool(pool, device),
+        engine.capturing(),
+    ):
+        yield
+
+
+def recorded_call(engine: Engine, call: Callable[[], None]) -> Callable[[], None]:
+    """A call of an engine's methods as a graph, where its device has graphs; elsewhere the call itself.
+
+    It is called a few times to warm up.
+    """
+    if graph_obstacle(engine.device) is not None:
+        return call
+    for _ in range(_WARM_UP):
+        call()
+    graph, pool = torch.cuda.CUDAGraph(), torch.cuda.MemPool()
+    with _recording(graph, pool, engine):
+        call()
+
+    def replay(memory: torch.cuda.MemPool = pool) -> None:
+        graph.replay()
+
+    return replay

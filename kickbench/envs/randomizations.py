@@ -1,0 +1,190 @@
+"""Randomisation (thesis 3.1).
+
+One of episode starts is `(starts, params, draw) -> starts`. One of another stage makes the process that acts during
+the episode: `(params, setting) -> process`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import torch
+from pydantic import model_validator
+from torch import Tensor
+
+from kickbench.config.base import Fraction, NonNegativeRange, PositiveFloat, PositiveRange
+from kickbench.config.task import TaskSpec
+from kickbench.config.terms import RandomizationParams
+from kickbench.envs.delay import ActionDelay as DelayBuffer
+from kickbench.envs.delay import whole_steps
+from kickbench.envs.draws import Draws
+from kickbench.envs.pushes import Pushes as PushSchedule
+from kickbench.envs.starts import Draw, Starts
+from kickbench.envs.term import randomization
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What a process needs to know of its environment.
+
+    Attributes:
+        timestep: Physics time step, s.
+        decimation: Physics steps per control step.
+        default_target: Control target of a zero action [nu].
+        num_worlds: Number of worlds B.
+        generator: Source of all draws.
+    """
+
+    timestep: float
+    decimation: int
+    default_target: Tensor
+    num_worlds: int
+    generator: Draws
+
+
+class FootFriction(RandomizationParams):
+    """Parameters of `foot_friction`."""
+
+    range: NonNegativeRange
+    """Range of the sliding friction coefficient."""
+
+
+@randomization("3.1", units="1", needs=("foot_ball",), params=FootFriction)
+def foot_friction(starts: Starts, params: FootFriction, draw: Draw) -> Starts:
+    """Sliding friction of each foot, uniform, drawn anew for every foot and episode."""
+    return starts.varied("foot_friction", draw(*params.range, len(starts), 2))
+
+
+class FactorsBySide(RandomizationParams):
+    """Parameters of the terms that scale a part of the robot by side: hardware that is not quite symmetric."""
+
+    left: PositiveRange = (1.0, 1.0)
+    """Range of the factor of the left side."""
+    right: PositiveRange = (1.0, 1.0)
+    """Range of the factor of the right side."""
+    middle: PositiveRange = (1.0, 1.0)
+    """Range of the factor of trunk, head and other parts in the middle."""
+
+    @model_validator(mode="after")
+    def _changes_something(self) -> FactorsBySide:
+        if {*self.left, *self.right, *self.middle} == {1.0}:
+            raise ValueError("every factor is 1: give `left`, `right` or `middle` a range or a number")
+        return self
+
+    def draw(self, draw: Draw, count: int) -> Tensor:
+        """One factor a side and start [count, 3]: left, right, middle."""
+        sides = (self.left, self.right, self.middle)
+        return torch.cat([draw(*bounds, count, 1) for bounds in sides], dim=1)
+
+
+@randomization("5.1 (future work: asymmetric hardware)", units="1", params=FactorsBySide)
+def link_mass(starts: Starts, params: FactorsBySide, draw: Draw) -> Starts:
+    """Factor of mass and inertia of all bodies of a side, drawn anew for every side and episode."""
+    return starts.varied("link_mass", params.draw(draw, len(starts)))
+
+
+@randomization("5.1 (future work: asymmetric hardware)", units="1", params=FactorsBySide)
+def servo_stiffness(starts: Starts, params: FactorsBySide, draw: Draw) -> Starts:
+    """Factor of kp of all position servos of a side, drawn anew for every side and episode."""
+    return starts.varied("servo_stiffness", params.draw(draw, len(starts)))
+
+
+@randomization("5.1 (future work: asymmetric hardware)", units="1", params=FactorsBySide)
+def servo_damping(starts: Starts, params: FactorsBySide, draw: Draw) -> Starts:
+    """Factor of kd of all servos of a side, drawn anew for every side and episode."""
+    return starts.varied("servo_damping", params.draw(draw, len(starts)))
+
+
+@randomization("5.1 (future work: asymmetric hardware)", units="1", params=FactorsBySide)
+def motor_strength(starts: Starts, params: FactorsBySide, draw: Draw) -> Starts:
+    """Factor of the effort limit of all servos of a side, drawn anew for every side and episode.
+
+    The no-load speed stays, so the torque at every speed scales alike; gains are `servo_stiffness` and
+    `servo_damping`.
+    """
+    return starts.varied("motor_strength", params.draw(draw, len(starts)))
+
+
+class JointPosition(RandomizationParams):
+    """Parameters of `joint_position`."""
+
+    noise: PositiveFloat
+    """Half-width of the uniform offset, rad."""
+
+
+@randomization("not in the thesis: chosen so that initial poses differ", units="rad", params=JointPosition)
+def joint_position(starts: Starts, params: JointPosition, draw: Draw) -> Starts:
+    """Uniform offset of every observed joint from the default pose."""
+    offset = draw(-params.noise, params.noise, len(starts), len(starts.joints))
+    qpos = starts.qpos.clone()
+    qpos[:, starts.joints] += offset
+    return replace(starts, qpos=qpos)
+
+
+class ActionDelay(RandomizationParams):
+    """Parameters of `action_delay`."""
+
+    delay: NonNegativeRange
+    """Age that a command must have to act, s; whole physics steps are drawn from it."""
+    hold_probability: Fraction = 0.0
+    """Probability that the delay is one physics step longer."""
+
+    def misfits(self, task: TaskSpec) -> Iterator[tuple[str, str]]:
+        """A delay that outlasts the episode, or that no whole number of physics steps lies in."""
+        low, high = self.delay
+        timestep, length = task.simulation.timestep, task.seconds
+        if high >= length:
+            yield (
+                "delay",
+                f"a delay of {high:g} s outlasts the episode of {length:g} s: commands would never act",
+            )
+        first, last = whole_steps(self.delay, timestep)
+        if first > last:
+            yield (
+                "delay",
+                f"no multiple of the time step of {timestep:g} s lies between {low:g} and {high:g} s",
+            )
+
+
+@randomization(
+    "3.1 Action Delay; in seconds, since its 2 to 8 steps are 10 to 40 ms only at 5 ms",
+    units="s",
+    stage="command",
+    params=ActionDelay,
+)
+def action_delay(params: ActionDelay, setting: Setting) -> DelayBuffer:
+    """The servos follow the newest command of at least a certain age, drawn anew for every control step and world."""
+    return DelayBuffer(
+        params.delay,
+        params.hold_probability,
+        setting.timestep,
+        setting.decimation,
+        setting.default_target,
+        setting.num_worlds,
+        setting.generator,
+    )
+
+
+class Pushes(RandomizationParams):
+    """Parameters of `pushes`."""
+
+    interval: NonNegativeRange
+    """Time between two pushes, s."""
+    duration: PositiveFloat
+    """Length of a push, s."""
+    force: NonNegativeRange
+    """Magnitude of the force, N."""
+
+
+@randomization(
+    "3.1 Physical Perturbations; duration and force are not in the thesis",
+    units="N",
+    stage="push",
+    params=Pushes,
+)
+def pushes(params: Pushes, setting: Setting) -> PushSchedule:
+    """A horizontal force of random magnitude and direction acts on the base at random intervals."""
+    step = setting.timestep * setting.decimation
+    schedule = (params.interval, params.duration, params.force)
+    return PushSchedule(*schedule, step, setting.num_worlds, setting.generator)

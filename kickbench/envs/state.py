@@ -1,0 +1,276 @@
+"""The state view: everything a term may read, as named tensors, computed when first read."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import torch
+from torch import Tensor
+
+from kickbench.config.task import EpisodeSpec
+from kickbench.envs.state_index import StateIndex
+from kickbench.envs.stateful import Stateful
+from kickbench.sim.engine import Engine
+from kickbench.sim.sensors import SIDES
+from kickbench.symmetry.torch_ops import Mirror
+
+
+@dataclass
+class EpisodeState(Stateful):
+    """What an episode remembers beyond the physical state; one row a world.
+
+    Attributes:
+        step: Control steps since the start [B] int64.
+        contact_count: c_t, control steps since the first touch, the touching step counted; 0 before [B]
+            int64.
+        target: Target position in the world [B, 2], m.
+        action: Action of the last control step [B, nu].
+        previous_action: Action of the step before [B, nu].
+        air_time: Time since the left, the right foot last touched the floor [B, 2], s.
+    """
+
+    step: Tensor
+    contact_count: Tensor
+    target: Tensor
+    action: Tensor
+    previous_action: Tensor
+    air_time: Tensor
+
+    @staticmethod
+    def zeros(num_worlds: int, num_actions: int, device: torch.device) -> EpisodeState:
+        """All counters and actions at zero."""
+        count = torch.zeros(num_worlds, dtype=torch.int64, device=device)
+        action = torch.zeros(num_worlds, num_actions, device=device)
+        target = torch.zeros(num_worlds, 2, device=device)
+        return EpisodeState(count, count.clone(), target, action, action.clone(), torch.zeros_like(target))
+
+    def mirrored(self, actions: Mirror) -> EpisodeState:
+        """The reflection in the xz plane, given that of an action."""
+        target = self.target * self.target.new_tensor([1.0, -1.0])
+        action, previous = actions(self.action), actions(self.previous_action)
+        return EpisodeState(self.step, self.contact_count, target, action, previous, self.air_time.flip(1))
+
+
+def length(vectors: Tensor) -> Tensor:
+    """Lengths of vectors [B, k]: [B]."""
+    return torch.linalg.vector_norm(vectors, dim=1)
+
+
+class State:
+    """All worlds at one instant.
+
+    Vectors are world-frame unless a name or docstring says otherwise; float32, SI.
+    """
+
+    def __init__(self, engine: Engine, index: StateIndex, episode: EpisodeState, limits: EpisodeSpec) -> None:
+        """Copies what the engine holds now; make a new one whenever the engine or the episode state has changed."""
+        self._index = index
+        # An engine that computes in float32 would hand out its own memory, which a reset writes to within the step.
+        self._qpos, self._qvel, self._sensors = (
+            table.to(torch.float32, copy=True) for table in (engine.qpos, engine.qvel, engine.sensors)
+        )
+        self.episode = episode
+        self.limits = limits
+
+    def _frame(self, channel: str) -> Tensor:
+        return self._sensors[:, self._index.frames[channel]]
+
+    def _touches(self, channel: str) -> Tensor:
+        found = self._index.contacts[channel].of(self._touching)
+        return found[:, 0] if found.shape[1] == 1 else found.any(dim=1)
+
+    @cached_property
+    def _touching(self) -> Tensor:
+        return self._sensors[:, self._index.counts] > 0.0
+
+    def _force(self, channel: str) -> Tensor:
+        # MuJoCo reports the force of the foot on the other body.
+        parts = [part.of(self._sensors) for part in self._index.forces[channel]]
+        return -(parts[0] if len(parts) == 1 else torch.stack(parts).sum(dim=0))
+
+    @cached_property
+    def base_pos(self) -> Tensor:
+        """Base position [B, 3], m."""
+        return self._frame("base_pos")
+
+    @cached_property
+    def base_axes(self) -> Tensor:
+        """The base's x, y and z axis, one a row [B, 3, 3]: R^T, for R v_base = v_world."""
+        return self._frame("base_axes").view(-1, 3, 3)
+
+    @cached_property
+    def base_lin_vel_world(self) -> Tensor:
+        """Base linear velocity in the world frame [B, 3], m/s."""
+        return self._frame("base_linvel")
+
+    def in_base_frame(self, vectors: Tensor) -> Tensor:
+        """Rotates world vectors [B, k, 3] into the base frame: R^T v."""
+        return torch.bmm(vectors, self.base_axes.transpose(1, 2))
+
+    @cached_property
+    def _seen_from_base(self) -> tuple[Tensor, ...]:
+        """Every single vector that terms read in the base frame: one product is much cheaper than one each."""
+        linear, angular = self.base_lin_vel_world, self._frame("base_angvel")
+        ball, target = self.ball_pos - self.base_pos, self.target_pos - self.base_pos
+        return self.in_base_frame(
+            torch.stack([linear, angular, ball, target, self.ball_lin_vel], dim=1)
+        ).unbind(1)
+
+    @property
+    def base_lin_vel(self) -> Tensor:
+        """Base linear velocity in the base frame [B, 3], m/s."""
+        return self._seen_from_base[0]
+
+    @property
+    def base_ang_vel(self) -> Tensor:
+        """Base angular velocity in the base frame [B, 3], rad/s."""
+        return self._seen_from_base[1]
+
+    @property
+    def ball_from_base(self) -> Tensor:
+        """Ball relative to the base, in the base frame [B, 3], m."""
+        return self._seen_from_base[2]
+
+    @property
+    def target_from_base(self) -> Tensor:
+        """Target relative to the base, in the base frame [B, 3], m."""
+        return self._seen_from_base[3]
+
+    @property
+    def ball_lin_vel_in_base(self) -> Tensor:
+        """Ball velocity in the base frame [B, 3], m/s."""
+        return self._seen_from_base[4]
+
+    @cached_property
+    def projected_gravity(self) -> Tensor:
+        """Direction of gravity in the base frame [B, 3], unit length."""
+        return -self.base_axes[:, :, 2]
+
+    @cached_property
+    def tilt(self) -> Tensor:
+        """Angle between the base's z-axis and the vertical [B], rad."""
+        return torch.acos((-self.projected_gravity[:, 2]).clamp(-1.0, 1.0))
+
+    @cached_property
+    def joint_pos(self) -> Tensor:
+        """Observed joints, offsets from the default pose [B, joints], rad."""
+        return self.joint_angles - self._index.default_joint_pos
+
+    @cached_property
+    def joint_angles(self) -> Tensor:
+        """Observed joints, absolute [B, joints], rad."""
+        return self._index.joint_qpos.of(self._qpos)
+
+    @property
+    def joint_range_middle(self) -> Tensor:
+        """Middle of every observed joint's range [joints], rad."""
+        return self._index.joint_range_middle
+
+    @property
+    def joint_range_half(self) -> Tensor:
+        """Half of every observed joint's range [joints], rad; infinite for joints without one."""
+        return self._index.joint_range_half
+
+    def angles_of(self, names: tuple[str, ...]) -> Tensor:
+        """Absolute positions of the named observed joints [B, len(names)], rad."""
+        return self._index.columns_of(names).of(self.joint_angles)
+
+    def offsets_of(self, names: tuple[str, ...]) -> Tensor:
+        """Offsets of the named observed joints from the default pose [B, len(names)], rad."""
+        return self._index.columns_of(names).of(self.joint_pos)
+
+    @cached_property
+    def joint_vel(self) -> Tensor:
+        """Observed joints' velocities [B, joints], rad/s."""
+        return self._index.joint_qvel.of(self._qvel)
+
+    @cached_property
+    def ball_pos(self) -> Tensor:
+        """Ball position [B, 3], m."""
+        return self._qpos[:, self._index.ball_qpos : self._index.ball_qpos + 3]
+
+    @cached_property
+    def ball_lin_vel(self) -> Tensor:
+        """Ball velocity [B, 3], m/s."""
+        return self._qvel[:, self._index.ball_qvel : self._index.ball_qvel + 3]
+
+    @cached_property
+    def ball_speed(self) -> Tensor:
+        """Norm of the ball's velocity [B], m/s."""
+        return length(self.ball_lin_vel)
+
+    @cached_property
+    def ball_ground_speed(self) -> Tensor:
+        """Norm of the ball's horizontal velocity [B], m/s."""
+        return length(self.ball_lin_vel[:, :2])
+
+    @cached_property
+    def ball_stopped(self) -> Tensor:
+        """Ball slower than `episode.stop_speed` [B] bool."""
+        return self.ball_speed < self.limits.stop_speed
+
+    @cached_property
+    def target_pos(self) -> Tensor:
+        """Target on the floor [B, 3], m."""
+        return torch.nn.functional.pad(self.episode.target, (0, 1))
+
+    @cached_property
+    def ball_to_target(self) -> Tensor:
+        """Horizontal vector from the ball to the target [B, 2], m."""
+        return self.episode.target - self.ball_pos[:, :2]
+
+    @cached_property
+    def target_distance(self) -> Tensor:
+        """Horizontal distance of ball and target [B], m."""
+        return length(self.ball_to_target)
+
+    @cached_property
+    def foot_pos(self) -> Tensor:
+        """Centres of the left and the right sole [B, 2, 3], m."""
+        return self._index.foot_frames["foot_pos"].of(self._sensors).view(-1, 2, 3)
+
+    @cached_property
+    def foot_vel(self) -> Tensor:
+        """Velocities of the left and the right sole [B, 2, 3], m/s."""
+        return self._index.foot_frames["foot_vel"].of(self._sensors).view(-1, 2, 3)
+
+    @cached_property
+    def foot_floor_contact(self) -> Tensor:
+        """Left, right foot touched the floor during the control step [B, 2] bool."""
+        return self._index.foot_contacts["foot_floor"].of(self._touching)
+
+    @cached_property
+    def body_floor_contact(self) -> Tensor:
+        """A part of the robot other than its feet touched the floor during the control step [B] bool."""
+        return self._touches("body_floor")
+
+    @cached_property
+    def foot_floor_force(self) -> Tensor:
+        """Mean force of the floor on the left and the right foot over the control step [B, 2, 3], N."""
+        return torch.stack([self._force(f"{side}_foot_floor") for side in SIDES], dim=1)
+
+    @cached_property
+    def foot_ball_contact(self) -> Tensor:
+        """Left, right foot touched the ball during the control step [B, 2] bool."""
+        return self._index.foot_contacts["foot_ball"].of(self._touching)
+
+    @cached_property
+    def ball_contact(self) -> Tensor:
+        """Any part of the robot touched the ball during the control step [B] bool."""
+        return self._touches("robot_ball")
+
+    @cached_property
+    def ball_touched(self) -> Tensor:
+        """The ball has been touched in this episode [B] bool."""
+        return self.episode.contact_count > 0
+
+    @cached_property
+    def contact_window_passed(self) -> Tensor:
+        """c_t > T_window [B] bool."""
+        return self.episode.contact_count > self.limits.contact_window
+
+    @cached_property
+    def timed_out(self) -> Tensor:
+        """The episode has reached its maximum length [B] bool."""
+        return self.episode.step >= self.limits.max_steps

@@ -1,0 +1,1 @@
+"""One run, and whole experiments: which runs they need, their processes, how far they are."""

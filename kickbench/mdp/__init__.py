@@ -1,1 +1,0 @@
-"""Observation, reward, termination and randomisation terms: pure batched torch functions, named by YAML."""

@@ -1,1 +1,0 @@
-"""Physics engines behind one small interface."""

@@ -1,1 +1,0 @@
-"""RobotSpec + TaskSpec -> MjSpec -> compiled model, sensors, and index maps by name."""

@@ -1,0 +1,214 @@
+"""Where everything is in a compiled model: index maps by name, made once, used everywhere."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+
+# pyright: reportAttributeAccessIssue=false
+import mujoco
+import numpy as np
+
+from kickbench.config.robot import ActuatorSpec, RobotSpec
+from kickbench.sim.sensors import ROBOT, SIDES, SensorGroup, SensorPlan
+from kickbench.sim.servo import ServoTable, servo_table
+from kickbench.symmetry.mirror import Coordinate
+
+Indices = np.ndarray
+"""Integer index array."""
+
+LEFT, RIGHT, MIDDLE, NO_SIDE = 0, 1, 2, -1
+"""Which side of the robot a part belongs to; NO_SIDE: it is none of the robot's."""
+
+
+@dataclass(frozen=True)
+class SceneLayout:
+    """Index maps of a scene.
+
+    Attributes:
+        coordinates: Every joint of the model with its place in qpos and qvel.
+        actuator_names: Actuators in the order of the action vector.
+        joint_names: Observed joints: those with an actuator, in the actuators' order.
+        joint_qpos: Their places in qpos.
+        joint_qvel: Their places in qvel.
+        joint_range: Lowest and highest position of each [joints, 2]; infinite without limits.
+        ball_qpos: First place of the ball in qpos (position 3, quaternion 4).
+        ball_qvel: First place of the ball in qvel (linear 3, angular 3).
+        default_qpos: The whole model in its default pose, ball at the origin [nq].
+        default_target: Control target of a zero action [nu].
+        action_scale: Factor of an action [nu].
+        frames: Frame channel -> consecutive places in sensordata, for channels without contact.
+        contacts: Contact channel -> places of the `found` counts.
+        forces: Contact channel -> places of the net forces [parts, 3], where the channel reports them.
+        foot_geoms: Geoms of the left and of the right foot.
+        base_body: Body id of the base.
+        body_sides: Side of every body [nbody]: that of the nearest joint towards the root.
+        actuator_sides: Side of every actuator [nu]: that of its joint.
+        servos: Gains and limits of the actuators.
+        obstacles: What a ball on the floor could overlap in the default pose: ground rectangles of the robot's
+            low colliding geoms [K, 4], each x low, x high, y low, y high, m.
+    """
+
+    coordinates: tuple[Coordinate, ...]
+    actuator_names: tuple[str, ...]
+    joint_names: tuple[str, ...]
+    joint_qpos: Indices
+    joint_qvel: Indices
+    joint_range: np.ndarray
+    ball_qpos: int
+    ball_qvel: int
+    default_qpos: np.ndarray
+    default_target: np.ndarray
+    action_scale: np.ndarray
+    frames: Mapping[str, Indices]
+    contacts: Mapping[str, Indices]
+    forces: Mapping[str, Indices]
+    foot_geoms: tuple[Indices, ...]
+    base_body: int
+    body_sides: Indices
+    actuator_sides: Indices
+    servos: ServoTable
+    obstacles: np.ndarray
+
+
+def read_layout(
+    model: mujoco.MjModel, robot: RobotSpec, plans: Sequence[SensorPlan], needs: Collection[SensorGroup] = ()
+) -> SceneLayout:
+    """Reads the index maps of a compiled scene.
+
+    Args:
+        model: The compiled scene.
+        robot: The robot.
+        plans: Its sensors.
+        needs: The groups that they were planned for.
+    """
+    coordinates = tuple(_coordinate(model, j) for j in range(model.njnt))
+    by_name = {c.name: c for c in coordinates}
+    driven = [spec.joint for spec in robot.actuators.values() if spec.joint is not None]
+    default = _default_qpos(model, robot, by_name)
+    sides = _body_sides(model, robot)
+    frames, contacts, forces = _sensor_maps(model, plans)
+    if "body_floor" in needs:  # where the feet alone collide there is nothing to sense of the rest
+        contacts.setdefault("body_floor", np.array([], dtype=np.int64))
+    return SceneLayout(
+        coordinates=coordinates,
+        actuator_names=tuple(robot.actuators),
+        joint_names=tuple(driven),
+        joint_qpos=np.array([by_name[name].qpos for name in driven], dtype=np.int64),
+        joint_qvel=np.array([by_name[name].qvel for name in driven], dtype=np.int64),
+        joint_range=np.array([_range(model, name) for name in driven]).reshape(-1, 2),
+        ball_qpos=by_name["ball"].qpos,
+        ball_qvel=by_name["ball"].qvel,
+        default_qpos=default,
+        default_target=np.array(
+            [_default_target(spec, default, by_name) for spec in robot.actuators.values()]
+        ),
+        action_scale=np.array([spec.scale for spec in robot.actuators.values()]),
+        frames=frames,
+        contacts=contacts,
+        forces=forces,
+        foot_geoms=tuple(_foot_geoms(model, robot, side) for side in SIDES) if robot.feet else (),
+        base_body=model.body(ROBOT + robot.base).id,
+        body_sides=sides,
+        actuator_sides=np.array([_side(spec.joint, robot) for spec in robot.actuators.values()]),
+        servos=servo_table(tuple(robot.actuators.values())),
+        obstacles=_obstacles(model, default, sides),
+    )
+
+
+def _coordinate(model: mujoco.MjModel, joint: int) -> Coordinate:
+    name = model.joint(joint).name.removeprefix(ROBOT)
+    free = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE
+    return Coordinate(name, free, int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint]))
+
+
+def _range(model: mujoco.MjModel, joint: str) -> tuple[float, float]:
+    found = model.joint(ROBOT + joint)
+    if not model.jnt_limited[found.id]:
+        return -np.inf, np.inf
+    return float(found.range[0]), float(found.range[1])
+
+
+def _default_qpos(model: mujoco.MjModel, robot: RobotSpec, by_name: Mapping[str, Coordinate]) -> np.ndarray:
+    qpos = model.qpos0.copy()
+    for name, value in robot.initial.joints.items():
+        qpos[by_name[name].qpos] = value
+    base = next((c for c in by_name.values() if c.free and c.name != "ball"), None)
+    if base is not None and robot.initial.position is not None:
+        qpos[base.qpos : base.qpos + 3] = robot.initial.position
+    ball = by_name["ball"].qpos
+    qpos[ball : ball + 2] = 0.0
+    return qpos
+
+
+def _default_target(spec: ActuatorSpec, qpos: np.ndarray, by_name: Mapping[str, Coordinate]) -> float:
+    if spec.kind == "velocity" or spec.joint is None:
+        return 0.0
+    return float(qpos[by_name[spec.joint].qpos])
+
+
+def _foot_geoms(model: mujoco.MjModel, robot: RobotSpec, side: str) -> Indices:
+    foot = getattr(robot.feet, side)
+    if foot.geoms:
+        return np.array([model.geom(ROBOT + geom).id for geom in foot.geoms], dtype=np.int64)
+    return np.flatnonzero(model.geom_bodyid == model.body(ROBOT + foot.body).id)
+
+
+def _side(joint: str | None, robot: RobotSpec) -> int:
+    pairs = (robot.symmetry.regular, robot.symmetry.regular_sign)
+    if any(joint in pair.left for pair in pairs):
+        return LEFT
+    return RIGHT if any(joint in pair.right for pair in pairs) else MIDDLE
+
+
+def _body_sides(model: mujoco.MjModel, robot: RobotSpec) -> Indices:
+    sides = np.full(model.nbody, NO_SIDE, dtype=np.int64)
+    for body in range(1, model.nbody):  # parents come before their children
+        inherited = sides[model.body_parentid[body]]
+        if inherited == NO_SIDE and not model.body(body).name.startswith(ROBOT):
+            continue
+        joints = np.flatnonzero(model.jnt_bodyid == body)
+        own = [_side(model.joint(joint).name.removeprefix(ROBOT), robot) for joint in joints]
+        sides[body] = own[0] if own else inherited
+    return sides
+
+
+def _sensor_maps(
+    model: mujoco.MjModel, plans: Sequence[SensorPlan]
+) -> tuple[dict[str, Indices], dict[str, Indices], dict[str, Indices]]:
+    frames: dict[str, list[int]] = {}
+    found: dict[str, list[int]] = {}
+    force: dict[str, list[np.ndarray]] = {}
+    for plan in plans:
+        sensor = model.sensor(plan.name)
+        first = int(sensor.adr[0])
+        if not plan.is_contact:
+            frames.setdefault(plan.channel, []).extend(range(first, first + int(sensor.dim[0])))
+            continue
+        found.setdefault(plan.channel, []).append(first)
+        if plan.force:
+            force.setdefault(plan.channel, []).append(np.arange(first + 1, first + 4))
+    contacts = {name: np.array(places) for name, places in found.items()}
+    places_of_frames = {name: np.array(places) for name, places in frames.items()}
+    return places_of_frames, contacts, {name: np.stack(places) for name, places in force.items()}
+
+
+def _obstacles(model: mujoco.MjModel, qpos: np.ndarray, sides: Indices) -> np.ndarray:
+    """Ground rectangles of the robot's colliding geoms that reach below the top of the ball."""
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_kinematics(model, data)
+    top = 2.0 * model.geom("ball").size[0]
+    boxes = []
+    for geom in range(model.ngeom):
+        collides = model.geom_contype[geom] or model.geom_conaffinity[geom]
+        if not collides or sides[model.geom_bodyid[geom]] == NO_SIDE:
+            continue
+        # The axis-aligned box of a rotated box: centre and half sizes through the absolute rotation.
+        rotation = data.geom_xmat[geom].reshape(3, 3)
+        centre = data.geom_xpos[geom] + rotation @ model.geom_aabb[geom, :3]
+        half = np.abs(rotation) @ model.geom_aabb[geom, 3:]
+        if centre[2] - half[2] < top:
+            low, high = centre - half, centre + half
+            boxes.append((low[0], high[0], low[1], high[1]))
+    return np.array(boxes).reshape(-1, 4)

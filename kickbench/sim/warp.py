@@ -1,0 +1,233 @@
+"""The CUDA engine: mujoco_warp over all worlds, its state shared with torch.
+
+It runs on warp's CPU device too, slowly: for tests.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+
+# pyright: reportAttributeAccessIssue=false
+import mujoco
+import mujoco_warp as mjw
+import numpy as np
+import torch
+import warp as wp
+from torch import Tensor
+
+from kickbench.sim.batched import EngineLoad
+from kickbench.sim.engine import HUGE, ModelField
+from kickbench.sim.warp_capacity import Capacity, LoadWatch
+from kickbench.sim.warp_latch import ContactLatch
+from kickbench.sim.warp_model import DeviceModel
+
+wp.config.log_level = wp.LOG_WARNING
+
+
+class WarpEngine:
+    """Steps B worlds with mujoco_warp; implements `physics.engine.Engine` in single precision.
+
+    All tensors are fixed views of device memory that warp writes, and neither `step`, `reset`, `push` nor `set_model`
+    waits for the host or reads a tensor there. They can therefore be recorded in a CUDA graph, once each of them has
+    run (kernels are compiled, and fields that vary are allocated, when they are first used):
+
+        with torch.cuda.graph(graph, capture_error_mode="thread_local"), engine.capturing():
+            engine.step(targets)
+            engine.reset(mask, qpos, qvel)
+
+    Outside a graph, on CUDA, mujoco_warp's solver asks the device after every iteration whether it has converged; in a
+    graph the device decides alone.
+
+    As in the CPU engine the solver's warm start is cleared at the beginning of every control step, and the frame
+    sensors are evaluated once more in the final state.
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        num_worlds: int,
+        decimation: int,
+        capacity: Capacity,
+        contact_forces: Sequence[int] = (),
+        pushed_body: int | None = None,
+        device: str | torch.device = "cuda",
+        deterministic: bool = False,
+    ) -> None:
+        """Allocates the worlds in the model's reference pose.
+
+        Args:
+            model: Compiled model.
+            num_worlds: Number of worlds B.
+            decimation: Physics substeps per control step.
+            capacity: Room for contacts and constraints.
+            contact_forces: Places of contact sensors in sensordata that are averaged over the substeps; the others
+                are latched by their maximum.
+            pushed_body: Id of the body that `push` acts on; None: nothing can be pushed.
+            device: `cpu`, `cuda` or `cuda:<number>`.
+            deterministic: Whether the same call gives the same bits on CUDA: the order in which threads come then
+                has no influence, at a good part of the speed.
+        """
+        self.model = model
+        self.num_worlds, self.decimation = num_worlds, decimation
+        self.device = _with_number(torch.device(device))
+        self._pushed, self._streams = pushed_body, {}
+        with self._on_stream():
+            self._model = DeviceModel(model, num_worlds)
+            if deterministic:
+                for view in (self._model.substep, self._model.frames):
+                    view.opt.deterministic = int(mjw.DeterminismType.ALL)
+            self._data = mjw.make_data(
+                model, num_worlds, nconmax=capacity.contacts, njmax=capacity.constraints
+            )
+            self._latch = ContactLatch(model, num_worlds, decimation, contact_forces)
+            self._watch = LoadWatch(capacity, num_worlds)
+            self._allocate()
+        everywhere = torch.ones(num_worlds, dtype=torch.bool, device=self.device)
+        self.reset(everywhere, self.qpos.clone(), torch.zeros_like(self.qvel))
+
+    def _allocate(self) -> None:
+        model, data, worlds = self.model, self._data, self.num_worlds
+        self.qpos, self.qvel = wp.to_torch(data.qpos), wp.to_torch(data.qvel)
+        self._act, self._warm = wp.to_torch(data.act), wp.to_torch(data.qacc_warmstart)
+        self._sensed = wp.to_torch(data.sensordata)
+        self._force = wp.to_torch(data.xfrc_applied)[:, self._pushed or 0, :3]
+        controls = wp.zeros((self.decimation, worlds, model.nu), dtype=wp.float32)
+        self._controls = wp.to_torch(controls)
+        self._control_of = [controls[substep] for substep in range(self.decimation)]
+        self._sensor_array = wp.zeros((worlds, model.nsensordata), dtype=wp.float32)
+        self.sensors = wp.to_torch(self._sensor_array)
+        self.failed = torch.zeros(worlds, dtype=torch.bool, device=self.device)
+        contact = model.sensor_type == mujoco.mjtSensor.mjSENS_CONTACT
+        self._frames = slice(0, int(model.sensor_dim[~contact].sum()))
+        if (model.sensor_adr[contact] < self._frames.stop).any():
+            raise ValueError("the model's frame sensors must come before its contact sensors")
+
+    @contextmanager
+    def _on_stream(self) -> Iterator[wp.Stream | None]:
+        """Lets warp work on torch's present stream, so that both keep one order."""
+        if self.device.type == "cpu":
+            with wp.ScopedDevice("cpu"):
+                yield None
+            return
+        # Warp must not make its own stream wait, or be waited for: either would break a capture.
+        with wp.ScopedStream(self.stream, sync_enter=False) as stream:
+            yield stream
+
+    @property
+    def stream(self) -> wp.Stream:
+        """Torch's present stream, for warp; always the same object for the same stream, as captures demand."""
+        present = torch.cuda.current_stream(self.device)
+        if present.cuda_stream not in self._streams:
+            self._streams[present.cuda_stream] = wp.stream_from_torch(present)
+        return self._streams[present.cuda_stream]
+
+    @contextmanager
+    def capturing(self, mode: wp.CaptureMode = wp.CaptureMode.THREAD_LOCAL) -> Iterator[None]:
+        """Tells warp that torch is recording a CUDA graph on its present stream; nothing on the CPU.
+
+        Args:
+            mode: The `capture_error_mode` that torch records with.
+        """
+        if self.device.type == "cpu":
+            yield
+            return
+        with wp.ScopedCapture(stream=self.stream, external=True, capture_mode=mode):
+            yield
+
+    def step(self, targets: Tensor) -> None:
+        """See `Engine.step`."""
+        self._controls.copy_(targets.transpose(0, 1) if targets.dim() == 3 else targets.unsqueeze(0))
+        self._warm.zero_()
+        data = self._data
+        with self._on_stream():
+            self._latch.clear()
+            for substep, control in enumerate(self._control_of):
+                data.ctrl = control
+                mjw.step(self._model.substep, data)
+                self._latch.sense(data, substep)
+                self._watch.note(data)
+            self._watch.count(data)
+            self._latch.latch(self._sensor_array)
+            self._sense_frames()
+        squares = self.qpos.square().sum(dim=1) + self.qvel.square().sum(dim=1)
+        # NaN and overflow compare false as well.
+        torch.logical_not(squares < HUGE**2, out=self.failed)
+
+    def _sense_frames(self) -> None:
+        """Evaluates the frame sensors in the present states."""
+        model, data = self._model.frames, self._data
+        mjw.kinematics(model, data)
+        mjw.com_pos(model, data)
+        mjw.com_vel(model, data)
+        mjw.sensor_pos(model, data)
+        mjw.sensor_vel(model, data)
+        self.sensors[:, self._frames] = self._sensed[:, self._frames]
+
+    def reset(self, mask: Tensor, qpos: Tensor, qvel: Tensor) -> None:
+        """See `Engine.reset`."""
+        rows = mask.unsqueeze(1)
+        for state, start in ((self.qpos, qpos), (self.qvel, qvel)):
+            state.copy_(torch.where(rows, start.to(state.dtype), state))
+        for array in (self._act, self.sensors):
+            array.masked_fill_(rows, 0.0)
+        self.failed.logical_and_(~mask)
+        with self._on_stream():
+            # In the other worlds this gives what is there already.
+            self._sense_frames()
+
+    def push(self, force: Tensor) -> None:
+        """See `Engine.push`."""
+        assert self._pushed is not None, "the engine was made without a body to push"
+        self._force.copy_(force)
+
+    def set_model(self, mask: Tensor, fields: Sequence[ModelField]) -> None:
+        """See `Engine.set_model`.
+
+        Raises:
+            KickbenchError: mujoco_warp shares a field among all worlds.
+        """
+        with self._on_stream():
+            self._model.set(mask, fields, self._data)
+
+    def take_load(self) -> EngineLoad:
+        """See `Engine.take_load`."""
+        with self._on_stream():
+            load = self._watch.take()
+        self._watch.check(load)
+        return load
+
+    def state_dict(self) -> dict[str, Tensor]:
+        """See `Engine.state_dict`."""
+        return {name: tensor.clone() for name, tensor in self._tensors().items()}
+
+    def load_state_dict(self, state: Mapping[str, Tensor]) -> None:
+        """See `Engine.load_state_dict`."""
+        tensors = self._tensors()
+        expected = {name: tuple(tensor.shape) for name, tensor in tensors.items()}
+        found = {name: tuple(values.shape) for name, values in state.items()}
+        if found != expected:
+            raise ValueError(f"WarpEngine: expected {expected}, found {found}")
+        for name, tensor in tensors.items():
+            tensor.copy_(state[name])
+
+    def _tensors(self) -> dict[str, Tensor]:
+        """Everything that the next step depends on, but for the worlds' models."""
+        tensors = {name: getattr(self, name) for name in ("qpos", "qvel", "sensors", "failed")}
+        push = {} if self._pushed is None else {"push": self._force}
+        return {**tensors, "act": self._act, **push}
+
+    def model_field(self, name: str) -> np.ndarray:
+        """See `Engine.model_field`."""
+        values = self._model.field(name)
+        return values.expand(self.num_worlds, *values.shape[1:]).cpu().numpy()
+
+    def close(self) -> None:
+        """See `Engine.close`; device memory is freed with the engine itself."""
+
+
+def _with_number(device: torch.device) -> torch.device:
+    """The same device with its number, as tensors on it have it."""
+    if device.type == "cuda" and device.index is None:
+        return torch.device("cuda", torch.cuda.current_device())
+    return device

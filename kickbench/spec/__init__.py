@@ -1,1 +1,0 @@
-"""Specifications: what a YAML file may say, as frozen pydantic models."""

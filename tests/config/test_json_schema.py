@@ -1,0 +1,72 @@
+import json
+
+from pydantic import Field
+
+from kickbench.config.base import FileRef, PositiveFloat, Range, Spec, json_schema
+
+
+class Part(Spec):
+    """A part."""
+
+    mass: PositiveFloat
+    """Mass, kg."""
+    mesh: FileRef | None = None
+    """Mesh file."""
+
+
+class Body(Spec):
+    """A body of the test."""
+
+    part: Part = Part(mass=1.0)
+    """Its part."""
+    parts: dict[str, Part] = Field(default_factory=dict)
+    """More parts."""
+    range: Range = (0.0, 1.0)
+    """A range."""
+
+
+class Required(Spec):
+    """A spec with keys that must be given."""
+
+    robot: str
+    """The robot's file."""
+    body: Body = Body()
+    """A body."""
+    inner: Part
+    """A part."""
+
+
+def test_the_schema_describes_every_key():
+    schema = json_schema(Body)
+    assert schema["$schema"] == "https://json-schema.org/draft/2020-12/schema"
+    assert (schema["title"], schema["description"]) == ("Body", "A body of the test.")
+    assert schema["additionalProperties"] is False
+    assert set(schema["properties"]) == {"extends", *Body.model_fields}
+    assert schema["properties"]["extends"]["type"] == "string"
+    assert all("description" in entry for entry in schema["properties"].values())
+
+
+def test_the_schema_of_a_range_is_a_number_or_two():
+    entry = json_schema(Body)["properties"]["range"]
+    assert entry["anyOf"] == [
+        {"type": "number"},
+        {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2},
+    ]
+
+
+def test_the_schema_requires_keys_only_of_a_file_that_extends_none():
+    schema = json_schema(Required)
+    assert "required" not in schema
+    assert schema["if"] == {"not": {"required": ["extends"]}}
+    assert schema["then"] == {"$ref": "#/$defs/Required"}
+    assert schema["$defs"]["Required"]["required"] == ["robot", "inner"]
+    assert schema["$defs"]["Part"]["required"] == ["mass"]
+    assert "required" not in schema["$defs"]["PartPartial"]
+    assert schema["properties"]["inner"]["$ref"] == "#/$defs/PartPartial"
+
+
+def test_every_reference_of_the_schema_leads_somewhere():
+    schema = json_schema(Required)
+    text = json.dumps(schema)
+    names = {part.split('"')[0] for part in text.split('"#/$defs/')[1:]}
+    assert names <= set(schema["$defs"])

@@ -1,0 +1,110 @@
+"""How far a run is, told from its files."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from kickbench.launch.state import State, read_state, read_tail
+
+
+def test_a_folder_without_a_run_is_not_begun(make_run):
+    state = read_state(make_run(), 450)
+    assert (state.state, state.done, state.total) == (State.NEW, 0, 450)
+    assert math.isnan(state.success)
+    assert math.isnan(state.seconds_left)
+
+
+def test_an_interrupted_run_is_where_its_last_checkpoint_is(make_run):
+    state = read_state(make_run(rows=117, checkpoints=(50, 100)), 450)
+    assert (state.state, state.done, state.note) == (State.INTERRUPTED, 100, "")
+    assert state.success == pytest.approx(0.116)
+    assert state.seconds_left == pytest.approx(350 * 2.0)
+
+
+def test_a_damaged_checkpoint_counts_for_nothing(make_run):
+    run = make_run(rows=117, checkpoints=(50, 100))
+    newest = run.checkpoints / "iteration_000100.pt"
+    newest.write_bytes(newest.read_bytes()[:-30])
+    state = read_state(run, 450)
+    assert (state.state, state.done) == (State.INTERRUPTED, 50)
+    assert "newest checkpoint is damaged" in state.note
+    (run.checkpoints / "iteration_000050.pt").write_bytes(b"")
+    state = read_state(run, 450)
+    assert (state.state, state.note) == (
+        State.DAMAGED,
+        "every checkpoint is damaged: iteration_000100.pt",
+    )
+
+
+def test_a_run_that_has_trained_but_has_no_checkpoint_is_damaged(make_run):
+    assert read_state(make_run(rows=3), 450).state is State.DAMAGED
+
+
+def test_a_run_that_is_trained_and_not_evaluated_says_so(make_run):
+    state = read_state(make_run(rows=450, checkpoints=(400, 450)), 450)
+    assert (state.state, state.note) == (State.INTERRUPTED, "trained, not evaluated")
+
+
+def test_a_finished_run_has_its_result(make_run):
+    state = read_state(make_run(rows=450, checkpoints=(450,), finished=450), 450)
+    assert (state.state, state.done, state.success) == (State.FINISHED, 450, 0.4)
+    assert state.seconds_per_iteration == pytest.approx(100 / 450)
+
+
+def test_a_result_of_fewer_iterations_than_wanted_is_not_finished(make_run):
+    run = make_run(rows=450, checkpoints=(450,), finished=450)
+    assert read_state(run, 900).state is State.INTERRUPTED
+    assert read_state(run).state is State.FINISHED, "without a plan the result says what was wanted"
+
+
+def test_a_damaged_result_is_made_again_from_the_checkpoint(make_run):
+    run = make_run(rows=450, checkpoints=(450,), finished=450)
+    run.metrics.write_text("{")
+    state = read_state(run, 450)
+    assert (state.state, state.done) == (State.INTERRUPTED, 450)
+    assert state.note.startswith("metrics.json: damaged")
+
+
+def test_a_run_whose_folder_is_locked_is_running(make_run):
+    run = make_run(rows=117, checkpoints=(100,))
+    with run.occupied():
+        state = read_state(run, 450)
+        assert (state.state, state.done) == (State.RUNNING, 117)
+    assert read_state(run, 450).state is State.INTERRUPTED
+
+
+def test_a_look_at_the_lock_keeps_no_run_out(make_run):
+    run = make_run(checkpoints=(0,))
+    for _ in range(20):
+        assert not run.is_occupied
+        with run.occupied():
+            assert run.is_occupied
+
+
+def test_the_tail_of_a_long_table_is_that_of_the_whole(make_run):
+    run = make_run(rows=20_000)
+    tail = read_tail(run.progress)
+    assert tail is not None
+    assert tail.done == 20_000
+    assert tail.steps_per_second == pytest.approx(100 + sum(range(19_980, 20_000)) / 20)
+    assert tail.seconds_per_iteration == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize(
+    "cut", ["7,1", "7,100,0.1,1.5,0.", "", "7,100,0.1,1.5,0.5"], ids=["short", "almost", "none", "no newline"]
+)
+def test_a_row_that_a_kill_cut_short_is_left_out(make_run, cut):
+    run = make_run(rows=7)
+    with open(run.progress, "a") as file:
+        file.write(cut)
+    tail = read_tail(run.progress)
+    assert tail is not None
+    assert tail.done == 7
+
+
+def test_what_is_no_progress_table_tells_nothing(make_run, tmp_path):
+    assert read_tail(tmp_path / "nothing.csv") is None
+    (tmp_path / "other.csv").write_text("a,b\n1,2\n")
+    assert read_tail(tmp_path / "other.csv") is None

@@ -1,0 +1,79 @@
+"""`kickbench status`: any folder of runs, with or without a plan."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+from kickbench.cli import main
+from kickbench.launch.record import PlanRecord, RunRecord, write_record
+from kickbench.results.store import atomic_write_text
+
+from ..conftest import write_result
+from .conftest import make_metrics
+
+
+def lines(capsys) -> list[list[str]]:
+    return [line.split() for line in capsys.readouterr().out.splitlines() if line]
+
+
+def make_plan(folder: Path, **values) -> None:
+    of_a_run = {"task": "mini_home_field", "method": "baseline", "iterations": 450, "episodes": 2000}
+    runs = tuple(RunRecord(arm="baseline", seed=seed, also=("far",), **of_a_run) for seed in range(4))
+    write_record(folder, PlanRecord(experiment="mini", runs=runs, **values))
+
+
+def test_a_plan_tells_what_is_missing(make_run, tmp_path, capsys):
+    make_plan(tmp_path, scale=0.5, overrides=("algorithm.num_envs=8",))
+    make_run("baseline/seed0", rows=450, checkpoints=(450,), finished=450)
+    make_run("baseline/seed1", rows=117, checkpoints=(100,))
+    running = make_run("baseline/seed2", rows=200, checkpoints=(200,))
+    make_run("other/seed9", rows=5)
+    with running.occupied():
+        assert main(["status", str(tmp_path)]) == 0
+    title, _, _, *rows, counts, left = lines(capsys)
+    assert "mini, scaled down to 0.5, with --set algorithm.num_envs=8:" in " ".join(title)
+    assert [" ".join(row) for row in rows] == [
+        "baseline/seed0 finished 450/450 40.0 % - - not evaluated on far",
+        "baseline/seed1 interrupted 100/450 11.6 % - -",
+        "baseline/seed2 running 200/450 19.9 % 290 8:20",
+        "baseline/seed3 not begun 0/450 - - -",
+        "other/seed9 damaged 0/- 0.4 % - - no checkpoint; not in the plan",
+    ]
+    assert " ".join(counts) == "1 finished, 1 running, 1 interrupted, 1 not begun, 1 damaged"
+    assert left[:3] == ["time", "left:", "about"]
+
+
+def test_a_folder_without_a_plan_shows_what_is_there(make_run, tmp_path, capsys):
+    write_result(make_run("a/b/seed0").path, make_metrics(3, scale=0.25))
+    atomic_write_text(tmp_path / "a/b/seed1/specs/method.yaml", "algorithm: {}\n")
+    assert main(["status", str(tmp_path)]) == 0
+    _, _, _, *rows, counts, _ = lines(capsys)
+    assert [" ".join(row) for row in rows] == [
+        "a/b/seed0 finished 3/- 40.0 % - - scaled down to 0.25",
+        "a/b/seed1 not begun 0/- - - -",
+    ]
+    assert " ".join(counts) == "1 finished, 1 not begun"
+
+
+def test_one_run_is_a_folder_of_runs(make_run, capsys):
+    run = make_run("x", rows=7, checkpoints=(5,))
+    assert main(["status", str(run.path)]) == 0
+    assert "interrupted" in capsys.readouterr().out
+
+
+def test_a_folder_without_runs_or_with_a_damaged_plan_is_an_error(tmp_path, capsys):
+    assert main(["status", str(tmp_path / "nowhere")]) == 2
+    assert "no such folder" in capsys.readouterr().err
+    assert main(["status", str(tmp_path)]) == 2
+    assert "holds no runs and no plan" in capsys.readouterr().err
+    (tmp_path / "plan.json").write_text("{")
+    assert main(["status", str(tmp_path)]) == 2
+    assert "no valid plan" in capsys.readouterr().err
+
+
+def test_status_needs_no_torch(make_run):
+    run = make_run("x", rows=7, checkpoints=(5,))
+    code = "import sys; from kickbench.cli import main; code = main(sys.argv[1:]); sys.exit('torch' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code, "status", str(run.path)]).returncode == 0

@@ -1,0 +1,41 @@
+"""How much room for contacts and constraints a model needs."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco_warp", reason="the gpu extra is not installed")
+
+from kickbench.envs.engines import rehearsal
+from kickbench.sim.warp_capacity import measure_capacity
+
+RESTING = """<mujoco><option cone="elliptic"/><worldbody><geom type="plane" size="0 0 1"/>
+  <body pos="0 0 0.0499"><freejoint/><geom type="box" size=".05 .05 .05"/></body></worldbody></mujoco>"""
+
+
+def test_room_is_half_as_much_again_as_is_needed_rounded_up_to_eight():
+    """A box rests on four contacts of three rows: 6 and 18."""
+    model = mujoco.MjModel.from_xml_string(RESTING)
+    capacity = measure_capacity(model, np.array([model.qpos0]), [np.zeros((1, 0))] * 20, 2)
+    assert (capacity.contacts, capacity.constraints) == (8, 24)
+
+
+def test_room_is_no_less_than_the_most_that_was_seen():
+    """Of 25 worlds one has four contacts, which the 95th percentile does not see."""
+    model = mujoco.MjModel.from_xml_string(RESTING)
+    starts = np.tile(model.qpos0, (25, 1))
+    starts[1:, 2] = 10.0
+    capacity = measure_capacity(model, starts, [np.zeros((25, 0))] * 2, 2)
+    assert (capacity.contacts, capacity.constraints) == (8, 16)
+
+
+def test_a_rehearsal_starts_where_the_task_does_and_moves_every_actuator(experiment):
+    task = experiment("mini_general").task
+    starts, targets = rehearsal(task)
+    place, region = task.scene.layout.ball_qpos, task.spec.sampling.ball
+    assert ((starts[:, place] >= region.x[0]) & (starts[:, place] <= region.x[1])).all()
+    default = np.asarray(task.scene.layout.default_target)
+    spread = np.std([target.numpy() - default for target in targets], axis=(0, 1))
+    np.testing.assert_allclose(spread, task.scene.layout.action_scale, rtol=0.1)

@@ -1,0 +1,224 @@
+"""Experiments: the shipped ones load, and what does not fit together is an error at its place."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from kickbench.config.claims import METRICS, OF_A_RUN, Operand
+from kickbench.errors import SpecError
+from kickbench.results.metrics import Metrics
+from kickbench.results.run_figures import _OF_RUNS, _OF_SIDES
+from kickbench.results.run_units import _UNITS
+from kickbench.trials.experiment import load_experiment
+
+ROOT = Path(__file__).parents[1]
+SHIPPED = sorted((ROOT / "results/reported").glob("*.yaml"))
+EXPECTED = {
+    "general", "home_field", "long_run", "leg_preference", "reward_misalignment", "mini_home_field", "mini_general",
+    "k1_lite", "k1_lite_long", "k1_lite_home_field", "no_ball_not_moving", "approach_after_touch",
+    "no_fall_penalties", "no_arm_penalties", "no_double_touch",
+}  # fmt: skip
+
+
+def test_every_experiment_of_the_thesis_is_there():
+    assert {path.stem for path in SHIPPED} >= EXPECTED
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
+def test_a_shipped_experiment_loads_and_claims_something(path):
+    experiment = load_experiment(path)
+    assert experiment.claims
+    assert experiment.spec.description
+    assert all(Path(arm.task.document.file).is_file() for arm in experiment.arms.values())
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
+def test_the_thesis_is_cited_where_it_is_the_source(path):
+    thesis = load_experiment(path).spec.section != ""
+    ours = path.stem.startswith(("mini_", "k1_lite"))
+    assert thesis != ours
+
+
+def test_table_4_2_and_table_4_3():
+    general = load_experiment(ROOT / "results/reported/general.yaml")
+    assert [(a.seeds, a.iterations, a.episodes) for a in general.arms.values()] == [
+        ((0, 1, 2), 15000, 10000)
+    ] * 3
+    home = load_experiment(ROOT / "results/reported/home_field.yaml")
+    assert [(a.seeds, a.iterations, a.episodes) for a in home.arms.values()] == [((0,), 12000, 30000)] * 3
+    baseline = home.arms["baseline"].reported
+    assert baseline is not None
+    assert baseline.of_side("mirrored").mean_distance == 3.416
+
+
+def test_every_metric_has_a_source_and_a_unit():
+    assert set(_OF_SIDES) | set(_OF_RUNS) == set(METRICS) == set(_UNITS)
+    assert set(_OF_RUNS) == OF_A_RUN
+    assert "scale" in Metrics.model_fields
+
+
+TEXT = """\
+task: {root}/tasks/mini_general.yaml
+seeds: [0, 1]
+arms:
+  baseline: {{method: {root}/methods/mini/baseline.yaml}}
+  other: {{method: {root}/methods/mini/equivariant.yaml, task: {root}/tasks/mini_home_field.yaml, seeds: [7],
+          iterations: 3}}
+claims:
+  c: {{statement: S, kind: at_least, metric: success_rate, value: {{arm: baseline}}, bound: 0.5}}
+"""
+
+
+@pytest.fixture
+def load(tmp_path, monkeypatch):
+    """`load(old, new)` loads the text above with one part replaced."""
+    monkeypatch.chdir(tmp_path)
+
+    def load(old: str = "", new: str = ""):
+        text = TEXT.format(root=ROOT)
+        assert old in text
+        Path("x.yaml").write_text(text.replace(old, new, 1) if old else text)
+        return load_experiment("x.yaml")
+
+    return load
+
+
+@pytest.fixture
+def complaints(load):
+    def complaints(old: str, new: str) -> list[str]:
+        with pytest.raises(SpecError) as error:
+            load(old, new)
+        return [str(problem) for problem in error.value.problems]
+
+    return complaints
+
+
+def test_an_arm_has_the_experiments_values_or_its_own(load):
+    arms = load().arms
+    baseline, other = arms["baseline"], arms["other"]
+    assert (baseline.task.name, baseline.seeds, baseline.iterations, baseline.episodes) == (
+        "mini_general",
+        (0, 1),
+        390,
+        2000,
+    )
+    assert (other.task.name, other.method.name, other.seeds, other.iterations) == (
+        "mini_home_field",
+        "equivariant",
+        (7,),
+        3,
+    )
+    everywhere = load("seeds: [0, 1]", "seeds: [0, 1]\niterations: 20\nevaluation: {episodes: 40}").arms
+    assert [(arm.iterations, arm.episodes) for arm in everywhere.values()] == [(20, 40), (3, 40)]
+
+
+VALUE, METRIC = "value: {arm: baseline}", "metric: success_rate"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "complaint"),
+    [
+        (VALUE, "value: {arm: basline}", "x.yaml:8:67: claims.c.value.arm: no such arm 'basline'; "
+         "the arms: baseline, other (did you mean 'baseline'?)"),
+        (VALUE, "value: {arm: baseline, side: mirrored}", "x.yaml:8:82: claims.c.value.side: "
+         "the task mini_general has no mirrored evaluation"),
+        (VALUE, "value: {arm: baseline, task: mini_home_field}", "x.yaml:8:82: claims.c.value.task: "
+         "the arm baseline is not evaluated on 'mini_home_field'; on: mini_general"),
+        (METRIC, "metric: termination_share, terminations: [time_ot]", "x.yaml:8:79: claims.c.terminations.0: "
+         "the task mini_general has no termination 'time_ot'; it has: time_out, target_hit, target_missed, "
+         "double_touch (did you mean 'time_out'?)"),
+        (METRIC, "metric: raw_reward, reward: upright", "x.yaml:8:57: claims.c.reward: the task mini_general has no "
+         "reward 'upright'; it has: target_distance, ball_approach_target, agent_approach_ball, ball_not_moving, "
+         "action_rate"),
+        ("kind: at_least", "kind: near_reported", "x.yaml:8:64: claims.c.value: no success_rate of in_distribution was "
+         "reported of the arm baseline"),
+        ("seeds: [0, 1]", f"seeds: [0]\nevaluation: {{also: [{ROOT}/tasks/mini_general.yaml]}}",
+         "x.yaml:3:14: evaluation.also: the arm baseline is trained on mini_general, and evaluated on it anyway"),
+    ],
+    ids=["arm", "side", "task", "termination", "reward", "not reported", "also"],
+)  # fmt: skip
+def test_what_does_not_fit_together_is_named(complaints, old, new, complaint):
+    assert complaint in complaints(old, new)
+
+
+def test_a_broken_task_is_named_with_the_arm_and_with_its_own_problems(complaints):
+    Path("broken.yaml").write_text(f"extends: {ROOT}/tasks/mini_general.yaml\nepisode: {{max_stepz: 3}}\n")
+    first, second = complaints(f"task: {ROOT}/tasks/mini_home_field.yaml", "task: broken.yaml")
+    assert first.startswith("x.yaml:5:")
+    assert first.endswith("arms.other.task: this task does not load; its problems follow")
+    assert second.startswith("broken.yaml:2:11: episode.max_stepz: unknown key 'max_stepz'")
+
+
+def test_mirrored_figures_need_a_mirrored_evaluation(complaints):
+    reported = ", reported: {section: S, in_distribution: {}, mirrored: {success_rate: 0.5}}}"
+    old = "methods/mini/baseline.yaml}"
+    (complaint,) = complaints(old, old[:-1] + reported)
+    assert complaint.endswith(
+        "arms.baseline.reported.mirrored: the task mini_general has no mirrored evaluation"
+    )
+
+
+def test_a_further_task_may_be_named_by_a_claim(load):
+    text = f"seeds: [0]\nevaluation: {{also: [{ROOT}/tasks/k1_lite.yaml]}}"
+    arm = load("seeds: [0, 1]", text).arms["baseline"]
+    assert list(arm.also) == ["k1_lite"]
+
+
+NEAR = (
+    "methods/mini/baseline.yaml}\n",
+    "methods/mini/baseline.yaml, reported: {section: S, in_distribution: {success_rate: 0.5}}}\n",
+)
+
+
+def test_a_claim_may_name_the_task_of_its_arm(load):
+    arm = load(*NEAR).arms["baseline"]
+    named, unnamed = (Operand(arm="baseline", task=task) for task in ("mini_general", None))
+    assert arm.figures_of(named) is arm.figures_of(unnamed) is not None
+
+
+def test_nothing_is_near_what_was_reported_of_another_task(load):
+    load(*NEAR)
+    near = f"{{statement: S, kind: near_reported, {METRIC}, bound: 0.1, value: {{arm: baseline, task: k1_lite}}}}"
+    also = f"evaluation.also=[{ROOT}/tasks/k1_lite.yaml]"
+    with pytest.raises(SpecError) as error:
+        load_experiment("x.yaml", [also, f"claims.near={near}"])
+    what = "nothing was reported of the arm baseline on a further task; near_reported needs a figure"
+    assert str(error.value).endswith(f"claims.near.value.task: {what}")
+
+
+DERIVED = {
+    "k1_lite": ["general", "leg_preference"],
+    "k1_lite_home_field": ["home_field"],
+    "mini_home_field": ["home_field"],
+    "mini_general": ["general", "leg_preference"],
+    "general_fast": ["general"],
+    "home_field_fast": ["home_field"],
+}
+NOTHING_FALLS = {f"{name}_stands" for name in ("baseline", "augmentation", "equivariant")}
+
+
+@pytest.mark.parametrize("name", DERIVED)
+def test_an_experiment_that_is_made_after_others_makes_all_their_claims(name):
+    """With the same bounds, whatever their verdicts; but for those that compare with what was reported elsewhere."""
+    claims = load_experiment(ROOT / f"results/reported/{name}.yaml").claims
+    for original in DERIVED[name]:
+        theirs = load_experiment(ROOT / f"results/reported/{original}.yaml").claims
+        expected = {n: c for n, c in theirs.items() if c.kind != "near_reported"}
+        dropped = NOTHING_FALLS if name == "mini_general" else set()
+        assert {n: claims.get(n) for n in expected if n not in dropped} == {
+            n: c for n, c in expected.items() if n not in dropped
+        }
+
+
+def test_a_claim_that_is_dropped_must_be_there(tmp_path):
+    file = tmp_path / "x.yaml"
+    text = (ROOT / "results/reported/mini_general.yaml").read_text()
+    file.write_text(
+        text.replace("../../", f"{ROOT}/")
+        .replace("[general.yaml, leg_preference.yaml]", f"[{ROOT}/results/reported/general.yaml]")
+        .replace("baseline_stands: null", "baseline_stand: null")
+    )
+    with pytest.raises(SpecError, match="did you mean 'baseline_stands'"):
+        load_experiment(file)
