@@ -21,7 +21,7 @@ FOLDERS = {
 @cache
 def root() -> Path:
     """Where the files are: in an installed package, else in the repository."""
-    package = Path(__file__).parent
+    package = Path(__file__).parents[1]
     return package / "_shipped" if (package / "_shipped").is_dir() else package.parent
 
 

@@ -21,7 +21,7 @@ from kickbench.training.checkpoint import Checkpoints
 from kickbench.training.trainer import Trainer
 from kickbench.trials.trial import load_trial
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 VARIED = (
     "randomization.link_mass={left: [0.9, 1.1], right: [0.9, 1.1]}",
     "randomization.servo_stiffness={left: [0.9, 1.1]}",

@@ -29,7 +29,7 @@ from kickbench.training.checkpoint import Checkpoints
 from kickbench.training.trainer import Trainer
 from kickbench.trials.trial import Trial, load_trial
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 cuda = pytest.mark.cuda
 needs_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs an NVIDIA GPU")
 SMALL = (

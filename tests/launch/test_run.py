@@ -15,7 +15,7 @@ from kickbench.results.episodes import read_episodes
 from kickbench.results.metrics import load_metrics
 from kickbench.results.store import RunDirectory, find_begun_runs
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 TASK, METHOD = str(ROOT / "tasks/mini_home_field.yaml"), str(ROOT / "methods/mini/equivariant.yaml")
 QUICK = [
     "--iterations",

@@ -13,7 +13,7 @@ from kickbench.results.run_figures import _OF_RUNS, _OF_SIDES
 from kickbench.results.run_units import _UNITS
 from kickbench.trials.experiment import load_experiment
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 SHIPPED = sorted((ROOT / "results/reported").glob("*.yaml"))
 EXPECTED = {
     "general", "home_field", "long_run", "leg_preference", "reward_misalignment", "mini_home_field", "mini_general",
