@@ -7,7 +7,7 @@ INSTALLED := $(VENV)/.installed
 RUNTIME := $(VENV)/.runtime
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test test-fast lint format schemas clean
+.PHONY: help install demo test test-all lint format schemas clean
 
 help:  ## list the targets
 	@awk -F ':.*## *' '/^[a-z-]+:.*##/ { printf "  make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -28,11 +28,11 @@ $(RUNTIME): pyproject.toml constraints.txt
 demo: $(RUNTIME)  ## train three methods on the mini home-field task; table, page and film
 	@$(BIN)/kickbench demo
 
-test: $(INSTALLED)  ## every test, the trainings too
-	$(BIN)/pytest
+test: $(INSTALLED)  ## the tests, on all cores; without those that train or measure again
+	$(BIN)/pytest -m 'not slow' -n auto --dist loadfile
 
-test-fast: $(INSTALLED)  ## the tests without the trainings
-	$(BIN)/pytest -m 'not slow'
+test-all: test  ## these, and then the trainings, recorded policies evaluated again, mujoco_warp
+	$(BIN)/pytest -m slow
 
 lint: $(INSTALLED)  ## ruff and pyright
 	$(BIN)/ruff check .

@@ -11,6 +11,14 @@ import pytest
 # Tests are many small tensors: threads of torch would only wait for each other. Runs set their own number.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Gives each of several test processes a core of its own: physics takes all that it may use."""
+    worker = os.environ.get("PYTEST_XDIST_WORKER")
+    if worker is not None:
+        cores = sorted(os.sched_getaffinity(0))
+        os.sched_setaffinity(0, {cores[int(worker.removeprefix("gw")) % len(cores)]})
+
 ROOT = Path(__file__).parent.parent
 
 
