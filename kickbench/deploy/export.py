@@ -19,7 +19,7 @@ from kickbench.deploy.contract import Contract, SignedPermutation
 from kickbench.envs.compile import CompiledTask, Field
 from kickbench.errors import KickbenchError, require, shown
 from kickbench.evaluation.episodes import draw_starts
-from kickbench.nets.policy import TrainedPolicy
+from kickbench.nets.build import TrainedPolicy
 from kickbench.results.atomic import atomic_file, atomic_write_bytes, atomic_write_text, check_writable
 from kickbench.results.identity import read_identity
 from kickbench.sim.layout import SceneLayout
