@@ -8,15 +8,9 @@ import numpy as np
 
 from kickbench.config.yamldump import flow_yaml
 from kickbench.symmetry.derive import Derivation, Match
-from kickbench.symmetry.representation import BY_NAME, Representation
+from kickbench.symmetry.representation import BY_NAME, kind_of_coordinate
 
 Columns = tuple[list[str], list[str]]
-
-
-def kind_of_coordinate(central: bool, sign: int) -> str:
-    """Name of the representation of a central coordinate or a pair with the given sign."""
-    pick = Representation((0,), (sign,)) if central else Representation((1, 0), (sign, sign))
-    return next(name for name, representation in BY_NAME.items() if representation == pick)
 
 
 def symmetry_block(derivation: Derivation, title: str) -> str:
