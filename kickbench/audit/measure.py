@@ -12,8 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kickbench.symmetry.block import kind_of_coordinate
-from kickbench.symmetry.representation import Representation
+from kickbench.symmetry.representation import Representation, kind_of_coordinate
 
 _CLEARLY = 100.0
 """An entry is ruled out once it misses by so many tolerances."""

@@ -11,9 +11,9 @@ from kickbench.audit.report import Row
 from kickbench.envs.compile import CompiledTask
 from kickbench.sim.read_skeleton import read_skeleton
 from kickbench.sim.sensors import ROBOT
-from kickbench.symmetry.block import kind_of_coordinate
 from kickbench.symmetry.derive import Derivation, Match, derive
 from kickbench.symmetry.mirror import Image
+from kickbench.symmetry.representation import kind_of_coordinate
 from kickbench.symmetry.skeleton import PLANES, Element, Quantity
 
 _TOLERANCE = 1e-5

@@ -183,17 +183,15 @@ class Contract(Spec):
             if not len(field.components) == len(field.offset) == len(field.scale):
                 raise ValueError(f"{field.name}: components, offset and scale differ in length")
         width = sum(len(field.components) for field in self.observations)
-        if len(self.mirror.observations.index) != width or len(self.mirror.actions.index) != len(
-            self.actions
-        ):
+        mirrored = len(self.mirror.observations.index), len(self.mirror.actions.index)
+        if mirrored != (width, len(self.actions)):
             raise ValueError("the mirror has another size than the observations or the actions")
         return self
 
     def text(self) -> str:
         """The contract as JSON, every list of plain values on one line."""
-        one_line = re.sub(r"\[\n([^\[\]{}]*)\n\s*\]", _joined, self.model_dump_json(indent=2))
-        return one_line + "\n"
 
+        def joined(values: re.Match[str]) -> str:
+            return f"[{' '.join(map(str.strip, values[1].splitlines()))}]"
 
-def _joined(values: re.Match[str]) -> str:
-    return f"[{' '.join(line.strip() for line in values[1].splitlines())}]"
+        return re.sub(r"\[\n([^\[\]{}]*)\n\s*\]", joined, self.model_dump_json(indent=2)) + "\n"

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import io
 import warnings
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, cast
 
@@ -19,11 +18,10 @@ from kickbench.deploy.contract import Contract, SignedPermutation
 from kickbench.envs.compile import CompiledTask, Field
 from kickbench.errors import KickbenchError, require, shown
 from kickbench.evaluation.episodes import draw_starts
-from kickbench.nets.policy import TrainedPolicy
-from kickbench.results.atomic import atomic_file, atomic_write_bytes, atomic_write_text, check_writable
+from kickbench.nets.build import TrainedPolicy
+from kickbench.results.atomic import atomic_file, atomic_write_bytes, atomic_write_text
 from kickbench.results.identity import read_identity
 from kickbench.sim.layout import SceneLayout
-from kickbench.symmetry.representation import Representation
 from kickbench.training.trained import Run, load_run
 
 OPSET = 13
@@ -57,12 +55,10 @@ def export(
     if not force and (there := [name for name in ("policy.onnx", "policy.json") if (folder / name).exists()]):
         raise KickbenchError(f"{shown(folder)}: holds {' and '.join(there)}; --force overwrites")
     contract = contract_of(loaded)
-    network = onnx_bytes(loaded.policy, contract)
-    check_writable(folder / "policy.onnx")
+    atomic_write_bytes(folder / "policy.onnx", onnx_bytes(loaded.policy, contract))
+    atomic_write_text(folder / "policy.json", contract.text())
     if states:
         write_states(folder / "initial_states.npz", loaded.trial.task, states)
-    atomic_write_bytes(folder / "policy.onnx", network)
-    atomic_write_text(folder / "policy.json", contract.text())
     return folder
 
 
@@ -92,19 +88,24 @@ def contract_of(run: Run) -> Contract:
         KickbenchError: The run has no result or no identity.
     """
     task, symmetry, robot = run.trial.task, run.trial.symmetry, run.specs.robot
-    defaults = zip(robot.actuators.items(), task.scene.layout.default_target.tolist(), strict=True)
+    layout = task.scene.layout
+    joints = layout.joint_names, _default_pose(layout), layout.joint_range
+    actions = robot.actuators.items(), layout.default_target.tolist()
+    mirror = {"observations": symmetry.groups["actor"].representation, "actions": symmetry.actions}
     return Contract(
         base=robot.base,
         control_interval=task.spec.simulation.control_interval,
         observations=tuple(_observation(task, field) for field in task.groups["actor"]),
-        joints=tuple(_joints(task.scene.layout)),
+        joints=tuple(
+            parts.Joint(name=name, default=default, range=_limits(bounds))
+            for name, default, bounds in zip(*joints, strict=True)
+        ),
         actions=tuple(
             parts.Action(**spec.model_dump(), name=name, default=default)
-            for (name, spec), default in defaults
+            for (name, spec), default in zip(*actions, strict=True)
         ),
         mirror=parts.Mirror(
-            observations=_signed(symmetry.groups["actor"].representation),
-            actions=_signed(symmetry.actions),
+            **{name: SignedPermutation(index=r.permutation, sign=r.signs) for name, r in mirror.items()},
             equivariant=run.specs.method.network.type == "equivariant",
         ),
         training=_training(task),
@@ -112,28 +113,28 @@ def contract_of(run: Run) -> Contract:
     )
 
 
+def _default_pose(layout: SceneLayout) -> tuple[float, ...]:
+    return tuple(layout.default_qpos[layout.joint_qpos].tolist())
+
+
+def _limits(bounds: np.ndarray) -> tuple[float, ...] | None:
+    return tuple(bounds.tolist()) if np.isfinite(bounds).all() else None
+
+
 def _observation(task: CompiledTask, field: Field) -> parts.Observation:
     term, layout = field.bound.term, task.scene.layout
     names = {"joints": layout.joint_names, "actions": layout.actuator_names}.get(str(term.size))
-    default = layout.default_qpos[layout.joint_qpos].tolist()
     return parts.Observation(
         name=field.name,
         description=" ".join(term.description.split()),
         units=term.units,
         frame=term.frame,
         components=names or _COMPONENTS.get(field.size) or tuple(map(str, range(field.size))),
-        offset=tuple(default) if term.from_default else (0.0,) * field.size,
+        offset=_default_pose(layout) if term.from_default else (0.0,) * field.size,
         scale=(1.0,) * field.size,
         clip=field.params.clip,
         noise=field.params.noise,
     )
-
-
-def _joints(layout: SceneLayout) -> Iterator[parts.Joint]:
-    defaults = layout.default_qpos[layout.joint_qpos].tolist()
-    for name, default, bounds in zip(layout.joint_names, defaults, layout.joint_range, strict=True):
-        limits = tuple(bounds.tolist()) if np.isfinite(bounds).all() else None
-        yield parts.Joint(name=name, default=default, range=limits)
 
 
 def _training(task: CompiledTask) -> parts.Training:
@@ -150,29 +151,20 @@ def _training(task: CompiledTask) -> parts.Training:
 
 
 def _origin(run: Run) -> parts.Origin:
-    metrics, directory = run.metrics, run.directory
+    metrics = run.metrics
     return parts.Origin(
         kickbench=__version__,
         trained_with=metrics.provenance.versions,
         **{name: getattr(metrics, name) for name in ("task", "method", "seed")},
         samples=metrics.env_steps,
-        identity=read_identity(directory).fingerprint,
-        policy=hashlib.sha256(directory.policy.read_bytes()).hexdigest(),
+        identity=read_identity(run.directory).fingerprint,
+        policy=hashlib.sha256(run.directory.policy.read_bytes()).hexdigest(),
     )
-
-
-def _signed(representation: Representation) -> SignedPermutation:
-    return SignedPermutation(index=representation.permutation, sign=representation.signs)
 
 
 def write_states(path: Path, task: CompiledTask, count: int) -> None:
     """The initial states of the task's evaluation: those that `kickbench eval --episodes <count>` runs."""
     starts = draw_starts(task, count, task.spec.evaluation.seed)
-    arrays: dict[str, Any] = {
-        "qpos": starts.qpos,
-        "qvel": starts.qvel,
-        "target": starts.target,
-        **starts.by_side,
-    }
+    arrays = {"qpos": starts.qpos, "qvel": starts.qvel, "target": starts.target, **starts.by_side}
     with atomic_file(path) as file:
-        np.savez(file, **{name: values.numpy() for name, values in arrays.items()})
+        np.savez(file, **{name: values.numpy() for name, values in arrays.items()})  # pyright: ignore

@@ -7,6 +7,7 @@ from typing import Any
 
 import torch
 from tensordict import TensorDict
+from torch import Tensor
 
 from kickbench.symmetry.representation import Representation
 from kickbench.symmetry.torch_ops import Mirror
@@ -25,8 +26,8 @@ class Augmentation:
         self._actions = Mirror(actions)
 
     def __call__(
-        self, env: Any, obs: TensorDict | None, actions: torch.Tensor | None
-    ) -> tuple[TensorDict | None, torch.Tensor | None]:
+        self, env: Any, obs: TensorDict | None, actions: Tensor | None
+    ) -> tuple[TensorDict | None, Tensor | None]:
         """Originals followed by their mirror images.
 
         Args:
@@ -36,30 +37,12 @@ class Augmentation:
 
         Returns:
             The same with ``2 n`` rows; None stays None.
-
-        Raises:
-            ValueError: If an observation group has no representation, or one of another dimension.
         """
-        return (
-            None if obs is None else self._mirror_observations(obs),
-            None if actions is None else _append(actions, self._actions, "actions"),
-        )
-
-    def _mirror_observations(self, obs: TensorDict) -> TensorDict:
-        groups = {}
-        for group in obs.keys():  # noqa: SIM118 (iterating over a TensorDict goes over its rows)
-            if group not in self._observations:
-                known = ", ".join(sorted(self._observations))
-                raise ValueError(f"observation group {group!r} has no representation; there are: {known}")
-            groups[group] = _append(obs.get(group), self._observations[group], f"observation group {group!r}")
-        return TensorDict(groups, batch_size=[2 * obs.batch_size[0]], device=obs.device)
+        if obs is not None:
+            groups = {group: _append(x, self._observations[group]) for group, x in obs.items()}
+            obs = TensorDict(groups, batch_size=[2 * len(obs)], device=obs.device)
+        return obs, None if actions is None else _append(actions, self._actions)
 
 
-def _append(x: torch.Tensor, mirror: Mirror, what: str) -> torch.Tensor:
-    if x.shape[-1] != mirror.representation.dim:
-        raise ValueError(
-            f"{what}: dimension {x.shape[-1]}, but its representation has {mirror.representation.dim}"
-        )
-    if mirror.signs.device != x.device:
-        mirror.to(x.device)
-    return torch.cat((x, mirror(x)))
+def _append(x: Tensor, mirror: Mirror) -> Tensor:
+    return torch.cat((x, mirror.to(x.device)(x)))

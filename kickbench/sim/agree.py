@@ -12,8 +12,8 @@ from kickbench.sim.build import compile_robot, read_robot
 from kickbench.sim.native import option_notes
 from kickbench.sim.read_skeleton import read_skeleton
 from kickbench.sim.sensors import SIDES
-from kickbench.symmetry.block import kind_of_coordinate
 from kickbench.symmetry.derive import Derivation, derive
+from kickbench.symmetry.representation import kind_of_coordinate
 from kickbench.symmetry.skeleton import Skeleton
 
 

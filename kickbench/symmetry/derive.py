@@ -2,18 +2,20 @@
 
 A body is paired with the child of its parent's partner that lies where its reflection lies and weighs about the same.
 The axis of a hinge is an axial vector, that of a slide a polar one: the reflected axis of a joint is its partner's, or
-the opposite one, and that is the sign. Names play no part.
+the opposite one, and that is the sign. Names play no part. `symmetry_block` writes it all for a robot file.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
 
+from kickbench.config.yamldump import flow_yaml
+from kickbench.symmetry.representation import BY_NAME, kind_of_coordinate
 from kickbench.symmetry.skeleton import (
     PLANES,
     Actuator,
@@ -60,8 +62,8 @@ class Derivation:
 
     Attributes:
         skeleton: The model.
-        plane: The mirror plane, through the origin of the skeleton's frame.
-        bodies: One match a body, in the skeleton's order; likewise the others.
+        plane: The mirror plane, through the origin of the model's frame.
+        bodies: One match per body, in the model's order; likewise the others.
         joints: Free joints are their own images, without a sign.
         shapes: Geoms.
         sites: Sites.
@@ -73,15 +75,10 @@ class Derivation:
     plane: Plane
     bodies: tuple[Match, ...]
     joints: tuple[Match, ...]
-    shapes: tuple[Match, ...] = ()
-    sites: tuple[Match, ...] = ()
-    actuators: tuple[Match, ...] = ()
-    sensors: tuple[Match, ...] = field(default=())
-
-    @property
-    def reflection(self) -> np.ndarray:
-        """R, [3, 3]."""
-        return PLANES[self.plane]
+    shapes: tuple[Match, ...]
+    sites: tuple[Match, ...]
+    actuators: tuple[Match, ...]
+    sensors: tuple[Match, ...]
 
     @cached_property
     def image(self) -> Mapping[str, tuple[str, int]]:
@@ -100,66 +97,61 @@ def derive(skeleton: Skeleton, plane: Plane = "xz") -> Derivation:
 
     Args:
         skeleton: The model.
-        plane: Mirror plane of the skeleton's frame.
+        plane: Mirror plane of the model's frame.
     """
-    return _Deriving(skeleton, plane).run()
+    finder = _Finder(skeleton, PLANES[plane])
+    bodies = finder.bodies()
+    joints = finder.joints()
+    shapes = [finder.part(shape, skeleton.shapes, finder.shape_cost)[0] for shape in skeleton.shapes]
+    sites = [finder.part(site, skeleton.sites, finder.site_cost)[0] for site in skeleton.sites]
+    images = {
+        kind: {match.name: match for match in matches}
+        for kind, matches in {"body": bodies, "joint": joints, "shape": shapes, "site": sites}.items()
+    }
+    actuators = [finder.actuator(actuator, images) for actuator in skeleton.actuators]
+    images["actuator"] = {match.name: match for match in actuators}
+    sensors = [finder.sensor(sensor, images) for sensor in skeleton.sensors]
+    groups = (bodies, joints, shapes, sites, actuators, sensors)
+    return Derivation(skeleton, plane, *map(tuple, groups))
 
 
-class _Deriving:
-    def __init__(self, skeleton: Skeleton, plane: Plane) -> None:
-        self.skeleton, self.reflection = skeleton, PLANES[plane]
-        self.plane: Plane = plane
+class _Finder:
+    def __init__(self, skeleton: Skeleton, reflection: np.ndarray) -> None:
+        self.skeleton, self.reflection = skeleton, reflection
         self.body_of: dict[int, int | None] = {-1: -1}
-
-    def run(self) -> Derivation:
-        skeleton = self.skeleton
-        bodies = self._bodies()
-        joints = self._per_body(skeleton.joints, self._joint_cost, self._joint_sign)
-        shapes = self._per_body(skeleton.shapes, self._shape_cost, alike=True)
-        sites = self._per_body(skeleton.sites, self._site_cost, alike=True)
-        images = {
-            "body": _table(bodies),
-            "joint": _table(joints),
-            "shape": _table(shapes),
-            "site": _table(sites),
-        }
-        actuators = [self._actuator(actuator, images) for actuator in skeleton.actuators]
-        images["actuator"] = _table(actuators)
-        sensors = [self._sensor(sensor, images) for sensor in skeleton.sensors]
-        groups = (bodies, joints, shapes, sites, actuators, sensors)
-        return Derivation(skeleton, self.plane, *(tuple(group) for group in groups))
+        """Body -> its partner."""
 
     # Bodies, from the root outwards
 
-    def _bodies(self) -> list[Match]:
+    def bodies(self) -> list[Match]:
         found: dict[int, Match] = {}
         for parent in range(-1, len(self.skeleton.bodies)):
             mine, image = self.skeleton.children(parent), self.body_of[parent]
             theirs = [] if image is None else self.skeleton.children(image)
             for child in mine:
-                found[child], self.body_of[child] = self._body(child, mine, theirs, image is None)
+                match = self._body(child, mine, theirs)
+                if image is None:
+                    match = Match(match.name, reason="its parent has no partner")
+                found[child.body], self.body_of[child.body] = match, None
+                if match.partner is not None:
+                    self.body_of[child.body] = next(b.body for b in theirs if b.name == match.partner)
         return [found[index] for index in range(len(self.skeleton.bodies))]
 
-    def _body(
-        self, index: int, siblings: Sequence[int], candidates: Sequence[int], orphan: bool
-    ) -> tuple[Match, int | None]:
-        bodies = self.skeleton.bodies
-        if orphan:
-            return Match(bodies[index].name, reason="its parent has no partner"), None
-        match, partner = self._best_body(index, candidates)
+    def _body(self, body: Body, siblings: Sequence[Body], candidates: Sequence[Body]) -> Match:
+        match, partner = self._best_body(body, candidates)
         if partner is None:
-            return match, None
+            return match
         back, own = self._best_body(partner, siblings)
-        if own == index:
-            return match, partner
+        if own is body:
+            return match
         what = f"'{match.partner}' lies where its mirror image would, but is the image of '{back.partner}'"
-        return Match(match.name, reason=what), None
+        return Match(match.name, reason=what)
 
-    def _best_body(self, index: int, candidates: Sequence[int]) -> tuple[Match, int | None]:
-        bodies = self.skeleton.bodies
-        choice = [bodies[candidate] for candidate in candidates]
-        match, partner = self._best(bodies[index], choice, self._body_cost, self._same_subtree)
-        return match, partner.body if partner else None
+    def _best_body(self, body: Body, candidates: Sequence[Body]) -> tuple[Match, Body | None]:
+        subtrees = self.skeleton.signatures
+        return self._best(
+            body, candidates, self._body_cost, lambda other: subtrees[body.body] == subtrees[other.body]
+        )
 
     def _body_cost(self, body: Body, other: Body) -> float:
         mass, other_mass = float(body.get("mass")), float(other.get("mass"))
@@ -167,53 +159,38 @@ class _Deriving:
         if max(mass, other_mass) > 0.0:
             costs.append(self._far(body, other, "centre of mass"))
             costs.append(abs(mass - other_mass) / max(mass, other_mass) / _MASS)
-            mine, theirs = body.get("inertia"), mirror_value(other.get("inertia"), "tensor", self.reflection)
-            largest = max(float(np.linalg.norm(mine)), float(np.linalg.norm(theirs)), 1e-12)
-            costs.append(float(np.linalg.norm(mine - theirs)) / largest / _INERTIA)
+            costs.append(self._unequal(body, other, "inertia"))
         return max(costs)
-
-    def _same_subtree(self, body: Body, other: Body) -> bool:
-        signatures = self.skeleton.signatures
-        return signatures[body.body] == signatures[other.body]
 
     # Parts of a body
 
-    def _per_body(
-        self,
-        elements: Sequence[E],
-        cost: Callable[[E, E], float],
-        sign: Callable[[E, E], int] | None = None,
-        alike: bool = False,
-    ) -> list[Match]:
-        """Matches elements with those of their body's partner.
+    def part(
+        self, element: E, elements: Sequence[E], cost: Callable[[E, E], float], alike: bool = True
+    ) -> tuple[Match, E | None]:
+        """Matches an element with those of its body's partner.
 
         Args:
-            elements: The elements.
+            element: The element.
+            elements: All of its kind.
             cost: How badly two fit; up to 1 is a fit.
-            sign: Sign between an element and its partner.
-            alike: Whether two candidates that fit alike are as good as each other.
+            alike: Whether two candidates that fit are as good as each other; else their rank in the body decides.
         """
-        by_body: dict[int, list[E]] = {}
-        for element in elements:
-            by_body.setdefault(element.body, []).append(element)
+        partner = self.body_of.get(element.body)
+        if partner is None:
+            return Match(element.name, reason="its body has no partner"), None
+        mine, theirs = ([e for e in elements if e.body == body] for body in (element.body, partner))
+        if alike:
+            theirs = sorted(theirs, key=lambda other: cost(element, other))[:1]
+        rank = mine.index(element)
+        return self._best(element, theirs, cost, lambda other: theirs.index(other) == rank)
+
+    def joints(self) -> list[Match]:
         matches = []
-        for element in elements:
-            partner = self.body_of.get(element.body)
-            if partner is None:
-                matches.append(Match(element.name, reason="its body has no partner"))
-                continue
-            rank = by_body[element.body].index(element)
-            candidates = by_body.get(partner, [])
-            if alike:
-                nearest = min(candidates, key=lambda other: cost(element, other), default=None)
-                candidates = [nearest] if nearest else []
-
-            def same_rank(_: E, other: E, rank: int = rank, body: int = partner) -> bool:
-                return by_body[body].index(other) == rank
-
-            match, other = self._best(element, candidates, cost, same_rank)
-            if other is not None and sign is not None:
-                match = Match(match.name, match.partner, sign(element, other), match.reason)
+        for joint in self.skeleton.joints:
+            match, other = self.part(joint, self.skeleton.joints, self._joint_cost, alike=False)
+            if other is not None and joint.kind in ("hinge", "slide"):
+                same = joint.get("axis") @ other.mirrored("axis", self.reflection) > 0
+                match = replace(match, sign=1 if same else -1)
             matches.append(match)
         return matches
 
@@ -222,42 +199,38 @@ class _Deriving:
             return np.inf
         if joint.kind in ("free", "ball"):
             return 0.0
-        axis = other.by_name["axis"].mirrored(self.reflection)
-        angle = np.arccos(min(1.0, abs(float(joint.get("axis") @ axis))))
+        axis = joint.get("axis")
+        angle = np.arccos(min(1.0, abs(float(axis @ other.mirrored("axis", self.reflection)))))
         if joint.kind == "slide":
             return float(angle) / _AXIS
         # Along its axis, the anchor of a hinge is of no account.
-        apart = joint.get("anchor") - other.by_name["anchor"].mirrored(self.reflection)
-        apart = apart - (apart @ joint.get("axis")) * joint.get("axis")
+        apart = joint.get("anchor") - other.mirrored("anchor", self.reflection)
+        apart = apart - (apart @ axis) * axis
         return max(float(angle) / _AXIS, float(np.linalg.norm(apart)) / (_PLACE * self.skeleton.size))
 
-    def _joint_sign(self, joint: Joint, other: Joint) -> int:
-        if joint.kind in ("free", "ball"):
-            return 0
-        return 1 if joint.get("axis") @ other.by_name["axis"].mirrored(self.reflection) > 0 else -1
-
-    def _shape_cost(self, shape: Shape, other: Shape) -> float:
+    def shape_cost(self, shape: Shape, other: Shape) -> float:
         if shape.kind != other.kind or shape.touches != other.touches:
             return np.inf
-        mine, theirs = shape.get("extent"), other.by_name["extent"].mirrored(self.reflection)
-        largest = max(float(np.linalg.norm(mine)), 1e-12)
-        return max(
-            self._far(shape, other, "place"), float(np.linalg.norm(mine - theirs)) / largest / _INERTIA
-        )
+        return max(self._far(shape, other, "place"), self._unequal(shape, other, "extent"))
 
-    def _site_cost(self, site: Site, other: Site) -> float:
+    def site_cost(self, site: Site, other: Site) -> float:
         return self._far(site, other, "place")
 
     def _far(self, element: Element, other: Element, name: str) -> float:
-        apart = element.get(name) - other.by_name[name].mirrored(self.reflection)
+        apart = element.get(name) - other.mirrored(name, self.reflection)
         return float(np.linalg.norm(apart)) / (_PLACE * self.skeleton.size)
+
+    def _unequal(self, element: Element, other: Element, name: str) -> float:
+        mine, theirs = element.get(name), other.mirrored(name, self.reflection)
+        largest = max(float(np.linalg.norm(mine)), float(np.linalg.norm(theirs)), 1e-12)
+        return float(np.linalg.norm(mine - theirs)) / largest / _INERTIA
 
     def _best(
         self,
         element: E,
         candidates: Sequence[E],
         cost: Callable[[E, E], float],
-        prefer: Callable[[E, E], bool],
+        prefer: Callable[[E], bool],
     ) -> tuple[Match, E | None]:
         """The candidate that is the element's mirror image; among several that fit, those preferred."""
         costs = {other.name: cost(element, other) for other in candidates}
@@ -265,7 +238,7 @@ class _Deriving:
             (other for other in candidates if costs[other.name] <= 1.0), key=lambda o: costs[o.name]
         )
         if len(fits) > 1:
-            fits = [other for other in fits if prefer(element, other)] or fits
+            fits = [other for other in fits if prefer(other)] or fits
         if not fits:
             return Match(element.name, reason=_nearest(element.name, costs)), None
         best, *others = fits
@@ -276,20 +249,18 @@ class _Deriving:
 
     # Actuators and sensors, by what they act on
 
-    def _actuator(self, actuator: Actuator, images: Mapping[str, Mapping[str, Match]]) -> Match:
+    def actuator(self, actuator: Actuator, images: Mapping[str, Mapping[str, Match]]) -> Match:
         if actuator.kind not in ("joint", "site"):
             return Match(actuator.name, reason=f"it acts through {actuator.kind}, which is not derived")
         target = images[actuator.kind].get(actuator.target)
         if target is None or target.partner is None:
             return Match(actuator.name, reason=f"its {actuator.kind} '{actuator.target}' has no partner")
         for other in self.skeleton.actuators:
-            if other.kind == actuator.kind and other.target == target.partner:
-                sign = self._wrench_sign(actuator, other, target.sign)
-                if sign:
-                    return Match(actuator.name, other.name, sign)
-        return Match(
-            actuator.name, reason=f"nothing drives '{target.partner}' as it drives '{actuator.target}'"
-        )
+            drives = (other.kind, other.target) == (actuator.kind, target.partner)
+            if drives and (sign := self._wrench_sign(actuator, other, target.sign)):
+                return Match(actuator.name, other.name, sign)
+        what = f"nothing drives '{target.partner}' as it drives '{actuator.target}'"
+        return Match(actuator.name, reason=what)
 
     def _wrench_sign(self, actuator: Actuator, other: Actuator, joint_sign: int) -> int:
         mine, theirs = np.array(actuator.wrench), np.array(other.wrench)
@@ -301,26 +272,18 @@ class _Deriving:
         lengths = np.linalg.norm(mine) * np.linalg.norm(mirrored)
         return int(np.sign(product)) if abs(product) >= np.cos(_AXIS) * lengths else 0
 
-    def _sensor(self, sensor: Sensor, images: Mapping[str, Mapping[str, Match]]) -> Match:
-        wanted = []
-        for kind, name in sensor.objects:
-            # A floor or a ball is not part of the robot: its own image.
-            image = images[kind].get(name, Match(name, name))
-            if image.partner is None:
-                return Match(sensor.name, reason=f"its {kind} '{name}' has no partner")
-            wanted.append((kind, image.partner))
+    def sensor(self, sensor: Sensor, images: Mapping[str, Mapping[str, Match]]) -> Match:
+        # A floor or a ball is not part of the robot: its own image.
+        found = [(kind, images[kind].get(name, Match(name, name))) for kind, name in sensor.objects]
+        for kind, match in found:
+            if match.partner is None:
+                return Match(sensor.name, reason=f"its {kind} '{match.name}' has no partner")
+        wanted = [(kind, match.partner) for kind, match in found]
         for other in self.skeleton.sensors:
             if other.kind == sensor.kind and list(other.objects) == wanted:
-                sign = (
-                    images[sensor.objects[0][0]][sensor.objects[0][1]].sign if sensor.law == "signed" else 0
-                )
-                return Match(sensor.name, other.name, sign)
+                return Match(sensor.name, other.name, found[0][1].sign if sensor.law == "signed" else 0)
         what = " and ".join(f"'{name}'" for _, name in wanted)
         return Match(sensor.name, reason=f"no {sensor.kind} sensor measures {what}")
-
-
-def _table(matches: Sequence[Match]) -> dict[str, Match]:
-    return {match.name: match for match in matches}
 
 
 def _nearest(part: str, costs: Mapping[str, float]) -> str:
@@ -331,3 +294,71 @@ def _nearest(part: str, costs: Mapping[str, float]) -> str:
         return "no partner of its kind"
     which = "the part itself" if name == part else f"'{name}'"
     return f"no partner: what fits best, {which}, differs by {costs[name]:.3g} times the tolerance"
+
+
+def symmetry_block(derivation: Derivation, title: str) -> str:
+    """A derivation as the `symmetry:` block of a robot file, in YAML, with comments on what was not found.
+
+    Args:
+        derivation: What was derived.
+        title: Name of the model.
+    """
+    root = derivation.skeleton.bodies[0].name
+    lines = [f"# Derived from {title}: reflection in the {derivation.plane} plane of '{root}'."]
+    lines += [f"# {line}" for line in _comments(derivation)]
+    return "\n".join([*lines, "symmetry:", *_tables(derivation)])
+
+
+def _tables(derivation: Derivation) -> Iterator[str]:
+    found: dict[str, list[tuple[str, str]]] = {kind: [] for kind in BY_NAME}
+    seen: set[str] = set()
+    for name, (partner, sign) in derivation.image.items():
+        if name not in seen:
+            pair = (name, partner) if _is_left(derivation, name, partner) else (partner, name)
+            found[kind_of_coordinate(partner == name, sign)].append(pair)
+            seen |= {name, partner}
+    for kind, pairs in found.items():
+        left, right = ([pair[side] for pair in pairs] for side in (0, 1))
+        if pairs and kind in ("trivial", "sign"):
+            yield f"  {kind}: {flow_yaml(left)}"
+        elif pairs:
+            yield from (f"  {kind}:", f"    left: {flow_yaml(left)}", f"    right: {flow_yaml(right)}")
+
+
+def _is_left(derivation: Derivation, name: str, partner: str) -> bool:
+    """Whether the first of a pair is on the left: at positive y for a robot that looks along x."""
+    skeleton = derivation.skeleton
+    joints = {joint.name: joint for joint in skeleton.joints}
+    one, other = joints[name], joints[partner]
+    # Facing y, the left is at negative x.
+    normal = np.diag((np.eye(3) - PLANES[derivation.plane]) / 2) * (-1 if derivation.plane == "yz" else 1)
+    bodies = [skeleton.bodies[joint.body].get("centre of mass") for joint in (one, other)]
+    for apart in (one.get("anchor") - other.get("anchor"), bodies[0] - bodies[1]):
+        if abs(float(normal @ apart)) > 1e-6 * skeleton.size:
+            return bool(normal @ apart > 0)
+    return True
+
+
+def _comments(derivation: Derivation) -> Iterator[str]:
+    groups = {
+        kind: getattr(derivation, plural)
+        for kind, plural in {"body": "bodies", "joint": "joints", "geom": "shapes", "site": "sites"}.items()
+    } | {"actuator": derivation.actuators, "sensor": derivation.sensors}
+    counts = []
+    for kind, matches in groups.items():
+        central = sum(match.partner == match.name for match in matches)
+        pairs = sum(match.partner not in (None, match.name) for match in matches) // 2
+        plural = "bodies" if kind == "body" else f"{kind}s"
+        counts += [f"{plural}: {pairs} pairs, {central} central"] if matches else []
+    yield "; ".join(counts)
+    for kind in ("actuator", "sensor"):
+        for match in groups[kind]:
+            if match.partner is not None and match.name <= match.partner:
+                other = "itself" if match.partner == match.name else f"'{match.partner}'"
+                sign = ", with opposite sign" if match.sign < 0 else ""
+                yield f"{kind} '{match.name}' mirrors into {other}{sign}"
+    for kind, matches in groups.items():
+        yield from (
+            f"NOT DERIVED: {kind} '{match.name}': {match.reason}" for match in matches if match.reason
+        )
+    yield from (f"NOT COMPARED: {what}" for what in derivation.skeleton.left_out)

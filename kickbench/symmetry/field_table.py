@@ -1,57 +1,22 @@
-"""Field tables: which part of a vector transforms how (thesis Table 3.4)."""
+"""Field tables: which part of a vector transforms how (thesis Table 3.4), from representation tables in YAML."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any, Protocol, TypeVar
+from functools import cached_property, reduce
 
-from kickbench.symmetry.representation import Representation, direct_sum
-
-
-class _Sliceable(Protocol):
-    """A numpy array or a torch tensor; this module knows neither."""
-
-    @property
-    def shape(self) -> Any: ...
-
-    def __getitem__(self, index: Any, /) -> Any: ...
-
-
-Array = TypeVar("Array", bound=_Sliceable)
+from kickbench.config.representation import Expression, RepresentationSpec, Sum, parse_expression
+from kickbench.config.yamlio import Document
+from kickbench.errors import Problem, SpecError, nearest
+from kickbench.symmetry.representation import BY_NAME, Representation, direct_sum, tensor
 
 
 @dataclass(frozen=True)
 class FieldTable:
-    """Named fields of a vector, in order, each with its representation.
-
-    Args:
-        fields: ``(name, representation)`` in the order in which the fields are concatenated.
-
-    Raises:
-        ValueError: If a name occurs twice.
-    """
+    """Named fields of a vector, in order, each with its representation."""
 
     fields: tuple[tuple[str, Representation], ...]
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "fields", tuple(self.fields))
-        seen: set[str] = set()
-        for name in self.names:
-            if name in seen:
-                raise ValueError(f"field {name!r} occurs more than once")
-            seen.add(name)
-
-    @classmethod
-    def of(cls, fields: Mapping[str, Representation]) -> FieldTable:
-        """Build a table from a mapping, keeping its order."""
-        return cls(tuple(fields.items()))
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the fields in order."""
-        return tuple(name for name, _ in self.fields)
 
     @cached_property
     def representation(self) -> Representation:
@@ -61,54 +26,83 @@ class FieldTable:
     @property
     def dim(self) -> int:
         """Number of coordinates of the whole vector."""
-        return sum(representation.dim for _, representation in self.fields)
+        return self.representation.dim
 
-    @cached_property
-    def slices(self) -> dict[str, slice]:
-        """Where each field lies in the vector."""
-        slices, start = {}, 0
-        for name, representation in self.fields:
-            slices[name] = slice(start, start + representation.dim)
-            start += representation.dim
-        return slices
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the fields in order."""
+        return tuple(name for name, _ in self.fields)
 
     def slice(self, name: str) -> slice:
-        """Where the field lies in the vector.
-
-        Raises:
-            ValueError: If there is no such field; the message lists the names there are.
-        """
-        if name not in self.slices:
-            raise ValueError(f"no field {name!r}; the fields are: {', '.join(self.names)}")
-        return self.slices[name]
+        """Where a field lies in the vector."""
+        start = sum(self[before].dim for before in self.names[: self.names.index(name)])
+        return slice(start, start + self[name].dim)
 
     def __getitem__(self, name: str) -> Representation:
         """Representation of one field."""
-        self.slice(name)  # for its error message
         return dict(self.fields)[name]
 
-    def split(self, vector: Array) -> dict[str, Array]:
-        """The fields of ``vector [..., dim]`` by name, as views ``[..., field dim]``.
-
-        Raises:
-            ValueError: If the last axis has another length.
-        """
-        if vector.shape[-1] != self.dim:
-            raise ValueError(f"a vector of {vector.shape[-1]} numbers, but the fields have {self.dim}")
-        return {name: vector[..., where] for name, where in self.slices.items()}
-
-    def lines(self) -> tuple[str, ...]:
+    def __str__(self) -> str:
         """The table for people: one line a field with its range, dimension and representation."""
         rows = [("field", "range", "dim", "representation")]
-        for name, representation in self.fields:
-            where = self.slices[name]
-            rows.append((name, f"{where.start}:{where.stop}", str(representation.dim), str(representation)))
+        for name, field in self.fields:
+            place = self.slice(name)
+            rows.append((name, f"{place.start}:{place.stop}", str(field.dim), str(field)))
         rows.append(("total", f"0:{self.dim}", str(self.dim), str(self.representation)))
-        widths = [max(len(row[column]) for row in rows) for column in range(4)]
-        return tuple(
+        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        return "\n".join(
             f"{name:<{widths[0]}}  {where:>{widths[1]}}  {dim:>{widths[2]}}  {representation}"
             for name, where, dim, representation in rows
         )
 
-    def __str__(self) -> str:
-        return "\n".join(self.lines())
+
+def resolve_expression(text: str, own: Mapping[str, Representation]) -> Representation:
+    """Evaluates a representation expression.
+
+    Args:
+        text: The expression, see `config.representation`.
+        own: The robot's representations: `joints` and `actions`.
+    """
+    return _resolve(parse_expression(text), {**BY_NAME, **own})
+
+
+def _resolve(expression: Expression, names: Mapping[str, Representation]) -> Representation:
+    if isinstance(expression, str):
+        return names[expression]
+    parts = [_resolve(part, names) for part in expression.parts]
+    return direct_sum(parts) if isinstance(expression, Sum) else reduce(tensor, parts)
+
+
+def field_table(
+    table: RepresentationSpec,
+    document: Document,
+    fields: Sequence[tuple[str, int]],
+    own: Mapping[str, Representation],
+) -> FieldTable:
+    """The field table of an observation group.
+
+    Args:
+        table: The representation table.
+        document: Where it was written, for errors.
+        fields: Name and length of each field, in the order of the vector.
+        own: The robot's representations: `joints` and `actions`.
+
+    Raises:
+        SpecError: A field is not in the table, or its representation has another dimension.
+    """
+    found: list[tuple[str, Representation]] = []
+    problems: list[Problem] = []
+    for name, size in fields:
+        if name not in table.fields:
+            guess = nearest(name, table.fields)
+            hint = f"the nearest name there is '{guess}'" if guess else None
+            problems.append(document.problem(("fields",), f"the field '{name}' has no representation", hint))
+            continue
+        representation = resolve_expression(table.fields[name], own)
+        if representation.dim != size:
+            what = f"'{table.fields[name]}' has dimension {representation.dim}, the field '{name}' has {size}"
+            problems.append(document.problem(("fields", name), what))
+        found.append((name, representation))
+    if problems:
+        raise SpecError(tuple(problems))
+    return FieldTable(tuple(found))

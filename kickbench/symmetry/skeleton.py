@@ -111,6 +111,10 @@ class Element:
         """Value of a quantity."""
         return self.by_name[name].value
 
+    def mirrored(self, name: str, reflection: np.ndarray) -> np.ndarray:
+        """Value of a quantity of the mirror image."""
+        return self.by_name[name].mirrored(reflection)
+
     @cached_property
     def by_name(self) -> Mapping[str, Quantity]:
         """The quantities by name."""
@@ -212,9 +216,9 @@ class Skeleton:
     exclusions: frozenset[frozenset[str]] = frozenset()
     left_out: tuple[str, ...] = ()
 
-    def children(self, body: int) -> list[int]:
-        """Indices of a body's children; of -1: the topmost bodies."""
-        return [i for i, child in enumerate(self.bodies) if child.parent == body]
+    def children(self, body: int) -> list[Body]:
+        """A body's children; of -1: the topmost bodies."""
+        return [child for child in self.bodies if child.parent == body]
 
     def joints_of(self, body: int) -> list[Joint]:
         """Joints between a body and its parent, in order."""
@@ -226,5 +230,8 @@ class Skeleton:
         found: dict[int, tuple] = {}
         for body in reversed(range(len(self.bodies))):
             kinds = tuple(joint.kind for joint in self.joints_of(body))
-            found[body] = (kinds, tuple(sorted((found[child] for child in self.children(body)), key=repr)))
+            found[body] = (
+                kinds,
+                tuple(sorted((found[child.body] for child in self.children(body)), key=repr)),
+            )
         return tuple(found[body] for body in range(len(self.bodies)))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import torch
-from torch import nn
+from torch import Tensor, nn
 
 from kickbench.symmetry.representation import Representation
 
@@ -18,30 +18,21 @@ class Mirror(nn.Module):
         representation: How the last axis transforms.
     """
 
-    permutation: torch.Tensor
+    permutation: Tensor
     """``[dim]`` long."""
-    signs: torch.Tensor
+    signs: Tensor
     """``[dim]`` float, -1 or +1."""
 
     def __init__(self, representation: Representation) -> None:
         super().__init__()
         self.representation = representation
-        permutation = torch.tensor(representation.permutation, dtype=torch.long)
-        self.register_buffer("permutation", permutation, persistent=False)
-        self.register_buffer(
-            "signs", torch.tensor(representation.signs, dtype=torch.float32), persistent=False
-        )
-        # Known once: most fields need only one of the two operations.
-        self._moves = representation.permutation != tuple(range(representation.dim))
-        self._flips = -1 in representation.signs
+        self.register_buffer("permutation", torch.tensor(representation.permutation), persistent=False)
+        signs = torch.tensor(representation.signs, dtype=torch.float32)
+        self.register_buffer("signs", signs, persistent=False)
 
-    def forward(self, x: torch.Tensor) -> torch.Tensor:
+    def forward(self, x: Tensor) -> Tensor:
         """Mirror image of ``x [..., dim]``, a new tensor of the same shape and dtype."""
-        if self._moves:
-            x = x.index_select(-1, self.permutation)
-        if self._flips:
-            return x * self.signs.to(x.dtype)
-        return x if self._moves else x.clone()
+        return x.index_select(-1, self.permutation) * self.signs.to(x.dtype)
 
     def extra_repr(self) -> str:
         """The representation, for ``print(model)``."""

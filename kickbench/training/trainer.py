@@ -17,7 +17,7 @@ from kickbench.envs.curriculum import Growth
 from kickbench.envs.env import KickEnv
 from kickbench.envs.graph import fastest_steps
 from kickbench.errors import KickbenchError
-from kickbench.nets.relaxed import residual_share
+from kickbench.nets.layers import residual_share
 from kickbench.nets.threads import torch_threads
 from kickbench.results.frame import SIDES
 from kickbench.results.history import RunHistory

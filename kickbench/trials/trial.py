@@ -13,10 +13,9 @@ from kickbench.config.task import TaskSpec
 from kickbench.envs.catalog import model_of_task
 from kickbench.envs.compile import CompiledTask, compile_task
 from kickbench.errors import SpecError
-from kickbench.symmetry.field_table import FieldTable
+from kickbench.symmetry.field_table import FieldTable, field_table, resolve_expression
 from kickbench.symmetry.mirror import mirror_actions, mirror_joints, mirror_qpos, mirror_qvel
 from kickbench.symmetry.representation import Representation
-from kickbench.symmetry.tables import field_table, resolve_expression
 
 MIN_SCALED_EPISODES = 100
 """Episodes a side that scaling a trial down leaves."""

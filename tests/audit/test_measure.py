@@ -8,7 +8,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kickbench.audit.measure import measure, name_of
-from kickbench.symmetry import REGULAR, REGULAR_SIGN, SIGN, TRIVIAL, Representation, direct_sum, tensor
+from kickbench.symmetry.representation import (
+    REGULAR,
+    REGULAR_SIGN,
+    SIGN,
+    TRIVIAL,
+    Representation,
+    direct_sum,
+    tensor,
+)
 
 VECTOR = TRIVIAL + SIGN + TRIVIAL
 
@@ -20,9 +28,10 @@ def representations(draw) -> Representation:
     order = draw(st.permutations(range(size)))
     pairs = draw(st.integers(0, size // 2))
     signs = [draw(st.sampled_from((1, -1))) for _ in range(size)]
-    swaps = [(order[2 * k], order[2 * k + 1], signs[k]) for k in range(pairs)]
-    fixed = {i: signs[i] for i in order[2 * pairs :]}
-    return Representation.from_orbits(size, swaps, fixed)
+    permutation = list(range(size))
+    for a, b in zip(order[: 2 * pairs : 2], order[1 : 2 * pairs : 2], strict=True):
+        permutation[a], permutation[b], signs[b] = b, a, signs[a]
+    return Representation(tuple(permutation), tuple(signs))
 
 
 def samples(representation: Representation, count: int = 50) -> tuple[np.ndarray, np.ndarray]:

@@ -19,9 +19,9 @@ from kickbench.config.robot import JointPairs, JointSymmetrySpec
 from kickbench.envs.engines import make_engine
 from kickbench.envs.env import KickEnv
 from kickbench.nets.build import build_actor
-from kickbench.symmetry import BY_NAME, FieldTable, Representation
-from kickbench.symmetry.block import kind_of_coordinate
+from kickbench.symmetry.field_table import FieldTable
 from kickbench.symmetry.mirror import Image
+from kickbench.symmetry.representation import BY_NAME, Representation, kind_of_coordinate
 from kickbench.symmetry.torch_ops import Mirror
 from kickbench.trials.trial import Symmetry, symmetry_of
 
@@ -96,10 +96,11 @@ def wrong_representations(right: Representation) -> dict[str, Representation]:
         # The second component of each pair is taken for the next pair's.
         orbits = [orbit for orbit in right.orbits() if len(orbit) == 2]
         if len(orbits) > 1:
-            (a, b), (c, d), *rest = orbits
-            pairs = [(a, d, signs[a]), (c, b, signs[a]), *((i, j, signs[i]) for i, j in rest)]
-            fixed = {orbit[0]: signs[orbit[0]] for orbit in right.orbits() if len(orbit) == 1}
-            found["swap partners in"] = Representation.from_orbits(size, pairs, fixed)
+            (a, b), (c, d), *_ = orbits
+            swapped = {a: d, d: a, b: c, c: b}
+            places = tuple(swapped.get(i, j) for i, j in enumerate(permutation))
+            equal = tuple(signs[a] if i in swapped else sign for i, sign in enumerate(signs))
+            found["swap partners in"] = Representation(places, equal)
     # The same slip may have two names.
     names = {wrong: what for what, wrong in reversed(found.items()) if wrong != right}
     return {what: wrong for wrong, what in names.items()}

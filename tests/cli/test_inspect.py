@@ -62,7 +62,7 @@ def test_help_imports_nothing_heavy(argv):
 
 
 def test_reading_specs_imports_no_physics_and_no_learning():
-    rooms = ("config.load", "config.explain", "symmetry.tables", "symmetry.mirror")
+    rooms = ("config.load", "config.explain", "symmetry.field_table", "symmetry.mirror")
     code = "; ".join(f"import kickbench.{room}" for room in rooms)
     assert not modules_after(code) & {"torch", "mujoco", "warp", "rsl_rl", "tensordict"}
 

@@ -12,7 +12,7 @@ from kickbench.evaluation.episodes import draw_starts, run_episodes
 from kickbench.evaluation.equivariance import EVERY, EquivarianceProbe
 from kickbench.nets.build import build_actor
 from kickbench.results.asymmetry import EquivarianceError
-from kickbench.symmetry import REGULAR, SIGN, TRIVIAL
+from kickbench.symmetry.representation import REGULAR, SIGN, TRIVIAL
 from kickbench.symmetry.torch_ops import Mirror
 
 SEEN, DONE = TRIVIAL + SIGN + REGULAR, SIGN + REGULAR

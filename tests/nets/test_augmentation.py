@@ -1,9 +1,8 @@
-import pytest
 import torch
 from tensordict import TensorDict
 
-from kickbench.nets import Augmentation
-from kickbench.symmetry import REGULAR, REGULAR_SIGN, SIGN, TRIVIAL, tensor
+from kickbench.nets.augmentation import Augmentation
+from kickbench.symmetry.representation import REGULAR, REGULAR_SIGN, SIGN, TRIVIAL, tensor
 
 OBSERVATIONS = {"actor": tensor(REGULAR, TRIVIAL + SIGN), "critic": TRIVIAL + SIGN + REGULAR_SIGN}
 ACTION = SIGN + REGULAR + REGULAR_SIGN
@@ -38,14 +37,3 @@ def test_none_stays_none():
     assert AUGMENT(None, None, None) == (None, None)
     assert AUGMENT(None, observations(), None)[1] is None
     assert AUGMENT(None, None, torch.randn(N, ACTION.dim))[0] is None
-
-
-def test_a_group_without_representation_is_named():
-    obs = TensorDict({"camera": torch.randn(N, 3)}, batch_size=[N])
-    with pytest.raises(ValueError, match="'camera' has no representation; there are: actor, critic"):
-        AUGMENT(None, obs, None)
-
-
-def test_a_wrong_dimension_is_named():
-    with pytest.raises(ValueError, match="actions: dimension 4, but its representation has 5"):
-        AUGMENT(None, None, torch.randn(N, 4))

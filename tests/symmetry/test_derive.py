@@ -14,8 +14,7 @@ from hypothesis import strategies as st
 from kickbench.config.load import load
 from kickbench.config.robot import JointSymmetrySpec, RobotSpec
 from kickbench.sim.read_skeleton import compile_skeleton, read_skeleton
-from kickbench.symmetry.block import symmetry_block
-from kickbench.symmetry.derive import Derivation, derive
+from kickbench.symmetry.derive import Derivation, derive, symmetry_block
 
 ROOT = Path(__file__).parents[2]
 QUADRUPED = Path(__file__).with_name("quadruped.xml")

@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from kickbench.symmetry import BY_NAME, REGULAR_SIGN, SIGN, TRIVIAL, regular
+from kickbench.symmetry.representation import BY_NAME, REGULAR_SIGN, SIGN, TRIVIAL, regular
 from kickbench.symmetry.torch_ops import Mirror
 
 
