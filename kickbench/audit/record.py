@@ -15,8 +15,8 @@ from kickbench.audit.states import VariedActions, VariedStarts, vary_episodes
 from kickbench.envs.compile import Bound, CompiledTask
 from kickbench.envs.engines import make_engine
 from kickbench.envs.env import KickEnv
-from kickbench.envs.snapshot import Snapshot
 from kickbench.envs.state import State
+from kickbench.envs.tensors import Tensors
 from kickbench.evaluation.episodes import Policy
 from kickbench.nets.threads import torch_threads
 from kickbench.symmetry.mirror import Image, mirror_actions, mirror_qpos, mirror_qvel
@@ -57,7 +57,7 @@ class Reflection:
             Mirror(mirror_actions(task.robot.spec.actuators, image)),
         )
 
-    def __call__(self, snapshot: Snapshot) -> Snapshot:
+    def __call__(self, snapshot: Tensors) -> Tensors:
         """The mirror image of running episodes."""
         return snapshot.mirrored(self.qpos, self.qvel, self.actions)
 
@@ -238,7 +238,7 @@ class _Recorder:
             pairs.add(touch[0], touch[1], keep)
         for name, pairs in self.forces.items():
             pairs.add(image.forces[name].sum(dim=1), there.forces[name].sum(dim=1), keep)
-        if here.pushes is not None:
+        if "pushes" in here:
             self._count("pushed", (here.pushes.wait < 0) & keep)
 
     def _note_terms(self, state: State, image: State, keep: Tensor) -> None:

@@ -15,8 +15,8 @@ from torch import Tensor
 
 from kickbench.envs.compile import CompiledTask
 from kickbench.envs.env import KickEnv
-from kickbench.envs.snapshot import Snapshot
 from kickbench.envs.starts import Starts, StartSampler
+from kickbench.envs.tensors import Tensors
 
 _BALL_SPEED = 1.2  # m/s, at which a ball rolls against a foot
 _TILT = 0.9  # rad
@@ -102,7 +102,7 @@ class VariedStarts:
         qvel[mask, speed : speed + 6] = self._draws.uniform(-_SPEEDS, _SPEEDS, count, 6)
 
 
-def vary_episodes(env: KickEnv, snapshot: Snapshot, fresh: Tensor, draws: torch.Generator) -> Snapshot:
+def vary_episodes(env: KickEnv, snapshot: Tensors, fresh: Tensor, draws: torch.Generator) -> Tensors:
     """Sets counters, targets and actions of worlds whose episode has just begun, so that every gate opens somewhere.
 
     Half of them keep their counters; the others are past the contact window, with the target near the ball or far, or
@@ -117,19 +117,15 @@ def vary_episodes(env: KickEnv, snapshot: Snapshot, fresh: Tensor, draws: torch.
     target = (snapshot.qpos[:, place : place + 2] + offset).float()
     actions = 0.5 * draw.normal(2, worlds, env.num_actions)
     moved = (fresh & (kind < 4)).unsqueeze(1)
-    varied = replace(
-        episode,
-        contact_count=torch.where(late, window + 1, episode.contact_count),
-        step=torch.where(ending, spec.episode.max_steps - 2, episode.step),
-        target=torch.where(near.unsqueeze(1), target, episode.target),
-        action=torch.where(moved, actions[0], episode.action),
-        previous_action=torch.where(moved, actions[1], episode.previous_action),
-    )
-    pushes = snapshot.pushes
-    if pushes is not None:
+    episode.contact_count = torch.where(late, window + 1, episode.contact_count)
+    episode.step = torch.where(ending, spec.episode.max_steps - 2, episode.step)
+    episode.target = torch.where(near.unsqueeze(1), target, episode.target)
+    episode.action = torch.where(moved, actions[0], episode.action)
+    episode.previous_action = torch.where(moved, actions[1], episode.previous_action)
+    if "pushes" in snapshot:
         soon = torch.randint(1, 20, (worlds,), generator=draws)
-        pushes = replace(pushes, wait=torch.where(fresh & (kind % 2 == 0), soon, pushes.wait))
-    return replace(snapshot, episode=varied, pushes=pushes)
+        snapshot.pushes.wait = torch.where(fresh & (kind % 2 == 0), soon, snapshot.pushes.wait)
+    return snapshot
 
 
 class VariedActions:

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from kickbench.envs.draws import Draws, uniform
-from kickbench.envs.stateful import Stateful
-from kickbench.symmetry.torch_ops import Mirror
+from kickbench.envs.tensors import Tensors
 
 
-@dataclass(frozen=True)
-class DelayMemory:
+class DelayMemory(Tensors):
     """Commands on their way to the servos.
 
     Attributes:
@@ -25,10 +22,6 @@ class DelayMemory:
     history: Tensor
     newest: Tensor
 
-    def mirrored(self, targets: Mirror) -> DelayMemory:
-        """The reflection, given that of a control target."""
-        return DelayMemory(targets(self.history), self.newest)
-
 
 def whole_steps(times: tuple[float, float], timestep: float) -> tuple[int, int]:
     """Fewest and most steps whose time lies within a range of times, s; reversed where there are none."""
@@ -36,7 +29,7 @@ def whole_steps(times: tuple[float, float], timestep: float) -> tuple[int, int]:
     return math.ceil(times[0] / timestep - 1e-6), math.floor(times[1] / timestep + 1e-6)
 
 
-class ActionDelay(Stateful):
+class ActionDelay:
     """Per-world latency of control targets, in physics substeps.
 
     Every control step each world draws a lag L, uniform over the whole substeps in the range; with the hold
@@ -48,8 +41,6 @@ class ActionDelay(Stateful):
     With 4 substeps a control step and L = 6 in all of them, the command issued at substep 0 takes effect at
     substep 6, so the servos see (command of step t - 2, t - 2, t - 1, t - 1) during control step t.
     """
-
-    STATE = ("_history", "_newest")
 
     def __init__(
         self,
@@ -77,50 +68,46 @@ class ActionDelay(Stateful):
         self._generator = generator
         self._default = default_target
         depth = math.ceil((self._high + 1) / decimation) + 1
-        self._history = default_target.repeat(num_worlds, depth, 1)
         device = default_target.device
-        # Age, in control steps, of the newest command that has taken effect.
-        self._newest = torch.zeros(num_worlds, dtype=torch.int64, device=device)
+        self.memory = DelayMemory(
+            history=default_target.repeat(num_worlds, depth, 1),
+            newest=torch.zeros(num_worlds, dtype=torch.int64, device=device),
+        )
         self._substep = torch.arange(decimation, device=device)
         # Place of every world's newest command in the flattened history.
         self._first = depth * torch.arange(num_worlds, device=device).unsqueeze(1)
 
-    @property
-    def memory(self) -> DelayMemory:
-        """What the buffer holds; its tensors are replaced, never written to."""
-        return DelayMemory(self._history, self._newest)
-
-    @memory.setter
-    def memory(self, memory: DelayMemory) -> None:
+    def adopt(self, memory: DelayMemory) -> None:
         """Takes over commands, of a line with another range of delays as well."""
-        depth, missing = self._history.shape[1], self._history.shape[1] - memory.history.shape[1]
+        depth = self.memory.history.shape[1]
+        missing = depth - memory.history.shape[1]
         history = memory.history[:, :depth]
         if missing > 0:  # what is older than the oldest command known was the same
             history = torch.cat([history, history[:, -1:].expand(-1, missing, -1)], dim=1)
-        self._history, self._newest = history, memory.newest.clamp(max=depth - 1)
+        self.memory.history, self.memory.newest = history, memory.newest.clamp(max=depth - 1)
 
     def reset(self, mask: Tensor) -> None:
         """Forgets the commands of the worlds in `mask` [B]: their servos hold the default target."""
-        history, depth = self._history.flatten(1), self._history.shape[1]
-        cleared = torch.where(mask.unsqueeze(1), self._default.repeat(depth), history)
-        self._history = cleared.view(self._history.shape)
-        self._newest = torch.where(mask, depth - 1, self._newest)
+        memory = self.memory
+        memory.history = torch.where(mask.view(-1, 1, 1), self._default, memory.history)
+        memory.newest = torch.where(mask, memory.history.shape[1] - 1, memory.newest)
 
     def __call__(self, targets: Tensor) -> Tensor:
         """Takes the new targets [B, nu] and returns what the servos see in every substep [B, decimation, nu]."""
-        self._history = torch.cat([targets.unsqueeze(1), self._history[:, :-1]], dim=1)
-        depth = self._history.shape[1]
-        older = (self._newest + 1).clamp(max=depth - 1).unsqueeze(1)
+        memory = self.memory
+        memory.history = torch.cat([targets.unsqueeze(1), memory.history[:, :-1]], dim=1)
+        depth = memory.history.shape[1]
+        older = (memory.newest + 1).clamp(max=depth - 1).unsqueeze(1)
         wait = self._draw_lags().unsqueeze(1) - self._substep
         age = torch.div(wait.clamp(min=0) + self._decimation - 1, self._decimation, rounding_mode="floor")
         age = torch.minimum(age, older).cummin(dim=1).values
-        self._newest = age[:, -1]
+        memory.newest = age[:, -1]
         # Whole commands by their place in the flattened history: much cheaper than gathering their elements.
         rows = (self._first + age).flatten()
-        return self._history.flatten(0, 1).index_select(0, rows).view(*age.shape, -1)
+        return memory.history.flatten(0, 1).index_select(0, rows).view(*age.shape, -1)
 
     def _draw_lags(self) -> Tensor:
         span = self._high - self._low + 1
-        unit = uniform(self._generator, (2, len(self._newest)), env_axis=1)
+        unit = uniform(self._generator, (2, len(self.memory.newest)), env_axis=1)
         lag = self._low + (unit[0] * span).floor().long().clamp(max=span - 1)
         return lag + (unit[1] < self._hold)

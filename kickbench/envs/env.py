@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from copy import deepcopy
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,11 +19,10 @@ from kickbench.envs.episode import EpisodeRecord, Outcome, Totals
 from kickbench.envs.observing import Observer
 from kickbench.envs.pushes import Pushes
 from kickbench.envs.randomizations import Setting
-from kickbench.envs.snapshot import Snapshot
 from kickbench.envs.starts import FreshStarts, StartPool, Starts, StartSampler
 from kickbench.envs.state import EpisodeState, State
 from kickbench.envs.state_index import StateIndex
-from kickbench.envs.stateful import Stateful, check_tensors
+from kickbench.envs.tensors import Tensors, plain
 from kickbench.envs.variation import ModelVariation
 from kickbench.errors import KickbenchError, shown
 from kickbench.sim.devices import check_device
@@ -87,12 +84,29 @@ class KickEnv(VecEnv):
         made = {bound.term.stage: self._make_process(bound) for bound in task.processes}
         self._delay: ActionDelay | None = made.get("command")
         self._pushes: Pushes | None = made.get("push") if pushes else None
-        self.episode = EpisodeState.zeros(self.num_envs, self.num_actions, self.device)
-        self.record = EpisodeRecord.empty(self.num_envs, len(task.rewards), self.device)
-        self.totals = Totals.zeros(len(task.terminations), self._weights)
+        self.tensors = self._make_tensors()
+        self.episode: EpisodeState = self.tensors.episode
+        self.record: EpisodeRecord = self.tensors.record
+        self.totals: Totals = self.tensors.totals
         self.outcome: Outcome | None = None
-        self._by_side: dict[str, Tensor] = {}
         self.reset()
+
+    def _make_tensors(self) -> Tensors:
+        """All that later steps depend on, but for the engine, the generator and starts that are drawn ahead."""
+        task, worlds = self.task, self.num_envs
+        groups = {name: torch.zeros(worlds, task.width(name), device=self.device) for name in task.groups}
+        tensors = Tensors(
+            episode=EpisodeState.zeros(worlds, self.num_actions, self.device),
+            record=EpisodeRecord.empty(worlds, len(task.rewards), self.device),
+            totals=Totals.zeros(len(task.terminations), self._weights),
+            by_side=Tensors(),
+            observations=Tensors(groups),
+        )
+        if self._delay is not None:
+            tensors["delay"] = self._delay.memory
+        if self._pushes is not None:
+            tensors["pushes"] = self._pushes.memory
+        return tensors
 
     def _prepare_constants(self) -> None:
         task, layout = self.task, self.task.scene.layout
@@ -100,6 +114,7 @@ class KickEnv(VecEnv):
         self._default_target = torch.as_tensor(layout.default_target, dtype=torch.float32, device=self.device)
         self._action_scale = torch.as_tensor(layout.action_scale, dtype=torch.float32, device=self.device)
         self._weights = self._make_weights()
+        self._everywhere = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
         concludes = [not bound.term.truncates for bound in task.terminations]
         self._concludes = torch.tensor(concludes, device=self.device)
         self._observer = Observer(task.groups, self.device, noise=self._noise)
@@ -145,9 +160,11 @@ class KickEnv(VecEnv):
         for bound in task.processes:
             made = self._make_process(bound)
             if isinstance(made, ActionDelay) and self._delay is not None:
-                made.memory, self._delay = self._delay.memory, made
+                made.adopt(self._delay.memory)
+                self._delay, self.tensors["delay"] = made, made.memory
             elif isinstance(made, Pushes) and self._pushes is not None:
-                made.memory, self._pushes = self._pushes.memory, made
+                made.adopt(self._pushes.memory)
+                self._pushes, self.tensors["pushes"] = made, made.memory
 
     @property
     def episode_length_buf(self) -> Tensor:  # type: ignore[override]
@@ -160,29 +177,25 @@ class KickEnv(VecEnv):
 
     def reset(self, mask: Tensor | None = None) -> TensorDict:
         """Starts a new episode in every world, or in those in `mask` [B], and returns the observations."""
-        everywhere = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
-        self._reset(everywhere if mask is None else mask)
+        self._reset(self._everywhere if mask is None else mask)
         return self.get_observations()
 
-    def snapshot(self) -> Snapshot:
-        """Everything that the running episodes are at this instant."""
-        engine, layout = self.engine, self.task.scene.layout
-        present = Snapshot(
-            qpos=engine.qpos.clone(),
-            qvel=engine.qvel.clone(),
-            touches={name: engine.sensors[:, places] for name, places in layout.contacts.items()},
-            forces={name: engine.sensors[:, places] for name, places in layout.forces.items()},
-            episode=replace(self.episode),
-            record=replace(self.record),
-            by_side=dict(self._by_side),
-            delay=None if self._delay is None else self._delay.memory,
-            pushes=None if self._pushes is None else self._pushes.memory,
-            generator=self.generator.get_state(),
-        )
-        # A captured step writes to the tensors that are here now (see `graph`).
-        return deepcopy(present)
+    def snapshot(self) -> Tensors:
+        """Everything that the running episodes are at this instant; nothing is shared with the environment.
 
-    def restore(self, snapshot: Snapshot) -> TensorDict:
+        It holds `qpos` [B, nq], `qvel` [B, nv], `touches` (contact channel -> counts latched over the last control
+        step [B, parts]), `forces` (contact channel -> mean forces, world frame [B, parts, 3], N), the parts of
+        `tensors` but for the observations, and the state of the `generator`.
+        """
+        engine, layout = self.engine, self.task.scene.layout
+        touches = {name: engine.sensors[:, places] for name, places in layout.contacts.items()}
+        forces = {name: engine.sensors[:, places] for name, places in layout.forces.items()}
+        physics = {"qpos": engine.qpos, "qvel": engine.qvel}
+        sensed = {"touches": Tensors(touches), "forces": Tensors(forces)}
+        parts = {name: part for name, part in self.tensors.items() if name != "observations"}
+        return Tensors({**physics, **sensed, **parts, "generator": self.generator.get_state()}).clone()
+
+    def restore(self, snapshot: Tensors) -> TensorDict:
         """Puts every world into the state of a snapshot, and returns the observations of that state.
 
         What follows is then what followed, or would have followed, the snapshot, random numbers included, until an
@@ -191,24 +204,21 @@ class KickEnv(VecEnv):
         observations.
         """
         engine, layout = self.engine, self.task.scene.layout
-        everywhere = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
-        engine.reset(everywhere, snapshot.qpos, snapshot.qvel)
+        engine.reset(self._everywhere, snapshot.qpos, snapshot.qvel)
         for table, places in ((snapshot.touches, layout.contacts), (snapshot.forces, layout.forces)):
             for name, values in table.items():
                 engine.sensors[:, places[name]] = values
-        self._vary(everywhere, snapshot.by_side)
-        self.episode, self.record = replace(snapshot.episode), replace(snapshot.record)
-        if self._delay is not None and snapshot.delay is not None:
-            self._delay.memory = snapshot.delay
-        if self._pushes is not None and snapshot.pushes is not None:
-            self._pushes.memory = snapshot.pushes
-        self._observations = self._observe()
+        self._vary(self._everywhere, snapshot.by_side)
+        for name, part in self.tensors.items():
+            if name in snapshot:
+                part.copy_(snapshot[name])
+        self._observe()
         self.generator.set_state(snapshot.generator)
-        return self._observations
+        return self.get_observations()
 
     def get_observations(self) -> TensorDict:
-        """Observations of the present state by group, {group: [B, width]}."""
-        return self._observations
+        """Observations of the present state by group, {group: [B, width]}; the caller's to keep."""
+        return self._group(self.tensors.observations.clone())
 
     def step(self, actions: Tensor) -> tuple[TensorDict, Tensor, Tensor, dict[str, Tensor]]:
         """Advances every world by one control step; see the class."""
@@ -225,7 +235,7 @@ class KickEnv(VecEnv):
         timed_out = ended & ~(terminated & self._concludes).any(dim=1)
         self._conclude(state, terminated, failed, done)
         self._reset(done)
-        return self._observations, rewards, done, {"time_outs": timed_out}
+        return self.get_observations(), rewards, done, {"time_outs": timed_out}
 
     def advance(self, actions: Tensor) -> State:
         """The first half of a step: applies actions [B, nu], advances physics and counters, and stops there.
@@ -253,8 +263,8 @@ class KickEnv(VecEnv):
 
     def _count(self, state: State) -> None:
         episode = self.episode
-        episode.step = episode.step + 1
-        episode.contact_count = episode.contact_count + ((episode.contact_count > 0) | state.ball_contact)
+        episode.step += 1
+        episode.contact_count += (episode.contact_count > 0) | state.ball_contact
         if self._senses_floor:
             dt = self.task.spec.simulation.control_interval
             episode.air_time = torch.where(state.foot_floor_contact, 0.0, episode.air_time + dt)
@@ -264,14 +274,14 @@ class KickEnv(VecEnv):
         raw = torch.stack([bound(state) for bound, _ in self.task.rewards], dim=1)
         # The numbers of a failed world mean nothing: it earns nothing in its last step.
         raw = torch.where(self.engine.failed.unsqueeze(1), 0.0, raw)
-        self.record.by_reward_raw = self.record.by_reward_raw + raw
+        self.record.by_reward_raw += raw
         return raw @ self._weights
 
     def _conclude(self, state: State, terminated: Tensor, failed: Tensor, done: Tensor) -> None:
         radius = self.task.spec.evaluation.success_radius
         success = done & ~failed & (state.target_distance < radius) & state.ball_stopped & state.ball_touched
-        record = replace(self.record)
-        ball, steps = state.ball_pos[:, :2], self.episode.step
+        record, steps = self.record.clone(), self.episode.step.clone()
+        ball = state.ball_pos[:, :2]
         distance, weights = state.target_distance, self._weights
         self.outcome = Outcome(done, failed, terminated, success, ball, distance, steps, record, weights)
         self.totals.add(self.outcome)
@@ -292,18 +302,24 @@ class KickEnv(VecEnv):
             if process is not None:
                 process.reset(mask)
         self.record.clear(mask)
-        self._observations = self._observe()
+        self._observe()
 
     def _vary(self, mask: Tensor, by_side: Mapping[str, Tensor]) -> None:
         """Lets the worlds in `mask` [B] differ from the compiled model, and remembers how."""
         if not by_side:
             return
         self.engine.set_model(mask, self._variation(by_side))
+        present = self.tensors.by_side
         for name, values in by_side.items():
-            self._by_side[name] = torch.where(mask.unsqueeze(1), values, self._by_side.get(name, values))
+            if name in present:
+                present[name].copy_(torch.where(mask.unsqueeze(1), values, present[name]))
+            else:
+                present[name] = values.clone()
 
-    def _observe(self) -> TensorDict:
-        return self.observations_of(self.state(), self._draws)
+    def _observe(self) -> Tensors:
+        seen = self.tensors.observations
+        seen.copy_(self._observer(self.state(), self._draws))
+        return seen
 
     def observations_of(self, state: State, draws: Draws) -> TensorDict:
         """Observations of a state by group, {group: [B, width]}, with noise from `draws`."""
@@ -314,11 +330,9 @@ class KickEnv(VecEnv):
 
         Only for environments that sample their starts from the task's regions.
         """
-        parts = {name: part.state_dict() for name, part in self._parts().items()}
-        observations = self._observations.clone().to_dict()
-        by_side = {name: values.clone() for name, values in self._by_side.items()}
+        engine, starts = (part.state_dict() for part in self._others())
         rng = self.generator.get_state()
-        return {**parts, "by_side": by_side, "observations": observations, "rng": rng}
+        return {"engine": engine, "starts": starts, "tensors": plain(self.tensors), "rng": rng}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Takes over what `state_dict` of an environment of the same task and size has returned.
@@ -326,47 +340,21 @@ class KickEnv(VecEnv):
         Raises:
             ValueError: It is the state of another task, or of another number of worlds.
         """
-        parts = self._parts()
-        expected = {*parts, "by_side", "observations", "rng"}
+        expected = {"engine", "starts", "tensors", "rng"}
         if set(state) != expected:
             raise ValueError(f"KickEnv: expected {sorted(expected)}, found {sorted(state)}")
-        check_tensors("KickEnv.observations", state["observations"], self._observations.to_dict())
-        check_tensors("KickEnv.by_side", state["by_side"], self._by_side)
-        for name, part in parts.items():
+        self.tensors.copy_(state["tensors"])
+        for part, name in zip(self._others(), ("engine", "starts"), strict=True):
             part.load_state_dict(state[name])
-        everywhere = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
-        self._vary(everywhere, {name: values.to(self.device) for name, values in state["by_side"].items()})
-        groups = {name: group.to(self.device, copy=True) for name, group in state["observations"].items()}
-        self._observations = self._group(groups)
+        self._vary(self._everywhere, self.tensors.by_side)
         # Last: the pool of starts has used the generator to draw its starts again.
         self.generator.set_state(state["rng"])
 
-    def _parts(self) -> dict[str, Any]:
-        """What has a state of its own, by name."""
+    def _others(self) -> tuple[Any, Any]:
+        """What has a state of its own: the engine and the source of starts."""
         from_regions = isinstance(self._starts, StartPool | FreshStarts)
         assert from_regions, "starts from elsewhere have no state that could be kept"
-        return {"engine": self.engine, "starts": self._starts, **self._tables()}
-
-    def _tables(self) -> dict[str, Stateful]:
-        """The parts whose state is a table of tensors, by name."""
-        tables = {"episode": self.episode, "record": self.record, "totals": self.totals}
-        processes = {"delay": self._delay, "pushes": self._pushes}
-        return tables | {name: process for name, process in processes.items() if process is not None}
-
-    def tensors(self) -> dict[str, dict[str, Tensor]]:
-        """Every tensor that a step replaces by a new one, by part and name.
-
-        With the engine's, which are written to in place, and the generator they are the whole state.
-        """
-        parts = {name: part.tensors() for name, part in self._tables().items()}
-        return {**parts, "by_side": dict(self._by_side), "observations": self._observations.to_dict()}
-
-    def bind(self, tensors: Mapping[str, Mapping[str, Tensor]]) -> None:
-        """Puts tensors of the same names, shapes and types in the place of `tensors()`."""
-        for name, part in self._tables().items():
-            part.bind(tensors[name])
-        self._by_side = dict(tensors["by_side"])
-        self._observations = self._group(tensors["observations"])
+        return self.engine, self._starts
 
     def _group(self, groups: Mapping[str, Tensor]) -> TensorDict:
         return TensorDict(dict(groups), batch_size=[self.num_envs], device=self.device)

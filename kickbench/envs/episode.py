@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from kickbench.envs.state import State
-from kickbench.envs.stateful import Stateful
+from kickbench.envs.tensors import Tensors
 
 NO_FOOT, LEFT, RIGHT, BOTH, OTHER = 0, 1, 2, 3, 4
 """Codes of what touched the ball first: the sum of the feet that did, or OTHER, a part that is no foot."""
@@ -16,11 +16,8 @@ FOOT_NAMES = ("none", "left", "right", "other", "other")
 """Names of the codes in tables of episodes; both feet at once count as other."""
 
 
-@dataclass
-class EpisodeRecord(Stateful):
+class EpisodeRecord(Tensors):
     """What is recorded of the running episode; one row a world.
-
-    Its tensors are replaced, never written to, so a shallow copy keeps what was recorded.
 
     Attributes:
         by_reward_raw: Unweighted sum of every reward term [B, R].
@@ -37,23 +34,20 @@ class EpisodeRecord(Stateful):
     @staticmethod
     def empty(worlds: int, rewards: int, device: torch.device) -> EpisodeRecord:
         """Records of episodes that have not begun."""
-        table = torch.zeros(worlds, rewards, device=device)
         foot = torch.zeros(worlds, dtype=torch.int64, device=device)
-        return EpisodeRecord(table, foot, foot - 1, torch.zeros(worlds, device=device))
+        return EpisodeRecord(
+            by_reward_raw=torch.zeros(worlds, rewards, device=device),
+            kick_foot=foot,
+            kick_step=foot - 1,
+            peak_ball_speed=torch.zeros(worlds, device=device),
+        )
 
     def clear(self, mask: Tensor) -> None:
         """Starts new records in the worlds in `mask` [B]."""
-        for field in fields(self):
-            empty = -1 if field.name == "kick_step" else 0
-            value = getattr(self, field.name)
-            cleared = value.masked_fill(mask if value.dim() == 1 else mask.unsqueeze(1), empty)
-            setattr(self, field.name, cleared)
-
-    def mirrored(self) -> EpisodeRecord:
-        """The record of the mirrored episode: left and right feet swap."""
-        foot = self.kick_foot
-        swapped = torch.where(foot == LEFT, RIGHT, torch.where(foot == RIGHT, LEFT, foot))
-        return replace(self, kick_foot=swapped)
+        for name, value in self.items():
+            value.masked_fill_(
+                mask if value.dim() == 1 else mask.unsqueeze(1), -1 if name == "kick_step" else 0
+            )
 
     def note_touch(self, state: State, failed: Tensor, has_feet: bool) -> None:
         """Remembers step and foot of the first touch, and the ball's peak speed.
@@ -75,8 +69,7 @@ class EpisodeRecord(Stateful):
         self.peak_ball_speed = torch.where(failed, self.peak_ball_speed, peak)
 
 
-@dataclass
-class Totals(Stateful):
+class Totals(Tensors):
     """Sums over the episodes finished since the last reading.
 
     Attributes:
@@ -96,7 +89,8 @@ class Totals(Stateful):
     def zeros(terminations: int, weights: Tensor) -> Totals:
         """Nothing counted yet."""
         endings = torch.zeros(3 + terminations, device=weights.device)
-        return Totals(torch.zeros((), device=weights.device), endings, torch.zeros_like(weights), weights)
+        steps = torch.zeros((), device=weights.device)
+        return Totals(steps=steps, endings=endings, by_reward_raw=torch.zeros_like(weights), weights=weights)
 
     def add(self, outcome: Outcome) -> None:
         """Adds the worlds that are done."""

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from kickbench.envs.delay import whole_steps
 from kickbench.envs.draws import Draws, uniform
-from kickbench.envs.stateful import Stateful
+from kickbench.envs.tensors import Tensors
 
 
-@dataclass(frozen=True)
-class PushMemory:
+class PushMemory(Tensors):
     """Where the schedule of every world stands.
 
     Attributes:
@@ -29,20 +27,13 @@ class PushMemory:
     force: Tensor
     side: Tensor
 
-    def mirrored(self) -> PushMemory:
-        """The reflection in the xz plane, of the pushes to come as well."""
-        force = torch.stack([self.force[:, 0], -self.force[:, 1]], dim=1)
-        return PushMemory(self.wait, force, -self.side)
 
-
-class Pushes(Stateful):
+class Pushes:
     """Per-world schedule of pushes.
 
     After an interval drawn uniformly, a horizontal force of uniform magnitude and direction acts on the base's
     centre of mass for the given duration; then the next interval is drawn.
     """
-
-    STATE = ("_wait", "_force", "_side")
 
     def __init__(
         self,
@@ -69,34 +60,33 @@ class Pushes(Stateful):
         self._steps = max(1, round(duration / control_interval))
         self._range, self._generator = force, generator
         device = generator.device
-        self._wait = torch.zeros(num_worlds, dtype=torch.int64, device=device)
-        self._force = torch.zeros(num_worlds, 2, device=device)
-        self._side = torch.ones(num_worlds, device=device)
+        self.memory = PushMemory(
+            wait=torch.zeros(num_worlds, dtype=torch.int64, device=device),
+            force=torch.zeros(num_worlds, 2, device=device),
+            side=torch.ones(num_worlds, device=device),
+        )
         self.reset(torch.ones(num_worlds, dtype=torch.bool, device=device))
 
     def reset(self, mask: Tensor) -> None:
         """Draws a new first interval in the worlds in `mask` [B]; a push that acts there ends."""
-        self._wait = torch.where(mask, self._whole(next(self._draw(_UNIT))), self._wait)
-        self._side = torch.where(mask, 1.0, self._side)
+        memory = self.memory
+        memory.wait = torch.where(mask, self._whole(next(self._draw(_UNIT))), memory.wait)
+        memory.side = torch.where(mask, 1.0, memory.side)
 
-    @property
-    def memory(self) -> PushMemory:
-        """Where the schedule stands; its tensors are replaced, never written to."""
-        return PushMemory(self._wait, self._force, self._side)
-
-    @memory.setter
-    def memory(self, memory: PushMemory) -> None:
-        self._wait, self._force, self._side = memory.wait, memory.force, memory.side
+    def adopt(self, memory: PushMemory) -> None:
+        """Goes on from where another schedule stands."""
+        self.memory.copy_(memory)
 
     def __call__(self) -> Tensor:
         """Advances the schedule by one control step and returns the force of that step, world frame [B, 2], N."""
         wait, magnitude, angle = self._draw(_UNIT, self._range, _TURN)
-        self._wait = self._wait - 1
-        force = torch.stack([magnitude * angle.cos(), self._side * magnitude * angle.sin()], dim=1)
-        self._force = torch.where((self._wait == -1).unsqueeze(1), force, self._force)
-        acting = self._wait < 0
-        self._wait = torch.where(self._wait <= -self._steps, self._whole(wait), self._wait)
-        return self._force * acting.unsqueeze(1)
+        memory = self.memory
+        memory.wait -= 1
+        force = torch.stack([magnitude * angle.cos(), memory.side * magnitude * angle.sin()], dim=1)
+        memory.force = torch.where((memory.wait == -1).unsqueeze(1), force, memory.force)
+        acting = memory.wait < 0
+        memory.wait = torch.where(memory.wait <= -self._steps, self._whole(wait), memory.wait)
+        return memory.force * acting.unsqueeze(1)
 
     def _whole(self, unit: Tensor) -> Tensor:
         """Intervals in control steps, each of the range as likely, from uniform numbers in [0, 1)."""
@@ -105,7 +95,7 @@ class Pushes(Stateful):
 
     def _draw(self, *ranges: tuple[float, float]) -> Iterator[Tensor]:
         """Uniform numbers, one row of [B] a range."""
-        unit = uniform(self._generator, (len(ranges), len(self._wait)), env_axis=1)
+        unit = uniform(self._generator, (len(ranges), len(self.memory.wait)), env_axis=1)
         return (low + (high - low) * row for (low, high), row in zip(ranges, unit.unbind(), strict=True))
 
 

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from kickbench.config.task import BallSampling, BallSpec, SamplingSpec
+from kickbench.envs.tensors import across, sides_swapped
 from kickbench.sim.layout import SceneLayout
 from kickbench.symmetry.torch_ops import Mirror
 
@@ -58,12 +59,8 @@ class Starts:
 
     def mirrored(self, qpos: Mirror, qvel: Mirror) -> Starts:
         """Reflects every start in the xz plane; `qpos` and `qvel` are the model's mirror maps."""
-        target = self.target * self.target.new_tensor([1.0, -1.0])
-        by_side = {
-            name: torch.cat([values[:, :2].flip(1), values[:, 2:]], dim=1)
-            for name, values in self.by_side.items()
-        }
-        return Starts(qpos(self.qpos), qvel(self.qvel), target, self.joints, by_side)
+        by_side = {name: sides_swapped(values) for name, values in self.by_side.items()}
+        return Starts(qpos(self.qpos), qvel(self.qvel), across(self.target), self.joints, by_side)
 
     def varied(self, name: str, values: Tensor) -> Starts:
         """The same starts with values by side [N, 2 or 3] of a randomisation."""

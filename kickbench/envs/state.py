@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 
 import torch
@@ -10,14 +9,12 @@ from torch import Tensor
 
 from kickbench.config.task import EpisodeSpec
 from kickbench.envs.state_index import StateIndex
-from kickbench.envs.stateful import Stateful
+from kickbench.envs.tensors import Tensors
 from kickbench.sim.engine import Engine
 from kickbench.sim.sensors import SIDES
-from kickbench.symmetry.torch_ops import Mirror
 
 
-@dataclass
-class EpisodeState(Stateful):
+class EpisodeState(Tensors):
     """What an episode remembers beyond the physical state; one row a world.
 
     Attributes:
@@ -42,14 +39,15 @@ class EpisodeState(Stateful):
         """All counters and actions at zero."""
         count = torch.zeros(num_worlds, dtype=torch.int64, device=device)
         action = torch.zeros(num_worlds, num_actions, device=device)
-        target = torch.zeros(num_worlds, 2, device=device)
-        return EpisodeState(count, count.clone(), target, action, action.clone(), torch.zeros_like(target))
-
-    def mirrored(self, actions: Mirror) -> EpisodeState:
-        """The reflection in the xz plane, given that of an action."""
-        target = self.target * self.target.new_tensor([1.0, -1.0])
-        action, previous = actions(self.action), actions(self.previous_action)
-        return EpisodeState(self.step, self.contact_count, target, action, previous, self.air_time.flip(1))
+        pair = torch.zeros(num_worlds, 2, device=device)
+        return EpisodeState(
+            step=count,
+            contact_count=count.clone(),
+            target=pair,
+            action=action,
+            previous_action=action.clone(),
+            air_time=pair.clone(),
+        )
 
 
 def length(vectors: Tensor) -> Tensor:
