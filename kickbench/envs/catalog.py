@@ -31,12 +31,12 @@ S = TypeVar("S", bound=Spec)
 class Catalog:
     """All terms by kind and name."""
 
-    observations: Mapping[str, Term[Any]]
-    rewards: Mapping[str, Term[Any]]
-    terminations: Mapping[str, Term[Any]]
-    randomizations: Mapping[str, Term[Any]]
+    observations: Mapping[str, Term]
+    rewards: Mapping[str, Term]
+    terminations: Mapping[str, Term]
+    randomizations: Mapping[str, Term]
 
-    def all(self) -> tuple[Term[Any], ...]:
+    def all(self) -> tuple[Term, ...]:
         """Every term, kind by kind in the order of definition."""
         tables = (self.observations, self.rewards, self.terminations, self.randomizations)
         return tuple(term for table in tables for term in table.values())
@@ -55,7 +55,7 @@ def catalog(own: str | Path | None = None) -> Catalog:
 
 
 @cache
-def _catalog(own: tuple[Term[Any], ...]) -> Catalog:
+def _catalog(own: tuple[Term, ...]) -> Catalog:
     return Catalog(
         _terms(observations, "observation", own),
         _terms(rewards, "reward", own),
@@ -64,7 +64,7 @@ def _catalog(own: tuple[Term[Any], ...]) -> Catalog:
     )
 
 
-def _terms(module: ModuleType, kind: Kind, own: tuple[Term[Any], ...]) -> dict[str, Term[Any]]:
+def _terms(module: ModuleType, kind: Kind, own: tuple[Term, ...]) -> dict[str, Term]:
     shipped = [value for value in vars(module).values() if isinstance(value, Term)]
     found = {term.name: term for term in shipped if term.kind == kind}
     for term in own:
@@ -112,7 +112,7 @@ def _growing(terms: Catalog) -> dict[str, Any]:
     return {key: (RAMP | None, Field(None, description=f"How {key} grows.")) for key in keys}
 
 
-def _table(name: str, base: type[TermTable], terms: Mapping[str, Term[Any]]) -> type[TermTable]:
+def _table(name: str, base: type[TermTable], terms: Mapping[str, Term]) -> type[TermTable]:
     fields = {key: (t.params | None, Field(None, description=t.summary)) for key, t in terms.items()}
     return _model(name, base, fields)
 

@@ -37,7 +37,7 @@ from kickbench.sim.sensors import SensorGroup, available_groups
 class Bound:
     """A term with its parameters."""
 
-    term: Term[Any]
+    term: Term
     params: TermParams
 
     @property
@@ -174,7 +174,7 @@ def check_task(task: LoadedTask[Any]) -> None:
     spec, document = task.spec, task.document
     terms, problems = catalog(spec.terms), list[Problem]()
     have = available_groups(task.robot.spec)
-    tables: dict[tuple[str, ...], tuple[Mapping[str, Term[Any]], TermTable]] = {
+    tables: dict[tuple[str, ...], tuple[Mapping[str, Term], TermTable]] = {
         ("observations", "actor"): (terms.observations, spec.observations.actor),
         ("observations", "critic"): (terms.observations, spec.observations.critic),
         ("rewards",): (terms.rewards, spec.rewards),
@@ -213,7 +213,7 @@ def _unknown_joints(task: LoadedTask[Any], path: KeyPath, params: TermParams) ->
             yield task.document.problem((*path, *key), what, hint)
 
 
-def _bind(known: Mapping[str, Term[Any]], table: TermTable, kind: type[TermParams]) -> tuple[Bound, ...]:
+def _bind(known: Mapping[str, Term], table: TermTable, kind: type[TermParams]) -> tuple[Bound, ...]:
     return tuple(Bound(known[name], params) for name, params in table.active(kind).items())
 
 
@@ -247,7 +247,7 @@ def _fields(bounds: tuple[Bound, ...], joints: int, actions: int) -> tuple[Field
     return tuple(fields)
 
 
-def field_size(term: Term[Any], joints: int, actions: int) -> int:
+def field_size(term: Term, joints: int, actions: int) -> int:
     """Length of an observation field for a robot with that many observed joints and actions."""
     return {"joints": joints, "actions": actions}[term.size] if isinstance(term.size, str) else term.size
 

@@ -50,7 +50,7 @@ class FootFriction(RandomizationParams):
     """Range of the sliding friction coefficient."""
 
 
-@randomization("3.1", units="1", needs=("foot_ball",), params=FootFriction)
+@randomization("3.1", units="1", needs=("foot_ball",))
 def foot_friction(starts: Starts, params: FootFriction, draw: Draw) -> Starts:
     """Sliding friction of each foot, uniform, drawn anew for every foot and episode."""
     return starts.varied("foot_friction", draw(*params.range, len(starts), 2))
@@ -78,25 +78,25 @@ class FactorsBySide(RandomizationParams):
         return torch.cat([draw(*bounds, count, 1) for bounds in sides], dim=1)
 
 
-@randomization("5.1 (future work: asymmetric hardware)", units="1", params=FactorsBySide)
+@randomization("5.1 (future work: asymmetric hardware)", units="1")
 def link_mass(starts: Starts, params: FactorsBySide, draw: Draw) -> Starts:
     """Factor of mass and inertia of all bodies of a side, drawn anew for every side and episode."""
     return starts.varied("link_mass", params.draw(draw, len(starts)))
 
 
-@randomization("5.1 (future work: asymmetric hardware)", units="1", params=FactorsBySide)
+@randomization("5.1 (future work: asymmetric hardware)", units="1")
 def servo_stiffness(starts: Starts, params: FactorsBySide, draw: Draw) -> Starts:
     """Factor of kp of all position servos of a side, drawn anew for every side and episode."""
     return starts.varied("servo_stiffness", params.draw(draw, len(starts)))
 
 
-@randomization("5.1 (future work: asymmetric hardware)", units="1", params=FactorsBySide)
+@randomization("5.1 (future work: asymmetric hardware)", units="1")
 def servo_damping(starts: Starts, params: FactorsBySide, draw: Draw) -> Starts:
     """Factor of kd of all servos of a side, drawn anew for every side and episode."""
     return starts.varied("servo_damping", params.draw(draw, len(starts)))
 
 
-@randomization("5.1 (future work: asymmetric hardware)", units="1", params=FactorsBySide)
+@randomization("5.1 (future work: asymmetric hardware)", units="1")
 def motor_strength(starts: Starts, params: FactorsBySide, draw: Draw) -> Starts:
     """Factor of the effort limit of all servos of a side, drawn anew for every side and episode.
 
@@ -113,7 +113,7 @@ class JointPosition(RandomizationParams):
     """Half-width of the uniform offset, rad."""
 
 
-@randomization("not in the thesis: chosen so that initial poses differ", units="rad", params=JointPosition)
+@randomization("not in the thesis: chosen so that initial poses differ", units="rad")
 def joint_position(starts: Starts, params: JointPosition, draw: Draw) -> Starts:
     """Uniform offset of every observed joint from the default pose."""
     offset = draw(-params.noise, params.noise, len(starts), len(starts.joints))
@@ -151,7 +151,6 @@ class ActionDelay(RandomizationParams):
     "3.1 Action Delay; in seconds, since its 2 to 8 steps are 10 to 40 ms only at 5 ms",
     units="s",
     stage="command",
-    params=ActionDelay,
 )
 def action_delay(params: ActionDelay, setting: Setting) -> DelayBuffer:
     """The servos follow the newest command of at least a certain age, drawn anew for every control step and world."""
@@ -178,10 +177,7 @@ class Pushes(RandomizationParams):
 
 
 @randomization(
-    "3.1 Physical Perturbations; duration and force are not in the thesis",
-    units="N",
-    stage="push",
-    params=Pushes,
+    "3.1 Physical Perturbations; duration and force are not in the thesis", units="N", stage="push"
 )
 def pushes(params: Pushes, setting: Setting) -> PushSchedule:
     """A horizontal force of random magnitude and direction acts on the base at random intervals."""
