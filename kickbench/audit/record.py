@@ -238,8 +238,8 @@ class _Recorder:
             pairs.add(touch[0], touch[1], keep)
         for name, pairs in self.forces.items():
             pairs.add(image.forces[name].sum(dim=1), there.forces[name].sum(dim=1), keep)
-        if "pushes" in here:
-            self._count("pushed", (here.pushes.wait < 0) & keep)
+        if "push" in here:
+            self._count("pushed", (here.push.wait < 0) & keep)
 
     def _note_terms(self, state: State, image: State, keep: Tensor) -> None:
         for pairs in (*self.fields, *self.rewards, *self.terminations):

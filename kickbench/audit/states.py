@@ -122,9 +122,9 @@ def vary_episodes(env: KickEnv, snapshot: Tensors, fresh: Tensor, draws: torch.G
     episode.target = torch.where(near.unsqueeze(1), target, episode.target)
     episode.action = torch.where(moved, actions[0], episode.action)
     episode.previous_action = torch.where(moved, actions[1], episode.previous_action)
-    if "pushes" in snapshot:
+    if "push" in snapshot:
         soon = torch.randint(1, 20, (worlds,), generator=draws)
-        snapshot.pushes.wait = torch.where(fresh & (kind % 2 == 0), soon, snapshot.pushes.wait)
+        snapshot.push.wait = torch.where(fresh & (kind % 2 == 0), soon, snapshot.push.wait)
     return snapshot
 
 

@@ -12,13 +12,10 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from kickbench.envs.compile import Bound, CompiledTask, read_task
-from kickbench.envs.delay import ActionDelay
-from kickbench.envs.draws import Draws
+from kickbench.envs.disturbances import Draws, Setting
 from kickbench.envs.engines import make_engine as make_engine
 from kickbench.envs.episode import EpisodeRecord, Outcome, Totals
 from kickbench.envs.observing import Observer
-from kickbench.envs.pushes import Pushes
-from kickbench.envs.randomizations import Setting
 from kickbench.envs.starts import FreshStarts, StartPool, Starts, StartSampler
 from kickbench.envs.state import EpisodeState, State
 from kickbench.envs.state_index import StateIndex
@@ -82,8 +79,7 @@ class KickEnv(VecEnv):
         self._noise = noise
         self._prepare_constants()
         made = {bound.term.stage: self._make_process(bound) for bound in task.processes}
-        self._delay: ActionDelay | None = made.get("command")
-        self._pushes: Pushes | None = made.get("push") if pushes else None
+        self._processes = {stage: process for stage, process in made.items() if pushes or stage != "push"}
         self.tensors = self._make_tensors()
         self.episode: EpisodeState = self.tensors.episode
         self.record: EpisodeRecord = self.tensors.record
@@ -95,18 +91,14 @@ class KickEnv(VecEnv):
         """All that later steps depend on, but for the engine, the generator and starts that are drawn ahead."""
         task, worlds = self.task, self.num_envs
         groups = {name: torch.zeros(worlds, task.width(name), device=self.device) for name in task.groups}
-        tensors = Tensors(
+        return Tensors(
             episode=EpisodeState.zeros(worlds, self.num_actions, self.device),
             record=EpisodeRecord.empty(worlds, len(task.rewards), self.device),
             totals=Totals.zeros(len(task.terminations), self._weights),
             by_side=Tensors(),
             observations=Tensors(groups),
+            **{stage: process.memory for stage, process in self._processes.items()},
         )
-        if self._delay is not None:
-            tensors["delay"] = self._delay.memory
-        if self._pushes is not None:
-            tensors["pushes"] = self._pushes.memory
-        return tensors
 
     def _prepare_constants(self) -> None:
         task, layout = self.task, self.task.scene.layout
@@ -141,7 +133,7 @@ class KickEnv(VecEnv):
     def _make_process(self, bound: Bound) -> Any:
         spec = self.task.spec.simulation
         setting = Setting(spec.timestep, spec.decimation, self._default_target, self.num_envs, self._draws)
-        return bound.term.function(bound.params, setting)
+        return bound(setting)
 
     def grow(self, task: CompiledTask) -> None:
         """Goes on with other values of the same task: regions, reward weights, randomisation.
@@ -159,12 +151,9 @@ class KickEnv(VecEnv):
             weights.copy_(self._make_weights())
         for bound in task.processes:
             made = self._make_process(bound)
-            if isinstance(made, ActionDelay) and self._delay is not None:
-                made.adopt(self._delay.memory)
-                self._delay, self.tensors["delay"] = made, made.memory
-            elif isinstance(made, Pushes) and self._pushes is not None:
-                made.adopt(self._pushes.memory)
-                self._pushes, self.tensors["pushes"] = made, made.memory
+            if (stage := bound.term.stage) in self._processes:
+                made.adopt(self._processes[stage].memory)
+                self._processes[stage], self.tensors[stage] = made, made.memory
 
     @property
     def episode_length_buf(self) -> Tensor:  # type: ignore[override]
@@ -251,9 +240,10 @@ class KickEnv(VecEnv):
         self.episode.previous_action = self.episode.action
         self.episode.action = actions
         targets = self.targets(actions)
-        if self._pushes is not None:
-            self.engine.push(torch.nn.functional.pad(self._pushes(), (0, 1)))
-        self.engine.step(targets if self._delay is None else self._delay(targets))
+        if "push" in self._processes:
+            self.engine.push(torch.nn.functional.pad(self._processes["push"](), (0, 1)))
+        delay = self._processes.get("command")
+        self.engine.step(targets if delay is None else delay(targets))
         # A delay would hand numbers that are none to the physics later, and rewards would have read them before.
         self.engine.failed |= (actions * 0.0).sum(dim=1).isnan()
 
@@ -298,9 +288,8 @@ class KickEnv(VecEnv):
         episode.action = torch.where(column, 0.0, episode.action)
         episode.previous_action = torch.where(column, 0.0, episode.previous_action)
         episode.air_time = torch.where(column, 0.0, episode.air_time)
-        for process in (self._delay, self._pushes):
-            if process is not None:
-                process.reset(mask)
+        for process in self._processes.values():
+            process.reset(mask)
         self.record.clear(mask)
         self._observe()
 

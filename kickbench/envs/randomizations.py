@@ -1,46 +1,22 @@
 """Randomisation (thesis 3.1).
 
 One of episode starts is `(starts, params, draw) -> starts`. One of another stage makes the process that acts during
-the episode: `(params, setting) -> process`.
+the episode: `(setting, params) -> process`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import torch
 from pydantic import model_validator
 from torch import Tensor
 
-from kickbench.config.base import Fraction, NonNegativeRange, PositiveFloat, PositiveRange
-from kickbench.config.task import TaskSpec
+from kickbench.config.base import NonNegativeRange, PositiveFloat, PositiveRange
 from kickbench.config.terms import RandomizationParams
-from kickbench.envs.delay import ActionDelay as DelayBuffer
-from kickbench.envs.delay import whole_steps
-from kickbench.envs.draws import Draws
-from kickbench.envs.pushes import Pushes as PushSchedule
+from kickbench.envs.disturbances import ActionDelay, DelayLine, Pushes, PushSchedule, Setting
 from kickbench.envs.starts import Draw, Starts
 from kickbench.envs.term import randomization
-
-
-@dataclass(frozen=True)
-class Setting:
-    """What a process needs to know of its environment.
-
-    Attributes:
-        timestep: Physics time step, s.
-        decimation: Physics steps per control step.
-        default_target: Control target of a zero action [nu].
-        num_worlds: Number of worlds B.
-        generator: Source of all draws.
-    """
-
-    timestep: float
-    decimation: int
-    default_target: Tensor
-    num_worlds: int
-    generator: Draws
 
 
 class FootFriction(RandomizationParams):
@@ -122,65 +98,19 @@ def joint_position(starts: Starts, params: JointPosition, draw: Draw) -> Starts:
     return replace(starts, qpos=qpos)
 
 
-class ActionDelay(RandomizationParams):
-    """Parameters of `action_delay`."""
-
-    delay: NonNegativeRange
-    """Age that a command must have to act, s; whole physics steps are drawn from it."""
-    hold_probability: Fraction = 0.0
-    """Probability that the delay is one physics step longer."""
-
-    def misfits(self, task: TaskSpec) -> Iterator[tuple[str, str]]:
-        """A delay that outlasts the episode, or that no whole number of physics steps lies in."""
-        low, high = self.delay
-        timestep, length = task.simulation.timestep, task.seconds
-        if high >= length:
-            yield (
-                "delay",
-                f"a delay of {high:g} s outlasts the episode of {length:g} s: commands would never act",
-            )
-        first, last = whole_steps(self.delay, timestep)
-        if first > last:
-            yield (
-                "delay",
-                f"no multiple of the time step of {timestep:g} s lies between {low:g} and {high:g} s",
-            )
-
-
 @randomization(
     "3.1 Action Delay; in seconds, since its 2 to 8 steps are 10 to 40 ms only at 5 ms",
     units="s",
     stage="command",
 )
-def action_delay(params: ActionDelay, setting: Setting) -> DelayBuffer:
+def action_delay(setting: Setting, params: ActionDelay) -> DelayLine:
     """The servos follow the newest command of at least a certain age, drawn anew for every control step and world."""
-    return DelayBuffer(
-        params.delay,
-        params.hold_probability,
-        setting.timestep,
-        setting.decimation,
-        setting.default_target,
-        setting.num_worlds,
-        setting.generator,
-    )
-
-
-class Pushes(RandomizationParams):
-    """Parameters of `pushes`."""
-
-    interval: NonNegativeRange
-    """Time between two pushes, s."""
-    duration: PositiveFloat
-    """Length of a push, s."""
-    force: NonNegativeRange
-    """Magnitude of the force, N."""
+    return DelayLine(setting, params)
 
 
 @randomization(
     "3.1 Physical Perturbations; duration and force are not in the thesis", units="N", stage="push"
 )
-def pushes(params: Pushes, setting: Setting) -> PushSchedule:
+def pushes(setting: Setting, params: Pushes) -> PushSchedule:
     """A horizontal force of random magnitude and direction acts on the base at random intervals."""
-    step = setting.timestep * setting.decimation
-    schedule = (params.interval, params.duration, params.force)
-    return PushSchedule(*schedule, step, setting.num_worlds, setting.generator)
+    return PushSchedule(setting, params)

@@ -81,9 +81,9 @@ class Tensors(dict[str, Any]):
             "episode.previous_action": actions,
             "episode.air_time": sides_swapped,
             "record.kick_foot": _feet_swapped,
-            "delay.history": actions,
-            "pushes.force": across,
-            "pushes.side": torch.neg,
+            "command.history": actions,
+            "push.force": across,
+            "push.side": torch.neg,
         }  # fmt: skip
         sensed = {
             part: {_other_side(name): value for name, value in self[part].items()}

@@ -44,7 +44,7 @@ class Term:
         name: Name in YAML: the function's name.
         kind: Which table it belongs to.
         function: `(state, params) -> Tensor[B, ...]`; a randomisation of initial states maps `(states, params, draw)`
-            to states, one of another stage makes `(setting, params)` the process that acts during episodes.
+            to states, one of another stage maps `(setting, params)` to the process that acts during episodes.
         params: Model of its parameters: the type of the function's `params`.
         units: Unit of the returned value.
         source: Section of the thesis, or paper.

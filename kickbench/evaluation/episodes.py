@@ -15,7 +15,7 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from kickbench.envs.compile import CompiledTask
-from kickbench.envs.draws import EpisodeDraws
+from kickbench.envs.disturbances import EpisodeDraws
 from kickbench.envs.engines import make_engine
 from kickbench.envs.env import KickEnv
 from kickbench.envs.episode import FOOT_NAMES

@@ -5,20 +5,19 @@ from __future__ import annotations
 import pytest
 import torch
 
-from kickbench.envs.delay import ActionDelay, whole_steps
+from kickbench.envs.disturbances import ActionDelay, DelayLine, Setting, whole_steps
 
 
-def make_delay(
-    low: float, high: float, hold: float = 0.0, worlds: int = 1, decimation: int = 4
-) -> ActionDelay:
+def make_delay(low: float, high: float, hold: float = 0.0, worlds: int = 1, decimation: int = 4) -> DelayLine:
     """A buffer at 5 ms whose default target is 0."""
     generator = torch.Generator().manual_seed(0)
-    delay = ActionDelay((low, high), hold, 0.005, decimation, torch.zeros(1), worlds, generator)
+    setting = Setting(0.005, decimation, torch.zeros(1), worlds, generator)
+    delay = DelayLine(setting, ActionDelay(delay=(low, high), hold_probability=hold))
     delay.reset(torch.ones(worlds, dtype=torch.bool))
     return delay
 
 
-def commands(delay: ActionDelay, steps: int, worlds: int = 1) -> torch.Tensor:
+def commands(delay: DelayLine, steps: int, worlds: int = 1) -> torch.Tensor:
     """Issues 1, 2, 3, ... and returns what the servos see [worlds, steps * decimation]."""
     seen = [delay(torch.full((worlds, 1), float(step)))[:, :, 0] for step in range(1, steps + 1)]
     return torch.cat(seen, dim=1)
@@ -73,7 +72,8 @@ def test_lags_are_uniform_over_the_range_and_held_with_the_probability_in_yaml(t
 def test_the_delay_in_seconds_does_not_depend_on_the_time_step():
     for timestep, decimation in ((0.005, 4), (0.002, 10)):
         generator = torch.Generator().manual_seed(0)
-        delay = ActionDelay((0.010, 0.040), 0.0, timestep, decimation, torch.zeros(1), 5000, generator)
+        setting = Setting(timestep, decimation, torch.zeros(1), 5000, generator)
+        delay = DelayLine(setting, ActionDelay(delay=(0.010, 0.040)))
         seconds = delay._draw_lags() * timestep
         assert seconds.min() == pytest.approx(0.010)
         assert seconds.max() == pytest.approx(0.040)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from kickbench.envs.draws import EpisodeDraws, uniform
+from kickbench.envs.disturbances import EpisodeDraws, uniform
 
 
 def test_one_generator_for_all_envs_draws_as_torch_does():

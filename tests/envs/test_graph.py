@@ -95,8 +95,8 @@ def test_steps_between_buffers_give_the_trajectories_of_plain_steps_bit_for_bit(
     }
     assert sum(int(step[".returned.done"].sum()) for step in expected) > 5, "resets are part of it"
     if name == "k1":
-        assert any(step[".state.tensors.pushes.force"].any() for step in expected), "so are pushes"
-        assert ".state.tensors.delay.history" in expected[0], "and the delay"
+        assert any(step[".state.tensors.push.force"].any() for step in expected), "so are pushes"
+        assert ".state.tensors.command.history" in expected[0], "and the delay"
 
 
 def addresses(env: KickEnv) -> dict[str, int]:

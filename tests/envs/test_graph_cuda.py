@@ -221,7 +221,7 @@ def test_the_made_up_engine_resets_pushes_and_differs_from_world_to_world():
     assert_equal(first, trajectory(plain := drifting("cpu"), plain, 20))
     assert env.totals.take().episodes > 64
     assert env.engine.sensors[:, 0].unique().numel() > 32
-    assert env.tensors.pushes.force.any()
+    assert env.tensors.push.force.any()
 
 
 @pytest.mark.slow

@@ -7,12 +7,13 @@ import math
 import pytest
 import torch
 
-from kickbench.envs.pushes import Pushes
+from kickbench.envs.disturbances import Pushes, PushSchedule, Setting
 
 
 def roll(steps: int, worlds: int, interval=(1.0, 3.0), duration=0.2, force=(0.0, 30.0)) -> torch.Tensor:
     """Forces [steps, worlds, 2] at 20 ms a step."""
-    schedule = Pushes(interval, duration, force, 0.02, worlds, torch.Generator().manual_seed(0))
+    setting = Setting(0.005, 4, torch.zeros(1), worlds, torch.Generator().manual_seed(0))
+    schedule = PushSchedule(setting, Pushes(interval=interval, duration=duration, force=force))
     return torch.stack([schedule() for _ in range(steps)])
 
 
@@ -61,7 +62,8 @@ def test_the_force_is_constant_during_a_push_and_uniform_in_magnitude_and_direct
 
 
 def test_a_reset_ends_the_push_of_its_worlds_and_draws_a_new_interval():
-    schedule = Pushes((0.1, 0.1), 1.0, (5.0, 5.0), 0.02, 2, torch.Generator().manual_seed(0))
+    setting = Setting(0.005, 4, torch.zeros(1), 2, torch.Generator().manual_seed(0))
+    schedule = PushSchedule(setting, Pushes(interval=(0.1, 0.1), duration=1.0, force=(5.0, 5.0)))
     forces = [schedule() for _ in range(8)]
     assert (forces[-1].norm(dim=1) > 0).all()
     schedule.reset(torch.tensor([True, False]))

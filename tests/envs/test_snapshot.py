@@ -50,14 +50,14 @@ def running() -> KickEnv:
 def test_every_part_of_the_state_is_in_motion(running):
     found = flat(running.snapshot())
     for part in (
-        "delay.history",
-        "pushes.force",
+        "command.history",
+        "push.force",
         "episode.target",
         "episode.action",
         "by_side.foot_friction",
     ):
         assert found[part].abs().max() > 0, part
-    assert (found["pushes.wait"] < 0).any(), "a push acts somewhere"
+    assert (found["push.wait"] < 0).any(), "a push acts somewhere"
 
 
 def test_restored_worlds_go_on_as_they_did(running):
@@ -116,7 +116,7 @@ def test_the_image_of_a_running_episode_remains_its_image(running):
         error = (there["critic"] - see(here["critic"])).abs() / (1.0 + here["critic"].abs())
         # Of late, chaos may have magnified the last digits in a few worlds.
         assert (error.amax(dim=1)[alive] < 1e-3).float().mean() > 0.9
-        pushed |= running.snapshot().pushes.wait < 0
+        pushed |= running.snapshot().push.wait < 0
     assert alive.sum() > WORLDS / 2
     assert pushed.any()
 
@@ -138,6 +138,6 @@ def test_left_and_right_swap_in_what_is_remembered(running):
 def test_a_new_episode_is_pushed_as_any_other(running):
     other = make_env(8)
     other.restore(mirrored(running.snapshot()))
-    assert (other.snapshot().pushes.side == -1).all()
+    assert (other.snapshot().push.side == -1).all()
     other.reset(torch.arange(WORLDS) < 4)
-    assert other.snapshot().pushes.side.tolist() == [1.0] * 4 + [-1.0] * (WORLDS - 4)
+    assert other.snapshot().push.side.tolist() == [1.0] * 4 + [-1.0] * (WORLDS - 4)
