@@ -173,8 +173,8 @@ class _Recorder:
         worlds = max(min(_WORLDS, states // _STEPS), _KINDS, 2 * actions + 1)
         starts = VariedStarts(task, seed)
         engines = [make_engine(task, worlds, num_threads=threads) for _ in range(2)]
-        self.env = KickEnv(task, engines[0], seed, noise=False, starts=starts)
-        self.other = KickEnv(task, engines[1], seed, noise=False, starts=starts)
+        self.env = KickEnv(task, engines[0], seed, noise=False, initial_states=starts)
+        self.other = KickEnv(task, engines[1], seed, noise=False, initial_states=starts)
         self.actions = VariedActions(worlds, actions, seed)
         self.draws = torch.Generator().manual_seed(seed)
         # Thrown robots are followed until they lie.

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from kickbench.envs.compile import CompiledTask
 from kickbench.envs.env import KickEnv
-from kickbench.envs.starts import Starts, StartSampler
+from kickbench.envs.initial_states import InitialStates, InitialStateSampler
 from kickbench.envs.tensors import Tensors
 
 _BALL_SPEED = 1.2  # m/s, at which a ball rolls against a foot
@@ -39,15 +39,13 @@ class VariedStarts:
     """Starts of four kinds, one after the other: the task's own, ball at a foot, random pose, thrown."""
 
     def __init__(self, task: CompiledTask, seed: int) -> None:
-        layout, spec = task.scene.layout, task.spec
+        layout = task.scene.layout
         self._task, self._layout = task, layout
         self._draws = _Draws(torch.Generator().manual_seed(seed))
-        self._sampler = StartSampler(
-            layout, spec.sampling, spec.ball, task.randomizers, task.scene.model.nv, self._draws.generator
-        )
+        self._sampler = InitialStateSampler(task, self._draws.generator)
         self._base = next((c for c in layout.coordinates if c.free and c.name != "ball"), None)
 
-    def __call__(self, mask: Tensor) -> Starts:
+    def __call__(self, mask: Tensor) -> InitialStates:
         """A start for every world; the kind follows from its number, so that every kind comes back."""
         starts = self._sampler.sample(len(mask))
         qpos, qvel = starts.qpos.clone(), starts.qvel.clone()

@@ -14,7 +14,7 @@ from kickbench.config.load import LoadedTask
 from kickbench.config.terms import TermParams, TermTable
 from kickbench.envs.catalog import Catalog
 from kickbench.envs.curriculum import spec_at, value_at
-from kickbench.envs.starts import LEAST_FREE, free_share
+from kickbench.envs.initial_states import LEAST_FREE, free_share
 from kickbench.envs.term import Term
 from kickbench.errors import KeyPath, Problem, did_you_mean
 from kickbench.sim.layout import SceneLayout
@@ -75,8 +75,8 @@ def _field_problems(task: LoadedTask[Any]) -> Iterator[Problem]:
     if field is None:
         return
     ball, target = (sampling.ball.x, sampling.ball.y), sampling.target.extent()
-    for axis, start, goal, bounds in zip("xy", ball, target, (field.x, field.y), strict=True):
-        for what, path, (low, high) in (("ball", ("ball", axis), start), ("target", ("target",), goal)):
+    for axis, begin, goal, bounds in zip("xy", ball, target, (field.x, field.y), strict=True):
+        for what, path, (low, high) in (("ball", ("ball", axis), begin), ("target", ("target",), goal)):
             if low < bounds[0] - 1e-9 or high > bounds[1] + 1e-9:
                 message = f"the {what} may lie off the field: {axis} from {low:g} to {high:g} m"
                 hint = f"the field's {axis} is [{bounds[0]:g}, {bounds[1]:g}]"

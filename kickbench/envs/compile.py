@@ -153,8 +153,8 @@ def _bind_growing(spec: TaskSpec) -> dict[str, tuple[Any, ...]]:
     randomizations = _bind(terms.randomizations, spec.randomization)
     return {
         "rewards": tuple((b, b.params.weight) for b in rewards if isinstance(b.params, RewardParams)),
-        "randomizers": tuple(bound for bound in randomizations if bound.term.stage == "start"),
-        "processes": tuple(bound for bound in randomizations if bound.term.stage != "start"),
+        "randomizers": tuple(bound for bound in randomizations if bound.term.stage == "initial"),
+        "processes": tuple(bound for bound in randomizations if bound.term.stage != "initial"),
     }
 
 

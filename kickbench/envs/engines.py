@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from kickbench.envs.compile import CompiledTask
-from kickbench.envs.starts import StartSampler
+from kickbench.envs.initial_states import InitialStateSampler
 from kickbench.sim.cpu import CpuEngine
 from kickbench.sim.engine import Engine
 
@@ -60,9 +60,9 @@ def make_warp_engine(
     given, scene = task.spec.simulation, task.scene
     room = given.max_contacts or 0, given.max_constraints or 0
     if not all(room):
-        starts, targets = rehearsal(task)
+        states, targets = rehearsal(task)
         seen = measure_capacity(
-            scene.model, starts.numpy(), [target.numpy() for target in targets], given.decimation
+            scene.model, states.numpy(), [target.numpy() for target in targets], given.decimation
         )
         room = room[0] or seen.contacts, room[1] or seen.constraints
     capacity = Capacity(*room, allowed_share=given.allowed_overflow)
@@ -73,12 +73,11 @@ def make_warp_engine(
 
 
 def rehearsal(task: CompiledTask) -> tuple[Tensor, list[Tensor]]:
-    """Starts of a task [N, nq], and control targets of random actions (standard normal), each [N, nu]."""
+    """Initial states of a task [N, nq], and control targets of random actions (standard normal), each [N, nu]."""
     layout, generator = task.scene.layout, torch.Generator().manual_seed(0)
-    model, spec = task.scene.model, task.spec
-    sampler = StartSampler(layout, spec.sampling, spec.ball, task.randomizers, model.nv, generator)
+    sampler = InitialStateSampler(task, generator)
     default, scale = torch.as_tensor(layout.default_target), torch.as_tensor(layout.action_scale)
-    shape = (_REHEARSAL, _REHEARSED, model.nu)
+    shape = (_REHEARSAL, _REHEARSED, task.scene.model.nu)
     noise = torch.randn(shape, generator=generator, dtype=torch.float64)
     return sampler.sample(_REHEARSED).qpos, list(default + scale * noise)
 

@@ -11,32 +11,36 @@ from rsl_rl.env import VecEnv
 from tensordict import TensorDict
 from torch import Tensor
 
-from kickbench.envs.compile import Bound, CompiledTask, read_task
+from kickbench.envs.compile import CompiledTask, read_task
 from kickbench.envs.disturbances import Draws, Setting
 from kickbench.envs.engines import make_engine as make_engine
 from kickbench.envs.episode import EpisodeRecord, Outcome, Totals
+from kickbench.envs.initial_states import InitialStatePool, InitialStates, InitialStateSampler
 from kickbench.envs.observing import Observer
-from kickbench.envs.starts import FreshStarts, StartPool, Starts, StartSampler
+from kickbench.envs.randomizations import ModelVariation
 from kickbench.envs.state import EpisodeState, State
 from kickbench.envs.state_index import StateIndex
 from kickbench.envs.tensors import Tensors, plain
-from kickbench.envs.variation import ModelVariation
 from kickbench.errors import KickbenchError, shown
 from kickbench.sim.devices import check_device
 from kickbench.sim.engine import Engine
 
 _POOLED = 16
-"""Episodes a world whose starts are drawn at a time."""
+"""Initial states an env that are drawn at a time."""
 
-StartSource = Callable[[Tensor], Starts]
-"""Given the worlds that reset [B] bool, returns a start for every world; other rows are not read."""
+InitialStateSource = Callable[[Tensor], InitialStates]
+"""Given the envs that reset [B] bool, returns an initial state for every env; other rows are not read."""
 
 
 class KickEnv(VecEnv):
-    """B worlds of one task, as rsl_rl sees them.
+    """B envs of one task, as rsl_rl sees them.
 
     One step: apply the action, advance the physics, look at the state, count, reward, terminate, record,
-    reset the worlds that are done, observe. Observations and rewards are float32 on the engine's device.
+    reset the envs that are done, observe. Observations and rewards are float32 on the engine's device.
+
+    Attributes:
+        tensors: All that later steps depend on, but for the engine, the generator and initial states drawn ahead.
+        outcome: How the last step ended.
     """
 
     def __init__(
@@ -47,22 +51,22 @@ class KickEnv(VecEnv):
         *,
         noise: bool = True,
         pushes: bool = True,
-        starts: StartSource | None = None,
+        initial_states: InitialStateSource | None = None,
         draws: Draws | None = None,
         resident: bool | None = None,
     ) -> None:
-        """Resets every world.
+        """Resets every env.
 
         Args:
             task: Compiled task.
             engine: Physics of `task.scene`; its number of worlds is the number of environments.
-            seed: Seed of starts, randomisation and observation noise.
+            seed: Seed of initial states, randomisation and observation noise.
             noise: Whether observation noise applies.
             pushes: Whether the task's pushes apply.
-            starts: Where starts come from; default: sampled from the task's regions.
-            draws: Where observation noise, delays and pushes come from; default: the generator of the starts.
+            initial_states: Where initial states come from; default: sampled from the task's regions.
+            draws: Where observation noise, delays and pushes come from; default: the generator of the initial states.
             resident: Whether no step may wait for the host to read a number back; default: on all devices but the
-                CPU, where it costs nothing to look. Starts are then drawn in another order.
+                CPU, where it costs nothing to look. Initial states are then drawn in another order.
         """
         if task.spec.terms and not task.is_trusted:
             raise KickbenchError(f"{shown(task.spec.terms)}: code of a run; --trust-code lets it be imported")
@@ -73,12 +77,12 @@ class KickEnv(VecEnv):
         self.cfg = task.spec
         self.generator = torch.Generator(self.device).manual_seed(seed)
         self._resident = self.device.type != "cpu" if resident is None else resident
-        self.sampler = self._make_sampler()
-        self._starts = starts or self._make_starts()
+        self.sampler = InitialStateSampler(task, self.generator)
+        self._initial_states = initial_states or self._make_source()
         self._draws: Draws = draws or self.generator
         self._noise = noise
         self._prepare_constants()
-        made = {bound.term.stage: self._make_process(bound) for bound in task.processes}
+        made = {bound.term.stage: bound(self._setting) for bound in task.processes}
         self._processes = {stage: process for stage, process in made.items() if pushes or stage != "push"}
         self.tensors = self._make_tensors()
         self.episode: EpisodeState = self.tensors.episode
@@ -88,7 +92,6 @@ class KickEnv(VecEnv):
         self.reset()
 
     def _make_tensors(self) -> Tensors:
-        """All that later steps depend on, but for the engine, the generator and starts that are drawn ahead."""
         task, worlds = self.task, self.num_envs
         groups = {name: torch.zeros(worlds, task.width(name), device=self.device) for name in task.groups}
         return Tensors(
@@ -113,51 +116,42 @@ class KickEnv(VecEnv):
         self._senses_floor = "left_foot_floor" in layout.contacts
         self._has_feet = bool(layout.foot_geoms)
         self._variation = ModelVariation(task.scene, self.device)
-
-    def _make_sampler(self) -> StartSampler:
-        scene, spec, randomizers = self.task.scene, self.task.spec, self.task.randomizers
-        return StartSampler(
-            scene.layout, spec.sampling, spec.ball, randomizers, scene.model.nv, self.generator
+        simulation = task.spec.simulation
+        target = self._default_target
+        self._setting = Setting(
+            simulation.timestep, simulation.decimation, target, self.num_envs, self._draws
         )
 
-    def _make_starts(self) -> StartSource:
-        if self._resident:
-            return FreshStarts(self.sampler, self.num_envs)
-        return StartPool(self.sampler, _POOLED * self.num_envs)
+    def _make_source(self) -> InitialStateSource:
+        return self.sampler if self._resident else InitialStatePool(self.sampler, _POOLED * self.num_envs)
 
     def _make_weights(self) -> Tensor:
         spec = self.task.spec
         scale = spec.simulation.control_interval if spec.rewards.scale_by_dt else 1.0
         return torch.tensor([weight * scale for _, weight in self.task.rewards], device=self.device)
 
-    def _make_process(self, bound: Bound) -> Any:
-        spec = self.task.spec.simulation
-        setting = Setting(spec.timestep, spec.decimation, self._default_target, self.num_envs, self._draws)
-        return bound(setting)
-
     def grow(self, task: CompiledTask) -> None:
         """Goes on with other values of the same task: regions, reward weights, randomisation.
 
-        Running episodes go on from where they are; starts that were drawn ahead are drawn anew. A step that was
-        recorded as a graph has the old values: record it again.
+        Running episodes go on from where they are; initial states that were drawn ahead are drawn anew. A step that
+        was recorded as a graph has the old values: record it again.
 
         Args:
-            task: The env's task with other values, as `mdp.curriculum.grown` makes it.
+            task: The env's task with other values, as `compile.grown` makes it.
         """
         self.task, self.cfg = task, task.spec
-        self.sampler = self._make_sampler()
-        self._starts = self._make_starts()
-        for weights in (self._weights, self.totals.weights):
-            weights.copy_(self._make_weights())
+        self.sampler = InitialStateSampler(task, self.generator)
+        self._initial_states = self._make_source()
+        self._weights.copy_(self._make_weights())
         for bound in task.processes:
-            made = self._make_process(bound)
+            made = bound(self._setting)
             if (stage := bound.term.stage) in self._processes:
                 made.adopt(self._processes[stage].memory)
                 self._processes[stage], self.tensors[stage] = made, made.memory
 
     @property
     def episode_length_buf(self) -> Tensor:  # type: ignore[override]
-        """Control steps since the start [B], under rsl_rl's name."""
+        """Control steps since the initial state [B], under rsl_rl's name."""
         return self.episode.step
 
     def state(self) -> State:
@@ -188,8 +182,8 @@ class KickEnv(VecEnv):
         """Puts every world into the state of a snapshot, and returns the observations of that state.
 
         What follows is then what followed, or would have followed, the snapshot, random numbers included, until an
-        episode ends: the starts of later episodes come from a pool that does not go back, and filling it draws from
-        the same numbers. Observation noise, which is no part of the state, is drawn anew for the returned
+        episode ends: the initial states of later episodes come from a pool that does not go back, and filling it
+        draws from the same numbers. Observation noise, which is no part of the state, is drawn anew for the returned
         observations.
         """
         engine, layout = self.engine, self.task.scene.layout
@@ -277,12 +271,11 @@ class KickEnv(VecEnv):
         self.totals.add(self.outcome)
 
     def _reset(self, mask: Tensor) -> None:
-        starts = self._starts(mask)
-        self.engine.reset(mask, starts.qpos, starts.qvel)
-        if starts.by_side:
-            self._vary(mask, starts.by_side)
+        states = self._initial_states(mask)
+        self.engine.reset(mask, states.qpos, states.qvel)
+        self._vary(mask, states.by_side)
         episode, column = self.episode, mask.unsqueeze(1)
-        episode.target = torch.where(column, starts.target.float(), episode.target)
+        episode.target = torch.where(column, states.target.float(), episode.target)
         episode.step = torch.where(mask, 0, episode.step)
         episode.contact_count = torch.where(mask, 0, episode.contact_count)
         episode.action = torch.where(column, 0.0, episode.action)
@@ -317,33 +310,33 @@ class KickEnv(VecEnv):
     def state_dict(self) -> dict[str, Any]:
         """Everything that later steps depend on, as tensors and plain numbers, in dicts by part.
 
-        Only for environments that sample their starts from the task's regions.
+        Only for environments that sample their initial states from the task's regions.
         """
-        engine, starts = (part.state_dict() for part in self._others())
-        rng = self.generator.get_state()
-        return {"engine": engine, "starts": starts, "tensors": plain(self.tensors), "rng": rng}
+        source = self._initial_states
+        assert source is self.sampler or isinstance(source, InitialStatePool), "no state that could be kept"
+        return {
+            "engine": self.engine.state_dict(),
+            "initial_states": source.state_dict() if isinstance(source, InitialStatePool) else {},
+            "tensors": plain(self.tensors),
+            "rng": self.generator.get_state(),
+        }
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Takes over what `state_dict` of an environment of the same task and size has returned.
 
         Raises:
-            ValueError: It is the state of another task, or of another number of worlds.
+            ValueError: It is the state of another task, of another number of envs, or of another kind of device.
         """
-        expected = {"engine", "starts", "tensors", "rng"}
-        if set(state) != expected:
-            raise ValueError(f"KickEnv: expected {sorted(expected)}, found {sorted(state)}")
+        present = self.state_dict()
+        if set(state) != set(present) or bool(state["initial_states"]) != bool(present["initial_states"]):
+            raise ValueError(f"KickEnv: expected the state of such an environment, found {sorted(state)}")
         self.tensors.copy_(state["tensors"])
-        for part, name in zip(self._others(), ("engine", "starts"), strict=True):
-            part.load_state_dict(state[name])
+        self.engine.load_state_dict(state["engine"])
+        if isinstance(self._initial_states, InitialStatePool):
+            self._initial_states.load_state_dict(state["initial_states"])
         self._vary(self._everywhere, self.tensors.by_side)
-        # Last: the pool of starts has used the generator to draw its starts again.
+        # Last: the pool has used the generator to draw its initial states again.
         self.generator.set_state(state["rng"])
-
-    def _others(self) -> tuple[Any, Any]:
-        """What has a state of its own: the engine and the source of starts."""
-        from_regions = isinstance(self._starts, StartPool | FreshStarts)
-        assert from_regions, "starts from elsewhere have no state that could be kept"
-        return self.engine, self._starts
 
     def _group(self, groups: Mapping[str, Tensor]) -> TensorDict:
         return TensorDict(dict(groups), batch_size=[self.num_envs], device=self.device)

@@ -3,7 +3,7 @@
 A graph replays the very kernels it has recorded, on the very addresses. So whatever a step reads or writes must stay
 where it is: actions come in through one buffer, and a step changes the environment's tensors (`KickEnv.tensors`) in
 place. No kernel may depend on a number that the host would have to read; the environment is resident then (`KickEnv`),
-and starts, resets and random numbers are masked.
+and initial states, resets and random numbers are masked.
 
 No GPU has run this yet: what is tested is the same code without the recording, on the CPU (tests/test_graph.py). The
 tests that carry the marker `cuda` are what to run first on a GPU.

@@ -1,11 +1,12 @@
-"""Randomisation (thesis 3.1).
+"""Randomisation (thesis 3.1), and what that of the robot's hardware changes in the physics.
 
-One of episode starts is `(starts, params, draw) -> starts`. One of another stage makes the process that acts during
+One of initial states is `(states, params, draw) -> states`. One of another stage makes the process that acts during
 the episode: `(setting, params) -> process`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 import torch
@@ -15,8 +16,12 @@ from torch import Tensor
 from kickbench.config.base import NonNegativeRange, PositiveFloat, PositiveRange
 from kickbench.config.terms import RandomizationParams
 from kickbench.envs.disturbances import ActionDelay, DelayLine, Pushes, PushSchedule, Setting
-from kickbench.envs.starts import Draw, Starts
+from kickbench.envs.initial_states import Draw, InitialStates
 from kickbench.envs.term import randomization
+from kickbench.sim.build import Scene
+from kickbench.sim.engine import ModelField
+from kickbench.sim.layout import NO_SIDE
+from kickbench.sim.servo import servo_law
 
 
 class FootFriction(RandomizationParams):
@@ -27,9 +32,9 @@ class FootFriction(RandomizationParams):
 
 
 @randomization("3.1", units="1", needs=("foot_ball",))
-def foot_friction(starts: Starts, params: FootFriction, draw: Draw) -> Starts:
+def foot_friction(states: InitialStates, params: FootFriction, draw: Draw) -> InitialStates:
     """Sliding friction of each foot, uniform, drawn anew for every foot and episode."""
-    return starts.varied("foot_friction", draw(*params.range, len(starts), 2))
+    return states.varied("foot_friction", draw(*params.range, len(states), 2))
 
 
 class FactorsBySide(RandomizationParams):
@@ -49,37 +54,37 @@ class FactorsBySide(RandomizationParams):
         return self
 
     def draw(self, draw: Draw, count: int) -> Tensor:
-        """One factor a side and start [count, 3]: left, right, middle."""
+        """One factor a side and state [count, 3]: left, right, middle."""
         sides = (self.left, self.right, self.middle)
         return torch.cat([draw(*bounds, count, 1) for bounds in sides], dim=1)
 
 
 @randomization("5.1 (future work: asymmetric hardware)", units="1")
-def link_mass(starts: Starts, params: FactorsBySide, draw: Draw) -> Starts:
+def link_mass(states: InitialStates, params: FactorsBySide, draw: Draw) -> InitialStates:
     """Factor of mass and inertia of all bodies of a side, drawn anew for every side and episode."""
-    return starts.varied("link_mass", params.draw(draw, len(starts)))
+    return states.varied("link_mass", params.draw(draw, len(states)))
 
 
 @randomization("5.1 (future work: asymmetric hardware)", units="1")
-def servo_stiffness(starts: Starts, params: FactorsBySide, draw: Draw) -> Starts:
+def servo_stiffness(states: InitialStates, params: FactorsBySide, draw: Draw) -> InitialStates:
     """Factor of kp of all position servos of a side, drawn anew for every side and episode."""
-    return starts.varied("servo_stiffness", params.draw(draw, len(starts)))
+    return states.varied("servo_stiffness", params.draw(draw, len(states)))
 
 
 @randomization("5.1 (future work: asymmetric hardware)", units="1")
-def servo_damping(starts: Starts, params: FactorsBySide, draw: Draw) -> Starts:
+def servo_damping(states: InitialStates, params: FactorsBySide, draw: Draw) -> InitialStates:
     """Factor of kd of all servos of a side, drawn anew for every side and episode."""
-    return starts.varied("servo_damping", params.draw(draw, len(starts)))
+    return states.varied("servo_damping", params.draw(draw, len(states)))
 
 
 @randomization("5.1 (future work: asymmetric hardware)", units="1")
-def motor_strength(starts: Starts, params: FactorsBySide, draw: Draw) -> Starts:
+def motor_strength(states: InitialStates, params: FactorsBySide, draw: Draw) -> InitialStates:
     """Factor of the effort limit of all servos of a side, drawn anew for every side and episode.
 
     The no-load speed stays, so the torque at every speed scales alike; gains are `servo_stiffness` and
     `servo_damping`.
     """
-    return starts.varied("motor_strength", params.draw(draw, len(starts)))
+    return states.varied("motor_strength", params.draw(draw, len(states)))
 
 
 class JointPosition(RandomizationParams):
@@ -90,12 +95,12 @@ class JointPosition(RandomizationParams):
 
 
 @randomization("not in the thesis: chosen so that initial poses differ", units="rad")
-def joint_position(starts: Starts, params: JointPosition, draw: Draw) -> Starts:
+def joint_position(states: InitialStates, params: JointPosition, draw: Draw) -> InitialStates:
     """Uniform offset of every observed joint from the default pose."""
-    offset = draw(-params.noise, params.noise, len(starts), len(starts.joints))
-    qpos = starts.qpos.clone()
-    qpos[:, starts.joints] += offset
-    return replace(starts, qpos=qpos)
+    offset = draw(-params.noise, params.noise, len(states), len(states.joints))
+    qpos = states.qpos.clone()
+    qpos[:, states.joints] += offset
+    return replace(states, qpos=qpos)
 
 
 @randomization(
@@ -114,3 +119,67 @@ def action_delay(setting: Setting, params: ActionDelay) -> DelayLine:
 def pushes(setting: Setting, params: Pushes) -> PushSchedule:
     """A horizontal force of random magnitude and direction acts on the base at random intervals."""
     return PushSchedule(setting, params)
+
+
+_SERVO = ("servo_stiffness", "servo_damping", "motor_strength")
+
+
+class ModelVariation:
+    """Computes the model fields of worlds whose robots differ; see `InitialStates.by_side`."""
+
+    def __init__(self, scene: Scene, device: torch.device) -> None:
+        """Copies the figures of the compiled robot to a device."""
+        layout, model = scene.layout, scene.model
+
+        def whole(values: object) -> Tensor:
+            return torch.as_tensor(values, dtype=torch.int64, device=device)
+
+        def real(values: object) -> Tensor:
+            return torch.as_tensor(values, dtype=torch.float64, device=device)
+
+        sides = [torch.full((len(geoms),), side) for side, geoms in enumerate(layout.foot_geoms)]
+        self._foot_sides = torch.cat(sides).to(device) if sides else whole([])
+        self._foot_geoms = whole([geom for geoms in layout.foot_geoms for geom in geoms])
+        self._bodies = whole([body for body, side in enumerate(layout.body_sides) if side != NO_SIDE])
+        self._body_sides = whole(layout.body_sides)[self._bodies]
+        self._mass = real(model.body_mass)[self._bodies]
+        self._inertia = real(model.body_inertia)[self._bodies]
+        self._actuators, self._actuator_sides = whole(range(model.nu)), whole(layout.actuator_sides)
+        servos = layout.servos
+        self._is_velocity = torch.as_tensor(servos.is_velocity, device=device)
+        self._kp, self._kd = real(servos.kp), real(servos.kd)
+        self._effort, self._velocity_limit = real(servos.effort), real(servos.velocity_limit)
+
+    def __call__(self, by_side: Mapping[str, Tensor]) -> tuple[ModelField, ...]:
+        """The fields that follow from values by side, each [N, 2 or 3]."""
+        return tuple(self._fields(by_side))
+
+    def _fields(self, by_side: Mapping[str, Tensor]) -> Iterator[ModelField]:
+        if "foot_friction" in by_side:
+            friction = by_side["foot_friction"][:, self._foot_sides]
+            yield ModelField("geom_friction", self._foot_geoms, friction, column=0)
+        if "link_mass" in by_side:
+            factor = by_side["link_mass"][:, self._body_sides]
+            yield ModelField("body_mass", self._bodies, factor * self._mass)
+            yield ModelField("body_inertia", self._bodies, factor.unsqueeze(2) * self._inertia)
+        if any(name in by_side for name in _SERVO):
+            yield from self._servos(by_side)
+
+    def _servos(self, by_side: Mapping[str, Tensor]) -> Iterator[ModelField]:
+        one = self._kp.new_ones(1, len(self._kp))
+        stiffness, damping, strength = (
+            by_side[name][:, self._actuator_sides] if name in by_side else one for name in _SERVO
+        )
+        kp, kd, effort = stiffness * self._kp, damping * self._kd, strength * self._effort
+        law = servo_law(self._is_velocity, kp, kd, effort, self._velocity_limit)
+        columns = {
+            ("actuator_gainprm", 0): law.gain,
+            ("actuator_biasprm", 1): law.stiffness,
+            ("actuator_biasprm", 2): law.damping,
+            ("actuator_damping", None): law.back_emf,
+            ("actuator_forcerange", 0): -law.effort,
+            ("actuator_forcerange", 1): law.effort,
+        }
+        worlds = max(len(values) for values in by_side.values())
+        for (name, column), values in columns.items():
+            yield ModelField(name, self._actuators, values.expand(worlds, -1), column)

@@ -19,7 +19,7 @@ from kickbench.config.terms import (
 from kickbench.sim.sensors import SensorGroup
 
 Kind = Literal["observation", "reward", "termination", "randomization"]
-Stage = Literal["start", "command", "push"]
+Stage = Literal["initial", "command", "push"]
 """When a randomisation acts: on initial states, on the way to the servos, or as a force on the base."""
 Size = int | Literal["joints", "actions"]
 """Length of an observation field: a number, or one number per observed joint or per action."""
@@ -67,7 +67,7 @@ class Term:
     frame: Frame | None = None
     from_default: bool = False
     truncates: bool = False
-    stage: Stage = "start"
+    stage: Stage = "initial"
 
     @property
     def description(self) -> str:
@@ -133,7 +133,7 @@ def termination(source: str, *, needs: Iterable[SensorGroup] = (), truncates: bo
 
 
 def randomization(
-    source: str, *, units: str, stage: Stage = "start", needs: Iterable[SensorGroup] = ()
+    source: str, *, units: str, stage: Stage = "initial", needs: Iterable[SensorGroup] = ()
 ) -> Decorator:
     """Makes a function a randomisation; see `Term.function`."""
     return _decorator("randomization", source, units, needs, stage=stage)

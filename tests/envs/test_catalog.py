@@ -48,7 +48,7 @@ def test_a_term_says_what_it_is(term):
 def test_a_term_takes_state_and_parameters(term):
     expected = ["state", "params"]
     if term.kind == "randomization":
-        expected = ["starts", "params", "draw"] if term.stage == "start" else ["setting", "params"]
+        expected = ["states", "params", "draw"] if term.stage == "initial" else ["setting", "params"]
     assert list(inspect.signature(term.function).parameters) == expected
 
 

@@ -15,7 +15,6 @@ from torch.utils._python_dispatch import TorchDispatchMode, _disable_current_mod
 from kickbench.envs.engines import make_engine
 from kickbench.envs.env import KickEnv
 from kickbench.envs.graph import CapturedStep, graph_obstacle
-from kickbench.envs.starts import FreshStarts
 from kickbench.envs.tensors import flat as paths
 from kickbench.results.history import RunHistory
 from kickbench.training.checkpoint import Checkpoints
@@ -328,7 +327,7 @@ def test_mean_return_and_length_are_those_of_the_finished_episodes(tmp_path):
 
 def test_starts_in_a_resident_environment_come_from_the_same_regions():
     env = make_env("k1", 64)
-    assert isinstance(env._starts, FreshStarts)
+    assert env._initial_states is env.sampler
     low_x, high_x = env.cfg.sampling.ball.x
     ball = env.state().ball_pos
     assert ((low_x - 1e-6 <= ball[:, 0]) & (ball[:, 0] <= high_x + 1e-6)).all()

@@ -22,7 +22,7 @@ from kickbench.envs.compile import CompiledTask
 from kickbench.envs.engines import make_engine, make_warp_engine
 from kickbench.envs.env import KickEnv
 from kickbench.envs.graph import CapturedStep, WithoutGraphs
-from kickbench.envs.starts import FreshStarts, StartSampler
+from kickbench.envs.initial_states import InitialStateSampler
 from kickbench.envs.tensors import flat
 from kickbench.results.history import RunHistory
 from kickbench.sim.engine import ModelField
@@ -192,13 +192,13 @@ def without_numbers(monkeypatch):
     k1()
     monkeypatch.setattr(torch, "Generator", lambda device=None: MetaGenerator())
     # Asked once, when an environment is made, and so allowed to look at numbers.
-    monkeypatch.setattr(StartSampler, "_tries", lambda self, region: 16)
+    monkeypatch.setattr(InitialStateSampler, "_tries", lambda self: 16)
 
 
 def test_a_step_needs_no_number_and_leaves_no_tensor_on_the_host(without_numbers):
     env = drifting("meta")
     actions = torch.zeros(env.num_envs, env.num_actions, device="meta")
-    assert isinstance(env._starts, FreshStarts)
+    assert env._initial_states is env.sampler
     with OneDevice():
         for _ in range(3):
             observations, rewards, done, extras = env.step(actions)
