@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -16,47 +15,10 @@ from kickbench.config.terms import ObservationParams, RewardParams, TermParams, 
 from kickbench.envs.catalog import catalog, model_of_task
 from kickbench.envs.check import scene_problems, task_problems
 from kickbench.envs.curriculum import spec_at
-from kickbench.envs.term import Term
+from kickbench.envs.term import Bound, Field, Term, field_size
 from kickbench.errors import SpecError
 from kickbench.sim.build import Scene, build_scene
 from kickbench.sim.sensors import SensorGroup, available_groups
-
-
-@dataclass(frozen=True)
-class Bound:
-    """A term with its parameters."""
-
-    term: Term
-    params: TermParams
-
-    @property
-    def name(self) -> str:
-        """The term's name."""
-        return self.term.name
-
-    def __call__(self, subject: Any, *others: Any) -> Any:
-        """Calls the term's function (`Term.function`): of a state view [B, ...], for most terms."""
-        return self.term.function(subject, self.params, *others)
-
-
-@dataclass(frozen=True)
-class Field:
-    """An observation field and its place in the group's vector."""
-
-    bound: Bound
-    params: ObservationParams
-    first: int
-    size: int
-
-    @property
-    def name(self) -> str:
-        """The field's name."""
-        return self.bound.name
-
-    @cached_property
-    def key(self) -> str:
-        """What the exact value depends on: the term and its parameters, but for noise and clipping."""
-        return f"{self.name} {self.params.model_dump(exclude={'noise', 'clip'})}"
 
 
 @dataclass(frozen=True)
@@ -170,8 +132,3 @@ def _fields(bounds: tuple[Bound, ...], joints: int, actions: int) -> tuple[Field
         fields.append(Field(bound, bound.params, first, size))
         first += size
     return tuple(fields)
-
-
-def field_size(term: Term, joints: int, actions: int) -> int:
-    """Length of an observation field for a robot with that many observed joints and actions."""
-    return {"joints": joints, "actions": actions}[term.size] if isinstance(term.size, str) else term.size

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TypedDict
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -14,14 +14,6 @@ from kickbench.sim.engine import Engine
 
 _REHEARSED, _REHEARSAL = 32, 100
 """Worlds and control steps of a rehearsal: long enough for robots to fall, and over in a second or two."""
-
-
-class _OfTask(TypedDict):
-    """What every engine wants to know of a task."""
-
-    decimation: int
-    contact_forces: list[int]
-    pushed_body: int | None
 
 
 def make_engine(
@@ -82,11 +74,12 @@ def rehearsal(task: CompiledTask) -> tuple[Tensor, list[Tensor]]:
     return sampler.sample(_REHEARSED).qpos, list(default + scale * noise)
 
 
-def _of(task: CompiledTask) -> _OfTask:
+def _of(task: CompiledTask) -> dict[str, Any]:
+    """What every engine wants to know of a task."""
     layout = task.scene.layout
     pushed = any(bound.term.stage == "push" for bound in task.processes)
-    return _OfTask(
-        decimation=task.spec.simulation.decimation,
-        contact_forces=[int(place) for places in layout.forces.values() for place in places.flatten()],
-        pushed_body=layout.base_body if pushed else None,
-    )
+    return {
+        "decimation": task.spec.simulation.decimation,
+        "contact_forces": [int(place) for places in layout.forces.values() for place in places.flatten()],
+        "pushed_body": layout.base_body if pushed else None,
+    }

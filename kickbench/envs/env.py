@@ -16,10 +16,9 @@ from kickbench.envs.disturbances import Draws, Setting
 from kickbench.envs.engines import make_engine as make_engine
 from kickbench.envs.episode import EpisodeRecord, Outcome, Totals
 from kickbench.envs.initial_states import InitialStatePool, InitialStates, InitialStateSampler
-from kickbench.envs.observing import Observer
+from kickbench.envs.observations import Observer
 from kickbench.envs.randomizations import ModelVariation
-from kickbench.envs.state import EpisodeState, State
-from kickbench.envs.state_index import StateIndex
+from kickbench.envs.state import EpisodeState, State, StateIndex
 from kickbench.envs.tensors import Tensors, plain
 from kickbench.errors import KickbenchError, shown
 from kickbench.sim.devices import check_device

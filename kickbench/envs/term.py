@@ -5,6 +5,7 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Literal, get_type_hints
 
 from pydantic.fields import FieldInfo
@@ -88,6 +89,48 @@ class Term:
         texts = ("; ".join(facts), " ".join(self.description.split()))
         lines = [self.name, *(line for text in texts for line in _wrapped(text)), *_parameters(own)]
         return "\n".join(lines) + "\n"
+
+
+@dataclass(frozen=True)
+class Bound:
+    """A term with its parameters."""
+
+    term: Term
+    params: TermParams
+
+    @property
+    def name(self) -> str:
+        """The term's name."""
+        return self.term.name
+
+    def __call__(self, subject: Any, *others: Any) -> Any:
+        """Calls the term's function (`Term.function`): of a state view [B, ...], for most terms."""
+        return self.term.function(subject, self.params, *others)
+
+
+@dataclass(frozen=True)
+class Field:
+    """An observation field and its place in the group's vector."""
+
+    bound: Bound
+    params: ObservationParams
+    first: int
+    size: int
+
+    @property
+    def name(self) -> str:
+        """The field's name."""
+        return self.bound.name
+
+    @cached_property
+    def key(self) -> str:
+        """What the exact value depends on: the term and its parameters, but for noise and clipping."""
+        return f"{self.name} {self.params.model_dump(exclude={'noise', 'clip'})}"
+
+
+def field_size(term: Term, joints: int, actions: int) -> int:
+    """Length of an observation field for a robot with that many observed joints and actions."""
+    return {"joints": joints, "actions": actions}[term.size] if isinstance(term.size, str) else term.size
 
 
 def describe_common(kind: Kind) -> str:

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from kickbench.config.terms import ObservationParams
-from kickbench.envs.observing import Disturbance
+from kickbench.envs.observations import Disturbance
 
 
 @dataclass

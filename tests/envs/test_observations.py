@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from kickbench.envs.catalog import catalog
-from kickbench.envs.compile import field_size
 from kickbench.envs.state import StateIndex
+from kickbench.envs.term import field_size
 
 LEFT_TURN = (math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))
 """A quarter turn to the left: the robot looks along +y, its left is -x."""

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from kickbench.config.terms import ObservationParams
-from kickbench.envs.observing import Observer
+from kickbench.envs.observations import Observer
 
 WORLDS = 8
 CPU = torch.device("cpu")
