@@ -74,14 +74,14 @@ class Setting:
         timestep: Physics time step, s.
         decimation: Physics steps per control step.
         default_target: Control target of a zero action [nu].
-        num_worlds: Number of worlds B.
+        num_envs: Number of envs B.
         generator: Source of all draws.
     """
 
     timestep: float
     decimation: int
     default_target: Tensor
-    num_worlds: int
+    num_envs: int
     generator: Draws
 
 
@@ -119,9 +119,9 @@ class DelayMemory(Tensors):
 
 
 class DelayLine:
-    """Per-world latency of control targets, in physics substeps (thesis 3.1).
+    """Per-env latency of control targets, in physics substeps (thesis 3.1).
 
-    Every control step each world draws a lag L, uniform over the whole substeps in the range; with the hold
+    Every control step each env draws a lag L, uniform over the whole substeps in the range; with the hold
     probability it is one substep more. During that control step the servos see, in every substep, the newest
     command that was issued at least L substeps earlier. The lag is that of the line, not of a command: one in flight
     meets the lags of all control steps until it arrives, and a command is passed over where a newer one arrives with
@@ -139,15 +139,15 @@ class DelayLine:
         self._low, self._high = whole_steps(params.delay, setting.timestep)
         self._hold, self._decimation = params.hold_probability, setting.decimation
         self._generator, self._default = setting.generator, setting.default_target
-        worlds, depth = setting.num_worlds, math.ceil((self._high + 1) / setting.decimation) + 1
+        envs, depth = setting.num_envs, math.ceil((self._high + 1) / setting.decimation) + 1
         device = self._default.device
         self.memory = DelayMemory(
-            history=self._default.repeat(worlds, depth, 1),
-            newest=torch.zeros(worlds, dtype=torch.int64, device=device),
+            history=self._default.repeat(envs, depth, 1),
+            newest=torch.zeros(envs, dtype=torch.int64, device=device),
         )
         self._substep = torch.arange(setting.decimation, device=device)
-        # Place of every world's newest command in the flattened history.
-        self._first = depth * torch.arange(worlds, device=device).unsqueeze(1)
+        # Place of every env's newest command in the flattened history.
+        self._first = depth * torch.arange(envs, device=device).unsqueeze(1)
 
     def adopt(self, memory: DelayMemory) -> None:
         """Takes over the commands of a line with another range of delays."""
@@ -158,7 +158,7 @@ class DelayLine:
         self.memory.newest = memory.newest.clamp(max=depth - 1)
 
     def reset(self, mask: Tensor) -> None:
-        """Forgets the commands of the worlds in `mask` [B]: their servos hold the default target."""
+        """Forgets the commands of the envs in `mask` [B]: their servos hold the default target."""
         memory = self.memory
         memory.history = torch.where(mask.view(-1, 1, 1), self._default, memory.history)
         memory.newest = torch.where(mask, memory.history.shape[1] - 1, memory.newest)
@@ -196,13 +196,13 @@ class Pushes(RandomizationParams):
 
 
 class PushMemory(Tensors):
-    """Where the schedule of every world stands.
+    """Where the schedule of every env stands.
 
     Attributes:
         wait: Control steps until the next push [B]; negative in the steps of a push but its last, which draws the
             next interval.
         force: Force of the last push, world frame [B, 2], N.
-        side: 1, or -1 in worlds whose pushes are drawn as mirror images until their episode ends [B].
+        side: 1, or -1 in envs whose pushes are drawn as mirror images until their episode ends [B].
     """
 
     wait: Tensor
@@ -211,7 +211,7 @@ class PushMemory(Tensors):
 
 
 class PushSchedule:
-    """Per-world schedule of pushes (thesis 3.1).
+    """Per-env schedule of pushes (thesis 3.1).
 
     After an interval drawn uniformly from the whole control steps in its range (the next longer one, where none lies
     in it), a horizontal force of uniform magnitude and direction acts on the base's centre of mass for the given
@@ -228,20 +228,20 @@ class PushSchedule:
         self._interval = (low, max(low, high))
         self._steps = max(1, round(params.duration / control_interval))
         self._range, self._generator = params.force, setting.generator
-        worlds, device = setting.num_worlds, setting.generator.device
+        envs, device = setting.num_envs, setting.generator.device
         self.memory = PushMemory(
-            wait=torch.zeros(worlds, dtype=torch.int64, device=device),
-            force=torch.zeros(worlds, 2, device=device),
-            side=torch.ones(worlds, device=device),
+            wait=torch.zeros(envs, dtype=torch.int64, device=device),
+            force=torch.zeros(envs, 2, device=device),
+            side=torch.ones(envs, device=device),
         )
-        self.reset(torch.ones(worlds, dtype=torch.bool, device=device))
+        self.reset(torch.ones(envs, dtype=torch.bool, device=device))
 
     def adopt(self, memory: PushMemory) -> None:
         """Goes on from where another schedule stands."""
         self.memory.copy_(memory)
 
     def reset(self, mask: Tensor) -> None:
-        """Draws a new first interval in the worlds in `mask` [B]; a push that acts there ends."""
+        """Draws a new first interval in the envs in `mask` [B]; a push that acts there ends."""
         memory = self.memory
         memory.wait = torch.where(mask, self._whole(next(self._draw(_UNIT))), memory.wait)
         memory.side = torch.where(mask, 1.0, memory.side)

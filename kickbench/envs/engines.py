@@ -23,7 +23,7 @@ def make_engine(
 
     Args:
         task: The task.
-        num_envs: Number of worlds.
+        num_envs: Number of envs.
         device: `cpu`, `cuda` or `cuda:<number>`.
         num_threads: Threads of the CPU engine; default: the cores this process may use.
     """
@@ -42,7 +42,7 @@ def make_warp_engine(
 
     Args:
         task: The task.
-        num_envs: Number of worlds.
+        num_envs: Number of envs.
         device: `cpu`, `cuda` or `cuda:<number>`.
         deterministic: See `WarpEngine`.
     """

@@ -91,11 +91,11 @@ class KickEnv(VecEnv):
         self.reset()
 
     def _make_tensors(self) -> Tensors:
-        task, worlds = self.task, self.num_envs
-        groups = {name: torch.zeros(worlds, task.width(name), device=self.device) for name in task.groups}
+        task, envs = self.task, self.num_envs
+        groups = {name: torch.zeros(envs, task.width(name), device=self.device) for name in task.groups}
         return Tensors(
-            episode=EpisodeState.zeros(worlds, self.num_actions, self.device),
-            record=EpisodeRecord.empty(worlds, len(task.rewards), self.device),
+            episode=EpisodeState.zeros(envs, self.num_actions, self.device),
+            record=EpisodeRecord.empty(envs, len(task.rewards), self.device),
             totals=Totals.zeros(len(task.terminations), self._weights),
             by_side=Tensors(),
             observations=Tensors(groups),
@@ -115,11 +115,9 @@ class KickEnv(VecEnv):
         self._senses_floor = "left_foot_floor" in layout.contacts
         self._has_feet = bool(layout.foot_geoms)
         self._variation = ModelVariation(task.scene, self.device)
-        simulation = task.spec.simulation
-        target = self._default_target
-        self._setting = Setting(
-            simulation.timestep, simulation.decimation, target, self.num_envs, self._draws
-        )
+        time = task.spec.simulation
+        target, envs = self._default_target, self.num_envs
+        self._setting = Setting(time.timestep, time.decimation, target, envs, self._draws)
 
     def _make_source(self) -> InitialStateSource:
         return self.sampler if self._resident else InitialStatePool(self.sampler, _POOLED * self.num_envs)
@@ -158,7 +156,7 @@ class KickEnv(VecEnv):
         return State(self.engine, self._index, self.episode, self.task.spec.episode)
 
     def reset(self, mask: Tensor | None = None) -> TensorDict:
-        """Starts a new episode in every world, or in those in `mask` [B], and returns the observations."""
+        """Starts a new episode in every env, or in those in `mask` [B], and returns the observations."""
         self._reset(self._everywhere if mask is None else mask)
         return self.get_observations()
 
@@ -178,7 +176,7 @@ class KickEnv(VecEnv):
         return Tensors({**physics, **sensed, **parts, "generator": self.generator.get_state()}).clone()
 
     def restore(self, snapshot: Tensors) -> TensorDict:
-        """Puts every world into the state of a snapshot, and returns the observations of that state.
+        """Puts every env into the state of a snapshot, and returns the observations of that state.
 
         What follows is then what followed, or would have followed, the snapshot, random numbers included, until an
         episode ends: the initial states of later episodes come from a pool that does not go back, and filling it
@@ -203,7 +201,7 @@ class KickEnv(VecEnv):
         return self._group(self.tensors.observations.clone())
 
     def step(self, actions: Tensor) -> tuple[TensorDict, Tensor, Tensor, dict[str, Tensor]]:
-        """Advances every world by one control step; see the class."""
+        """Advances every env by one control step; see the class."""
         return self.finish(self.advance(actions))
 
     def finish(self, state: State) -> tuple[TensorDict, Tensor, Tensor, dict[str, Tensor]]:
@@ -255,7 +253,7 @@ class KickEnv(VecEnv):
 
     def _reward(self, state: State) -> Tensor:
         raw = torch.stack([bound(state) for bound, _ in self.task.rewards], dim=1)
-        # The numbers of a failed world mean nothing: it earns nothing in its last step.
+        # The numbers of a failed env mean nothing: it earns nothing in its last step.
         raw = torch.where(self.engine.failed.unsqueeze(1), 0.0, raw)
         self.record.by_reward_raw += raw
         return raw @ self._weights
@@ -273,20 +271,16 @@ class KickEnv(VecEnv):
         states = self._initial_states(mask)
         self.engine.reset(mask, states.qpos, states.qvel)
         self._vary(mask, states.by_side)
-        episode, column = self.episode, mask.unsqueeze(1)
-        episode.target = torch.where(column, states.target.float(), episode.target)
-        episode.step = torch.where(mask, 0, episode.step)
-        episode.contact_count = torch.where(mask, 0, episode.contact_count)
-        episode.action = torch.where(column, 0.0, episode.action)
-        episode.previous_action = torch.where(column, 0.0, episode.previous_action)
-        episode.air_time = torch.where(column, 0.0, episode.air_time)
+        target = torch.where(mask.unsqueeze(1), states.target.float(), self.episode.target)
+        self.episode.clear(mask)
+        self.episode.target = target
+        self.record.clear(mask)
         for process in self._processes.values():
             process.reset(mask)
-        self.record.clear(mask)
         self._observe()
 
     def _vary(self, mask: Tensor, by_side: Mapping[str, Tensor]) -> None:
-        """Lets the worlds in `mask` [B] differ from the compiled model, and remembers how."""
+        """Lets the envs in `mask` [B] differ from the compiled model, and remembers how."""
         if not by_side:
             return
         self.engine.set_model(mask, self._variation(by_side))

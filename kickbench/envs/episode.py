@@ -17,7 +17,7 @@ FOOT_NAMES = ("none", "left", "right", "other", "other")
 
 
 class EpisodeRecord(Tensors):
-    """What is recorded of the running episode; one row a world.
+    """What is recorded of the running episode; one row an env.
 
     Attributes:
         by_reward_raw: Unweighted sum of every reward term [B, R].
@@ -32,22 +32,20 @@ class EpisodeRecord(Tensors):
     peak_ball_speed: Tensor
 
     @staticmethod
-    def empty(worlds: int, rewards: int, device: torch.device) -> EpisodeRecord:
+    def empty(envs: int, rewards: int, device: torch.device) -> EpisodeRecord:
         """Records of episodes that have not begun."""
-        foot = torch.zeros(worlds, dtype=torch.int64, device=device)
+        foot = torch.zeros(envs, dtype=torch.int64, device=device)
         return EpisodeRecord(
-            by_reward_raw=torch.zeros(worlds, rewards, device=device),
+            by_reward_raw=torch.zeros(envs, rewards, device=device),
             kick_foot=foot,
             kick_step=foot - 1,
-            peak_ball_speed=torch.zeros(worlds, device=device),
+            peak_ball_speed=torch.zeros(envs, device=device),
         )
 
     def clear(self, mask: Tensor) -> None:
-        """Starts new records in the worlds in `mask` [B]."""
-        for name, value in self.items():
-            value.masked_fill_(
-                mask if value.dim() == 1 else mask.unsqueeze(1), -1 if name == "kick_step" else 0
-            )
+        """Starts new records in the envs in `mask` [B]."""
+        super().clear(mask)
+        self.kick_step.masked_fill_(mask, -1)
 
     def note_touch(self, state: State, failed: Tensor, has_feet: bool) -> None:
         """Remembers step and foot of the first touch, and the ball's peak speed.
@@ -93,7 +91,7 @@ class Totals(Tensors):
         return Totals(steps=steps, endings=endings, by_reward_raw=torch.zeros_like(weights), weights=weights)
 
     def add(self, outcome: Outcome) -> None:
-        """Adds the worlds that are done."""
+        """Adds the envs that are done."""
         done = outcome.done.float()
         kinds = torch.stack([outcome.done, outcome.success, outcome.failed], dim=1)
         self.endings += done @ torch.cat([kinds, outcome.terminated], dim=1).float()
@@ -137,12 +135,12 @@ class FinishedEpisodes:
 
 @dataclass(frozen=True)
 class Outcome:
-    """How the last control step ended, before any reset; one row a world.
+    """How the last control step ended, before any reset; one row an env.
 
     Attributes:
         done: The episode ended [B] bool.
         failed: It ended because its numbers were not finite [B] bool.
-        terminated: Which terminations fired [B, T] bool; none in a world that failed.
+        terminated: Which terminations fired [B, T] bool; none in an env that failed.
         success: The ball is at rest within the success radius, after a kick [B] bool.
         ball: Ball position [B, 2], m.
         distance: Ball to target [B], m.

@@ -37,12 +37,12 @@ class Steps(Protocol):
         ...
 
     def step(self, actions: Tensor) -> StepResult:
-        """Advances every world by one control step."""
+        """Advances every env by one control step."""
         ...
 
 
 _LEAST_DRIVER = (12, 4)
-"""CUDA of the first drivers with loops in graphs, by which mujoco_warp's solver ends when all worlds have converged."""
+"""CUDA of the first drivers with loops in graphs, by which mujoco_warp's solver ends when all envs have converged."""
 _WARM_UP = 3
 """Steps before the recording: libraries load kernels and make workspaces in their first calls, which a graph cannot
 hold."""
@@ -58,8 +58,6 @@ def graph_obstacle(device: torch.device) -> str | None:
     if version is None or version < _LEAST_DRIVER:
         has, needs = (f"{major}.{minor}" for major, minor in (version or (0, 0), _LEAST_DRIVER))
         return f"the driver knows CUDA {has}; the solver's loop needs the graphs of {needs}"
-    if not hasattr(torch.cuda.CUDAGraph, "register_generator_state"):
-        return f"torch {torch.__version__} cannot draw random numbers from its own generators in a graph"
     return None
 
 
@@ -108,7 +106,7 @@ class CapturedStep:
         return self.env.get_observations()
 
     def step(self, actions: Tensor) -> StepResult:
-        """Advances every world by one control step; see `KickEnv.step`."""
+        """Advances every env by one control step; see `KickEnv.step`."""
         self._actions.copy_(actions)
         if self.obstacle or self._warm_up:
             self._warm_up -= bool(self._warm_up)

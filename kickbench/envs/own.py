@@ -121,13 +121,13 @@ class OwnFunction:
         self._check(found, len(state.ball_pos))
         return found
 
-    def _check(self, found: Any, worlds: int) -> None:
+    def _check(self, found: Any, envs: int) -> None:
         kind = torch.bool if self.kind == "termination" else torch.float32
         dims = 2 if self.kind == "observation" else 1
-        if isinstance(found, Tensor) and (found.dtype, found.dim(), len(found)) == (kind, dims, worlds):
+        if isinstance(found, Tensor) and (found.dtype, found.dim(), len(found)) == (kind, dims, envs):
             return
         shape = f"{found.dtype} {list(found.shape)}" if isinstance(found, Tensor) else type(found).__name__
-        expected = f"{kind} [{worlds}{', size' if dims == 2 else ''}]"
+        expected = f"{kind} [{envs}{', size' if dims == 2 else ''}]"
         raise KickbenchError(f"{shown(self.file)}: {self.name} returns {shape}; a {self.kind} is {expected}")
 
 

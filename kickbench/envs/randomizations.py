@@ -125,7 +125,7 @@ _SERVO = ("servo_stiffness", "servo_damping", "motor_strength")
 
 
 class ModelVariation:
-    """Computes the model fields of worlds whose robots differ; see `InitialStates.by_side`."""
+    """Computes the model fields of envs whose robots differ; see `InitialStates.by_side`."""
 
     def __init__(self, scene: Scene, device: torch.device) -> None:
         """Copies the figures of the compiled robot to a device."""
@@ -180,6 +180,6 @@ class ModelVariation:
             ("actuator_forcerange", 0): -law.effort,
             ("actuator_forcerange", 1): law.effort,
         }
-        worlds = max(len(values) for values in by_side.values())
+        envs = max(len(values) for values in by_side.values())
         for (name, column), values in columns.items():
-            yield ModelField(name, self._actuators, values.expand(worlds, -1), column)
+            yield ModelField(name, self._actuators, values.expand(envs, -1), column)

@@ -17,7 +17,7 @@ from kickbench.sim.sensors import SIDES
 
 
 class EpisodeState(Tensors):
-    """What an episode remembers beyond the physical state; one row a world.
+    """What an episode remembers beyond the physical state; one row an env.
 
     Attributes:
         step: Control steps since the start [B] int64.
@@ -37,11 +37,11 @@ class EpisodeState(Tensors):
     air_time: Tensor
 
     @staticmethod
-    def zeros(num_worlds: int, num_actions: int, device: torch.device) -> EpisodeState:
+    def zeros(num_envs: int, num_actions: int, device: torch.device) -> EpisodeState:
         """All counters and actions at zero."""
-        count = torch.zeros(num_worlds, dtype=torch.int64, device=device)
-        action = torch.zeros(num_worlds, num_actions, device=device)
-        pair = torch.zeros(num_worlds, 2, device=device)
+        count = torch.zeros(num_envs, dtype=torch.int64, device=device)
+        action = torch.zeros(num_envs, num_actions, device=device)
+        pair = torch.zeros(num_envs, 2, device=device)
         return EpisodeState(
             step=count,
             contact_count=count.clone(),
@@ -138,7 +138,7 @@ class FootContact:
 
 
 class State:
-    """All worlds at one instant.
+    """All envs at one instant.
 
     Vectors are world-frame unless a name or docstring says otherwise; float32, SI.
     """

@@ -51,6 +51,11 @@ class Tensors(dict[str, Any]):
         for path, tensor in here.items():
             tensor.copy_(there[path])
 
+    def clear(self, mask: Tensor) -> None:
+        """Sets the rows of the envs in `mask` [B] to zero."""
+        for tensor in self.values():
+            tensor.masked_fill_(mask.view(-1, *[1] * (tensor.dim() - 1)), 0)
+
     def take(self, rows: Tensor) -> Tensors:
         """The envs of the given row numbers, in that order."""
         taken = {
