@@ -18,11 +18,9 @@ from scipy import stats
 from kickbench.config.load import load_task
 from kickbench.envs.catalog import model_of_task
 from kickbench.envs.compile import CompiledTask, compile_task
-from kickbench.envs.delay import ActionDelay
+from kickbench.envs.disturbances import DelayLine, PushSchedule, Setting
 from kickbench.envs.engines import make_engine
 from kickbench.envs.env import KickEnv
-from kickbench.envs.pushes import Pushes
-from kickbench.envs.randomizations import Setting
 
 ROOT = Path(__file__).parent.parent
 COUNT = 10_000
@@ -48,7 +46,7 @@ def assert_uniform(what: str, values: np.ndarray, low: float, high: float, unit:
     assert distance < stats.kstwo.ppf(0.999, len(values))
 
 
-def process(timestep: float, name: str, worlds: int) -> ActionDelay | Pushes:
+def process(timestep: float, name: str, worlds: int) -> DelayLine | PushSchedule:
     """The process that acts in the general task, with its own parameters."""
     task = k1(timestep)
     bound = next(bound for bound in task.processes if bound.name == name)
@@ -56,7 +54,7 @@ def process(timestep: float, name: str, worlds: int) -> ActionDelay | Pushes:
     simulation = task.spec.simulation
     generator = torch.Generator().manual_seed(0)
     setting = Setting(simulation.timestep, simulation.decimation, default, worlds, generator)
-    return bound.term.function(bound.params, setting)
+    return bound(setting)
 
 
 def test_friction_of_each_foot_in_the_physics_over_resets():

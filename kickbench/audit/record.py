@@ -15,8 +15,8 @@ from kickbench.audit.states import VariedActions, VariedStarts, vary_episodes
 from kickbench.envs.compile import Bound, CompiledTask
 from kickbench.envs.engines import make_engine
 from kickbench.envs.env import KickEnv
-from kickbench.envs.snapshot import Snapshot
 from kickbench.envs.state import State
+from kickbench.envs.tensors import Tensors
 from kickbench.evaluation.episodes import Policy
 from kickbench.nets.threads import torch_threads
 from kickbench.symmetry.mirror import Image, mirror_actions, mirror_qpos, mirror_qvel
@@ -57,7 +57,7 @@ class Reflection:
             Mirror(mirror_actions(task.robot.spec.actuators, image)),
         )
 
-    def __call__(self, snapshot: Snapshot) -> Snapshot:
+    def __call__(self, snapshot: Tensors) -> Tensors:
         """The mirror image of running episodes."""
         return snapshot.mirrored(self.qpos, self.qvel, self.actions)
 
@@ -173,8 +173,8 @@ class _Recorder:
         worlds = max(min(_WORLDS, states // _STEPS), _KINDS, 2 * actions + 1)
         starts = VariedStarts(task, seed)
         engines = [make_engine(task, worlds, num_threads=threads) for _ in range(2)]
-        self.env = KickEnv(task, engines[0], seed, noise=False, starts=starts)
-        self.other = KickEnv(task, engines[1], seed, noise=False, starts=starts)
+        self.env = KickEnv(task, engines[0], seed, noise=False, initial_states=starts)
+        self.other = KickEnv(task, engines[1], seed, noise=False, initial_states=starts)
         self.actions = VariedActions(worlds, actions, seed)
         self.draws = torch.Generator().manual_seed(seed)
         # Thrown robots are followed until they lie.
@@ -238,8 +238,8 @@ class _Recorder:
             pairs.add(touch[0], touch[1], keep)
         for name, pairs in self.forces.items():
             pairs.add(image.forces[name].sum(dim=1), there.forces[name].sum(dim=1), keep)
-        if here.pushes is not None:
-            self._count("pushed", (here.pushes.wait < 0) & keep)
+        if "push" in here:
+            self._count("pushed", (here.push.wait < 0) & keep)
 
     def _note_terms(self, state: State, image: State, keep: Tensor) -> None:
         for pairs in (*self.fields, *self.rewards, *self.terminations):

@@ -15,8 +15,8 @@ from torch import Tensor
 
 from kickbench.envs.compile import CompiledTask
 from kickbench.envs.env import KickEnv
-from kickbench.envs.snapshot import Snapshot
-from kickbench.envs.starts import Starts, StartSampler
+from kickbench.envs.initial_states import InitialStates, InitialStateSampler
+from kickbench.envs.tensors import Tensors
 
 _BALL_SPEED = 1.2  # m/s, at which a ball rolls against a foot
 _TILT = 0.9  # rad
@@ -39,15 +39,13 @@ class VariedStarts:
     """Starts of four kinds, one after the other: the task's own, ball at a foot, random pose, thrown."""
 
     def __init__(self, task: CompiledTask, seed: int) -> None:
-        layout, spec = task.scene.layout, task.spec
+        layout = task.scene.layout
         self._task, self._layout = task, layout
         self._draws = _Draws(torch.Generator().manual_seed(seed))
-        self._sampler = StartSampler(
-            layout, spec.sampling, spec.ball, task.randomizers, task.scene.model.nv, self._draws.generator
-        )
+        self._sampler = InitialStateSampler(task, self._draws.generator)
         self._base = next((c for c in layout.coordinates if c.free and c.name != "ball"), None)
 
-    def __call__(self, mask: Tensor) -> Starts:
+    def __call__(self, mask: Tensor) -> InitialStates:
         """A start for every world; the kind follows from its number, so that every kind comes back."""
         starts = self._sampler.sample(len(mask))
         qpos, qvel = starts.qpos.clone(), starts.qvel.clone()
@@ -102,7 +100,7 @@ class VariedStarts:
         qvel[mask, speed : speed + 6] = self._draws.uniform(-_SPEEDS, _SPEEDS, count, 6)
 
 
-def vary_episodes(env: KickEnv, snapshot: Snapshot, fresh: Tensor, draws: torch.Generator) -> Snapshot:
+def vary_episodes(env: KickEnv, snapshot: Tensors, fresh: Tensor, draws: torch.Generator) -> Tensors:
     """Sets counters, targets and actions of worlds whose episode has just begun, so that every gate opens somewhere.
 
     Half of them keep their counters; the others are past the contact window, with the target near the ball or far, or
@@ -117,19 +115,15 @@ def vary_episodes(env: KickEnv, snapshot: Snapshot, fresh: Tensor, draws: torch.
     target = (snapshot.qpos[:, place : place + 2] + offset).float()
     actions = 0.5 * draw.normal(2, worlds, env.num_actions)
     moved = (fresh & (kind < 4)).unsqueeze(1)
-    varied = replace(
-        episode,
-        contact_count=torch.where(late, window + 1, episode.contact_count),
-        step=torch.where(ending, spec.episode.max_steps - 2, episode.step),
-        target=torch.where(near.unsqueeze(1), target, episode.target),
-        action=torch.where(moved, actions[0], episode.action),
-        previous_action=torch.where(moved, actions[1], episode.previous_action),
-    )
-    pushes = snapshot.pushes
-    if pushes is not None:
+    episode.contact_count = torch.where(late, window + 1, episode.contact_count)
+    episode.step = torch.where(ending, spec.episode.max_steps - 2, episode.step)
+    episode.target = torch.where(near.unsqueeze(1), target, episode.target)
+    episode.action = torch.where(moved, actions[0], episode.action)
+    episode.previous_action = torch.where(moved, actions[1], episode.previous_action)
+    if "push" in snapshot:
         soon = torch.randint(1, 20, (worlds,), generator=draws)
-        pushes = replace(pushes, wait=torch.where(fresh & (kind % 2 == 0), soon, pushes.wait))
-    return replace(snapshot, episode=varied, pushes=pushes)
+        snapshot.push.wait = torch.where(fresh & (kind % 2 == 0), soon, snapshot.push.wait)
+    return snapshot
 
 
 class VariedActions:

@@ -133,7 +133,7 @@ def terms(
     if own is not None and not own.is_file():
         raise KickbenchError(f"{own}: no such file")
     from kickbench.envs.catalog import catalog
-    from kickbench.envs.describe import describe, describe_common
+    from kickbench.envs.term import describe_common
 
     last = None
     for term in catalog(own).all():
@@ -143,7 +143,7 @@ def terms(
                 if common := describe_common(term.kind):
                     print(f"every {term.kind} accepts\n{common}\n")
             last = term.kind
-            print(describe(term))
+            print(term.describe())
     return 0
 
 

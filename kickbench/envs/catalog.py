@@ -26,17 +26,24 @@ from kickbench.errors import SpecError
 
 S = TypeVar("S", bound=Spec)
 
+_MODULES: dict[Kind, ModuleType] = {
+    "observation": observations,
+    "reward": rewards,
+    "termination": terminations,
+    "randomization": randomizations,
+}
+
 
 @dataclass(frozen=True, eq=False)
 class Catalog:
     """All terms by kind and name."""
 
-    observations: Mapping[str, Term[Any]]
-    rewards: Mapping[str, Term[Any]]
-    terminations: Mapping[str, Term[Any]]
-    randomizations: Mapping[str, Term[Any]]
+    observations: Mapping[str, Term]
+    rewards: Mapping[str, Term]
+    terminations: Mapping[str, Term]
+    randomizations: Mapping[str, Term]
 
-    def all(self) -> tuple[Term[Any], ...]:
+    def all(self) -> tuple[Term, ...]:
         """Every term, kind by kind in the order of definition."""
         tables = (self.observations, self.rewards, self.terminations, self.randomizations)
         return tuple(term for table in tables for term in table.values())
@@ -55,16 +62,11 @@ def catalog(own: str | Path | None = None) -> Catalog:
 
 
 @cache
-def _catalog(own: tuple[Term[Any], ...]) -> Catalog:
-    return Catalog(
-        _terms(observations, "observation", own),
-        _terms(rewards, "reward", own),
-        _terms(terminations, "termination", own),
-        _terms(randomizations, "randomization", own),
-    )
+def _catalog(own: tuple[Term, ...]) -> Catalog:
+    return Catalog(*(_terms(kind, module, own) for kind, module in _MODULES.items()))
 
 
-def _terms(module: ModuleType, kind: Kind, own: tuple[Term[Any], ...]) -> dict[str, Term[Any]]:
+def _terms(kind: Kind, module: ModuleType, own: tuple[Term, ...]) -> dict[str, Term]:
     shipped = [value for value in vars(module).values() if isinstance(value, Term)]
     found = {term.name: term for term in shipped if term.kind == kind}
     for term in own:
@@ -88,44 +90,44 @@ def task_model(own: Path | None = None) -> type[TaskSpec]:
 @cache
 def _task_model(terms: Catalog) -> type[TaskSpec]:
     group = _table("ObservationTable", TermTable, terms.observations)
-    fields = {name: (group, _like(ObservationSpec, name)) for name in ("actor", "critic")}
+    groups = _narrowed("Observations", ObservationSpec, actor=(group, ...), critic=(group, ...))
     randomization = _table("Randomization", TermTable, terms.randomizations)
-    tables: dict[str, Any] = {
-        "observations": _model("Observations", ObservationSpec, fields),
-        "rewards": _table("Rewards", RewardTable, terms.rewards),
-        "terminations": _table("Terminations", TermTable, terms.terminations),
-    }
-    narrowed: dict[str, Any] = {name: (model, _like(TaskSpec, name)) for name, model in tables.items()}
-    growing = _growing(terms)
-    curriculum = _model("Curriculum", CurriculumSpec, growing)
-    narrowed["curriculum"] = (curriculum | None, _default(TaskSpec, "curriculum", None))
-    narrowed["randomization"] = (randomization, _default(TaskSpec, "randomization", randomization()))
-    return _model("Task", TaskSpec, narrowed)
+    return _narrowed(
+        "Task",
+        TaskSpec,
+        observations=(groups, ...),
+        rewards=(_table("Rewards", RewardTable, terms.rewards), ...),
+        terminations=(_table("Terminations", TermTable, terms.terminations), ...),
+        randomization=(randomization, randomization()),
+        curriculum=(_curriculum(terms) | None, None),
+    )
 
 
-def _growing(terms: Catalog) -> dict[str, Any]:
+def _curriculum(terms: Catalog) -> type[CurriculumSpec]:
     """The values that a curriculum may move: regions, weights of rewards, numbers and ranges of randomisation."""
     keys = ["sampling.ball.x", "sampling.ball.y", "sampling.target.distance", "sampling.target.angle"]
     keys += [f"rewards.{name}.weight" for name in terms.rewards]
     for name, term in terms.randomizations.items():
         keys += [f"randomization.{name}.{parameter}" for parameter in term.params.model_fields]
-    return {key: (RAMP | None, Field(None, description=f"How {key} grows.")) for key in keys}
+    return _optional("Curriculum", CurriculumSpec, {key: (RAMP, f"How {key} grows.") for key in keys})
 
 
-def _table(name: str, base: type[TermTable], terms: Mapping[str, Term[Any]]) -> type[TermTable]:
-    fields = {key: (t.params | None, Field(None, description=t.summary)) for key, t in terms.items()}
-    return _model(name, base, fields)
+def _table(name: str, base: type[S], terms: Mapping[str, Term]) -> type[S]:
+    return _optional(name, base, {key: (term.params, term.summary) for key, term in terms.items()})
 
 
-def _model(name: str, base: type[S], fields: dict[str, Any]) -> type[S]:
-    return create_model(name, __base__=base, __doc__=base.__doc__, **fields)
+def _optional(name: str, base: type[S], fields: Mapping[str, tuple[Any, str]]) -> type[S]:
+    """A model with further fields, given by type and description, each of which may be left out."""
+    added: dict[str, Any] = {
+        key: (kind | None, Field(None, description=words)) for key, (kind, words) in fields.items()
+    }
+    return create_model(name, __base__=base, __doc__=base.__doc__, **added)
 
 
-def _default(base: type[Spec], name: str, value: Any) -> Any:
-    """A field with a default, described as in the base model."""
-    return Field(value, description=base.model_fields[name].description)
-
-
-def _like(base: type[Spec], name: str) -> Any:
-    """A required field described as in the base model."""
-    return Field(description=base.model_fields[name].description)
+def _narrowed(name: str, base: type[S], **fields: tuple[Any, Any]) -> type[S]:
+    """A model whose fields, given by type and default, accept less, described as in its base."""
+    described: dict[str, Any] = {
+        key: (kind, Field(default, description=base.model_fields[key].description))
+        for key, (kind, default) in fields.items()
+    }
+    return create_model(name, __base__=base, __doc__=base.__doc__, **described)

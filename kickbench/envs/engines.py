@@ -2,26 +2,18 @@
 
 from __future__ import annotations
 
-from typing import TypedDict
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from kickbench.envs.compile import CompiledTask
-from kickbench.envs.starts import StartSampler
+from kickbench.envs.initial_states import InitialStateSampler
 from kickbench.sim.cpu import CpuEngine
 from kickbench.sim.engine import Engine
 
 _REHEARSED, _REHEARSAL = 32, 100
 """Worlds and control steps of a rehearsal: long enough for robots to fall, and over in a second or two."""
-
-
-class _OfTask(TypedDict):
-    """What every engine wants to know of a task."""
-
-    decimation: int
-    contact_forces: list[int]
-    pushed_body: int | None
 
 
 def make_engine(
@@ -31,7 +23,7 @@ def make_engine(
 
     Args:
         task: The task.
-        num_envs: Number of worlds.
+        num_envs: Number of envs.
         device: `cpu`, `cuda` or `cuda:<number>`.
         num_threads: Threads of the CPU engine; default: the cores this process may use.
     """
@@ -50,7 +42,7 @@ def make_warp_engine(
 
     Args:
         task: The task.
-        num_envs: Number of worlds.
+        num_envs: Number of envs.
         device: `cpu`, `cuda` or `cuda:<number>`.
         deterministic: See `WarpEngine`.
     """
@@ -60,9 +52,9 @@ def make_warp_engine(
     given, scene = task.spec.simulation, task.scene
     room = given.max_contacts or 0, given.max_constraints or 0
     if not all(room):
-        starts, targets = rehearsal(task)
+        states, targets = rehearsal(task)
         seen = measure_capacity(
-            scene.model, starts.numpy(), [target.numpy() for target in targets], given.decimation
+            scene.model, states.numpy(), [target.numpy() for target in targets], given.decimation
         )
         room = room[0] or seen.contacts, room[1] or seen.constraints
     capacity = Capacity(*room, allowed_share=given.allowed_overflow)
@@ -73,21 +65,21 @@ def make_warp_engine(
 
 
 def rehearsal(task: CompiledTask) -> tuple[Tensor, list[Tensor]]:
-    """Starts of a task [N, nq], and control targets of random actions (standard normal), each [N, nu]."""
+    """Initial states of a task [N, nq], and control targets of random actions (standard normal), each [N, nu]."""
     layout, generator = task.scene.layout, torch.Generator().manual_seed(0)
-    model, spec = task.scene.model, task.spec
-    sampler = StartSampler(layout, spec.sampling, spec.ball, task.randomizers, model.nv, generator)
+    sampler = InitialStateSampler(task, generator)
     default, scale = torch.as_tensor(layout.default_target), torch.as_tensor(layout.action_scale)
-    shape = (_REHEARSAL, _REHEARSED, model.nu)
+    shape = (_REHEARSAL, _REHEARSED, task.scene.model.nu)
     noise = torch.randn(shape, generator=generator, dtype=torch.float64)
     return sampler.sample(_REHEARSED).qpos, list(default + scale * noise)
 
 
-def _of(task: CompiledTask) -> _OfTask:
+def _of(task: CompiledTask) -> dict[str, Any]:
+    """What every engine wants to know of a task."""
     layout = task.scene.layout
     pushed = any(bound.term.stage == "push" for bound in task.processes)
-    return _OfTask(
-        decimation=task.spec.simulation.decimation,
-        contact_forces=[int(place) for places in layout.forces.values() for place in places.flatten()],
-        pushed_body=layout.base_body if pushed else None,
-    )
+    return {
+        "decimation": task.spec.simulation.decimation,
+        "contact_forces": [int(place) for places in layout.forces.values() for place in places.flatten()],
+        "pushed_body": layout.base_body if pushed else None,
+    }

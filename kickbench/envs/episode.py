@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from kickbench.envs.state import State
-from kickbench.envs.stateful import Stateful
+from kickbench.envs.tensors import Tensors
 
 NO_FOOT, LEFT, RIGHT, BOTH, OTHER = 0, 1, 2, 3, 4
 """Codes of what touched the ball first: the sum of the feet that did, or OTHER, a part that is no foot."""
@@ -16,11 +16,8 @@ FOOT_NAMES = ("none", "left", "right", "other", "other")
 """Names of the codes in tables of episodes; both feet at once count as other."""
 
 
-@dataclass
-class EpisodeRecord(Stateful):
-    """What is recorded of the running episode; one row a world.
-
-    Its tensors are replaced, never written to, so a shallow copy keeps what was recorded.
+class EpisodeRecord(Tensors):
+    """What is recorded of the running episode; one row an env.
 
     Attributes:
         by_reward_raw: Unweighted sum of every reward term [B, R].
@@ -35,25 +32,20 @@ class EpisodeRecord(Stateful):
     peak_ball_speed: Tensor
 
     @staticmethod
-    def empty(worlds: int, rewards: int, device: torch.device) -> EpisodeRecord:
+    def empty(envs: int, rewards: int, device: torch.device) -> EpisodeRecord:
         """Records of episodes that have not begun."""
-        table = torch.zeros(worlds, rewards, device=device)
-        foot = torch.zeros(worlds, dtype=torch.int64, device=device)
-        return EpisodeRecord(table, foot, foot - 1, torch.zeros(worlds, device=device))
+        foot = torch.zeros(envs, dtype=torch.int64, device=device)
+        return EpisodeRecord(
+            by_reward_raw=torch.zeros(envs, rewards, device=device),
+            kick_foot=foot,
+            kick_step=foot - 1,
+            peak_ball_speed=torch.zeros(envs, device=device),
+        )
 
     def clear(self, mask: Tensor) -> None:
-        """Starts new records in the worlds in `mask` [B]."""
-        for field in fields(self):
-            empty = -1 if field.name == "kick_step" else 0
-            value = getattr(self, field.name)
-            cleared = value.masked_fill(mask if value.dim() == 1 else mask.unsqueeze(1), empty)
-            setattr(self, field.name, cleared)
-
-    def mirrored(self) -> EpisodeRecord:
-        """The record of the mirrored episode: left and right feet swap."""
-        foot = self.kick_foot
-        swapped = torch.where(foot == LEFT, RIGHT, torch.where(foot == RIGHT, LEFT, foot))
-        return replace(self, kick_foot=swapped)
+        """Starts new records in the envs in `mask` [B]."""
+        super().clear(mask)
+        self.kick_step.masked_fill_(mask, -1)
 
     def note_touch(self, state: State, failed: Tensor, has_feet: bool) -> None:
         """Remembers step and foot of the first touch, and the ball's peak speed.
@@ -75,8 +67,7 @@ class EpisodeRecord(Stateful):
         self.peak_ball_speed = torch.where(failed, self.peak_ball_speed, peak)
 
 
-@dataclass
-class Totals(Stateful):
+class Totals(Tensors):
     """Sums over the episodes finished since the last reading.
 
     Attributes:
@@ -96,10 +87,11 @@ class Totals(Stateful):
     def zeros(terminations: int, weights: Tensor) -> Totals:
         """Nothing counted yet."""
         endings = torch.zeros(3 + terminations, device=weights.device)
-        return Totals(torch.zeros((), device=weights.device), endings, torch.zeros_like(weights), weights)
+        steps = torch.zeros((), device=weights.device)
+        return Totals(steps=steps, endings=endings, by_reward_raw=torch.zeros_like(weights), weights=weights)
 
     def add(self, outcome: Outcome) -> None:
-        """Adds the worlds that are done."""
+        """Adds the envs that are done."""
         done = outcome.done.float()
         kinds = torch.stack([outcome.done, outcome.success, outcome.failed], dim=1)
         self.endings += done @ torch.cat([kinds, outcome.terminated], dim=1).float()
@@ -143,12 +135,12 @@ class FinishedEpisodes:
 
 @dataclass(frozen=True)
 class Outcome:
-    """How the last control step ended, before any reset; one row a world.
+    """How the last control step ended, before any reset; one row an env.
 
     Attributes:
         done: The episode ended [B] bool.
         failed: It ended because its numbers were not finite [B] bool.
-        terminated: Which terminations fired [B, T] bool; none in a world that failed.
+        terminated: Which terminations fired [B, T] bool; none in an env that failed.
         success: The ball is at rest within the success radius, after a kick [B] bool.
         ball: Ball position [B, 2], m.
         distance: Ball to target [B], m.

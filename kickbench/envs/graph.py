@@ -1,9 +1,9 @@
 """The environment's step as one CUDA graph: recorded once, replayed with a single launch.
 
 A graph replays the very kernels it has recorded, on the very addresses. So whatever a step reads or writes must stay
-where it is: actions come in through one buffer, and the tensors that a step replaces (`KickEnv.tensors`) are copied
-back into buffers of their own at its end. No kernel may depend on a number that the host would have to read; the
-environment is resident then (`KickEnv`), and starts, resets and random numbers are masked.
+where it is: actions come in through one buffer, and a step changes the environment's tensors (`KickEnv.tensors`) in
+place. No kernel may depend on a number that the host would have to read; the environment is resident then (`KickEnv`),
+and initial states, resets and random numbers are masked.
 
 No GPU has run this yet: what is tested is the same code without the recording, on the CPU (tests/test_graph.py). The
 tests that carry the marker `cuda` are what to run first on a GPU.
@@ -37,12 +37,12 @@ class Steps(Protocol):
         ...
 
     def step(self, actions: Tensor) -> StepResult:
-        """Advances every world by one control step."""
+        """Advances every env by one control step."""
         ...
 
 
 _LEAST_DRIVER = (12, 4)
-"""CUDA of the first drivers with loops in graphs, by which mujoco_warp's solver ends when all worlds have converged."""
+"""CUDA of the first drivers with loops in graphs, by which mujoco_warp's solver ends when all envs have converged."""
 _WARM_UP = 3
 """Steps before the recording: libraries load kernels and make workspaces in their first calls, which a graph cannot
 hold."""
@@ -58,8 +58,6 @@ def graph_obstacle(device: torch.device) -> str | None:
     if version is None or version < _LEAST_DRIVER:
         has, needs = (f"{major}.{minor}" for major, minor in (version or (0, 0), _LEAST_DRIVER))
         return f"the driver knows CUDA {has}; the solver's loop needs the graphs of {needs}"
-    if not hasattr(torch.cuda.CUDAGraph, "register_generator_state"):
-        return f"torch {torch.__version__} cannot draw random numbers from its own generators in a graph"
     return None
 
 
@@ -75,58 +73,6 @@ def driver_version() -> tuple[int, int] | None:
 
 class WithoutGraphs(UserWarning):
     """Steps run on a CUDA device one kernel at a time: correct, and several times slower."""
-
-
-class StaticTensors:
-    """Buffers for the tensors that a step replaces.
-
-    Between two steps every such tensor of the environment is its buffer. Whoever binds another one in the meantime
-    (a reset, a checkpoint, a snapshot) is noticed by `adopt`.
-    """
-
-    def __init__(self, env: KickEnv) -> None:
-        """Copies the present tensors and puts the copies in their place."""
-        self._env = env
-        self._buffers = {
-            part: {name: value.clone(memory_format=torch.contiguous_format) for name, value in table.items()}
-            for part, table in env.tensors().items()
-        }
-        env.bind(self._buffers)
-
-    def adopt(self) -> None:
-        """Takes over the values of all tensors that are not their buffers; afterwards they are.
-
-        Raises:
-            ValueError: One has another name, shape or type than its buffer.
-        """
-        moved = list(self._moved())
-        if not moved:
-            return
-        places = {buffer.untyped_storage().data_ptr() for buffer, _ in self._pairs()}
-        # A new value may be another one's buffer, or lie in it: no copy may overwrite what another has yet to read.
-        values = [v.clone() if v.untyped_storage().data_ptr() in places else v for _, v in moved]
-        for (buffer, _), value in zip(moved, values, strict=True):
-            buffer.copy_(value)
-        self._env.bind(self._buffers)
-
-    def _moved(self) -> Iterator[tuple[Tensor, Tensor]]:
-        return ((buffer, value) for buffer, value in self._pairs() if value is not buffer)
-
-    def _pairs(self) -> Iterator[tuple[Tensor, Tensor]]:
-        """Every buffer with the environment's present tensor."""
-        tables = self._env.tensors()
-        for part, buffers in self._buffers.items():
-            if tables[part].keys() != buffers.keys():
-                raise ValueError(f"{part}: expected {sorted(buffers)}, found {sorted(tables[part])}")
-            for name, buffer in buffers.items():
-                value = tables[part][name]
-                if (value.shape, value.dtype) != (buffer.shape, buffer.dtype):
-                    raise ValueError(f"{part}.{name}: expected {_kind(buffer)}, found {_kind(value)}")
-                yield buffer, value
-
-
-def _kind(value: Tensor) -> str:
-    return f"{value.dtype} {list(value.shape)}"
 
 
 class CapturedStep:
@@ -145,7 +91,6 @@ class CapturedStep:
             graph: Whether to record at all.
         """
         self.env = env
-        self._static = StaticTensors(env)
         self._actions = torch.zeros(env.num_envs, env.num_actions, device=env.device)
         self._warm_up = _WARM_UP
         self._result: StepResult | None = None
@@ -158,11 +103,10 @@ class CapturedStep:
 
     def get_observations(self) -> TensorDict:
         """Observations of the present state by group, {group: [B, width]}."""
-        return self.env.get_observations().clone()
+        return self.env.get_observations()
 
     def step(self, actions: Tensor) -> StepResult:
-        """Advances every world by one control step; see `KickEnv.step`."""
-        self._static.adopt()
+        """Advances every env by one control step; see `KickEnv.step`."""
         self._actions.copy_(actions)
         if self.obstacle or self._warm_up:
             self._warm_up -= bool(self._warm_up)
@@ -176,9 +120,8 @@ class CapturedStep:
         return observations.clone(), rewards.clone(), done.clone(), kept
 
     def _run(self) -> None:
-        """A step from buffers to buffers: all that is ever recorded."""
+        """A step whose actions lie in the buffer: all that is ever recorded."""
         self._result = self.env.step(self._actions)
-        self._static.adopt()
 
     def _record(self) -> Callable[[], None]:
         """Records one step, without running it.

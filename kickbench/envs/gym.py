@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -73,7 +72,7 @@ class KickVectorEnv(VectorEnv):
         if np.shape(actions) != self.action_space.shape:
             raise ValueError(f"expected actions {self.action_space.shape}, found {np.shape(actions)}")
         state = self.env.advance(torch.tensor(actions, dtype=torch.float32))
-        ending = replace(state.episode)
+        ending = state.episode.clone()
         observations, rewards, done, extras = self.env.finish(state)
         state.episode, infos = ending, dict[str, Any]()  # a reset has overwritten the episode
         if done.any():

@@ -22,32 +22,18 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from types import ModuleType
-from typing import Any, get_args
+from typing import Any, Literal
 
 import torch
-from pydantic import create_model
+from pydantic import BaseModel, ValidationError, create_model
 from torch import Tensor
 
-from kickbench.config.base import NameList, Range
-from kickbench.config.terms import (
-    JointName,
-    JointNames,
-    ObservationParams,
-    RewardParams,
-    TerminationParams,
-    TermParams,
-)
-from kickbench.envs.term import Kind, Size, Term
-from kickbench.errors import KickbenchError, Mark, Problem, SpecError, did_you_mean, shown
+from kickbench.config.base import NameList, PositiveInt, Range
+from kickbench.config.terms import JointName, JointNames, TermParams
+from kickbench.envs.term import COMMON, Kind, Term
+from kickbench.errors import KickbenchError, Mark, Problem, SpecError, shown
 from kickbench.sim.sensors import SensorGroup
 
-Function = Callable[..., Tensor]
-
-_BASES: dict[Kind, type[TermParams]] = {
-    "reward": RewardParams,
-    "observation": ObservationParams,
-    "termination": TerminationParams,
-}
 _TYPES: dict[str, Any] = {
     **{kind.__name__: kind for kind in (float, int, bool, str)},
     "list[str]": NameList,
@@ -55,44 +41,51 @@ _TYPES: dict[str, Any] = {
     "JointName": JointName,
     "JointNames": JointNames,
 }
-_OPTIONS: dict[str, type | tuple[type, ...]] = {
-    "units": str,
-    "source": str,
-    "needs": tuple,
-    "size": (int, str),
-}
+"""Types of parameters, as they are written."""
 
 
-def reward(
-    units: str = "1", source: str = "", needs: tuple[SensorGroup, ...] = ()
-) -> Callable[[Function], Function]:
-    """Marks a function `(state, parameters...) -> Tensor[B]` as a reward; its weight is applied outside.
+class Marker(BaseModel):
+    """What a decorator says of a term.
 
-    Args:
+    Attributes:
+        kind: The term's kind.
         units: Unit of what it returns.
-        source: Where it comes from.
+        source: Where it comes from; default: its file.
         needs: Sensors that it reads: foot_frame, foot_ball, foot_floor, body_floor.
+        size: Length of an observation: a number, "joints" or "actions".
     """
-    return lambda function: function
+
+    kind: Kind
+    units: str
+    source: str
+    needs: tuple[SensorGroup, ...]
+    size: PositiveInt | Literal["joints", "actions"] = 1
+
+    def __call__(self, function: Callable[..., Tensor]) -> Callable[..., Tensor]:
+        """The function as it is: a marker is for those who read the file."""
+        return function
+
+
+def reward(units: str = "1", source: str = "", needs: tuple[SensorGroup, ...] = ()) -> Marker:
+    """Marks a function `(state, parameters...) -> Tensor[B]` as a reward; its weight is applied outside."""
+    return Marker(kind="reward", units=units, source=source, needs=needs)
 
 
 def observation(
-    size: Size, units: str = "1", source: str = "", needs: tuple[SensorGroup, ...] = ()
-) -> Callable[[Function], Function]:
-    """Marks a function `(state, parameters...) -> Tensor[B, size]` as an observation; see `reward`.
-
-    Args:
-        size: Its length: a number, "joints" or "actions".
-        units: Unit of what it returns.
-        source: Where it comes from.
-        needs: Sensors that it reads.
-    """
-    return lambda function: function
+    size: int | str, units: str = "1", source: str = "", needs: tuple[SensorGroup, ...] = ()
+) -> Marker:
+    """Marks a function `(state, parameters...) -> Tensor[B, size]` as an observation."""
+    return Marker.model_validate(
+        {"kind": "observation", "size": size, "units": units, "source": source, "needs": needs}
+    )
 
 
-def termination(source: str = "", needs: tuple[SensorGroup, ...] = ()) -> Callable[[Function], Function]:
-    """Marks a function `(state, parameters...) -> BoolTensor[B]` as a termination; see `reward`."""
-    return lambda function: function
+def termination(source: str = "", needs: tuple[SensorGroup, ...] = ()) -> Marker:
+    """Marks a function `(state, parameters...) -> BoolTensor[B]` as a termination."""
+    return Marker(kind="termination", units="true/false", source=source, needs=needs)
+
+
+_MARKERS = {function.__name__: function for function in (reward, observation, termination)}
 
 
 @dataclass(frozen=True)
@@ -104,12 +97,14 @@ class OwnFunction:
         name: The function's name.
         kind: The term's kind.
         parameters: Names of its parameters.
+        doc: Its docstring.
     """
 
     file: Path
     name: str
     kind: Kind
     parameters: tuple[str, ...]
+    doc: str | None
 
     def __call__(self, state: Any, params: TermParams) -> Tensor:
         """Calls the function, and checks what it returns.
@@ -126,17 +121,17 @@ class OwnFunction:
         self._check(found, len(state.ball_pos))
         return found
 
-    def _check(self, found: Any, worlds: int) -> None:
+    def _check(self, found: Any, envs: int) -> None:
         kind = torch.bool if self.kind == "termination" else torch.float32
         dims = 2 if self.kind == "observation" else 1
-        if isinstance(found, Tensor) and (found.dtype, found.dim(), len(found)) == (kind, dims, worlds):
+        if isinstance(found, Tensor) and (found.dtype, found.dim(), len(found)) == (kind, dims, envs):
             return
         shape = f"{found.dtype} {list(found.shape)}" if isinstance(found, Tensor) else type(found).__name__
-        expected = f"{kind} [{worlds}{', size' if dims == 2 else ''}]"
+        expected = f"{kind} [{envs}{', size' if dims == 2 else ''}]"
         raise KickbenchError(f"{shown(self.file)}: {self.name} returns {shape}; a {self.kind} is {expected}")
 
 
-def read_terms(file: Path) -> tuple[Term[Any], ...]:
+def read_terms(file: Path) -> tuple[Term, ...]:
     """Reads the terms of a file without importing it.
 
     Raises:
@@ -146,90 +141,61 @@ def read_terms(file: Path) -> tuple[Term[Any], ...]:
 
 
 @cache
-def _read(file: Path, source: bytes) -> tuple[Term[Any], ...]:
+def _read(file: Path, source: bytes) -> tuple[Term, ...]:
     try:
         tree = ast.parse(source)
     except (SyntaxError, ValueError) as error:
         line, column = getattr(error, "lineno", None) or 0, getattr(error, "offset", None) or 0
         what = f"not Python: {getattr(error, 'msg', error)}"
         raise SpecError([Problem(Mark(str(file), line, column), (), what)]) from None
+    found: dict[str, Term] = {}
     problems: list[Problem] = []
-    found = [term for node in tree.body for term in _term(file, node, problems)]
-    names = [term.name for term in found]
-    problems += [
-        Problem(Mark(str(file), 0, 0), (name,), "there are two terms of this name")
-        for name in dict.fromkeys(names)
-        if names.count(name) > 1
-    ]
-    if not found and not problems:
-        what = "no term: expected functions marked by @reward, @observation or @termination"
-        problems.append(Problem(Mark(str(file), 0, 0), (), what))
+    for node in tree.body:
+        mark = next(filter(_marker, node.decorator_list), None) if isinstance(node, ast.FunctionDef) else None
+        if not isinstance(node, ast.FunctionDef) or mark is None:
+            continue
+        try:
+            if node.name in found:
+                raise ValueError("there are two terms of this name")
+            found[node.name] = _term(file, node, mark)
+        except (TypeError, ValueError) as error:
+            place = Mark(str(file), node.lineno, node.col_offset + 1)
+            problems.append(Problem(place, (node.name,), _words(error)))
     if problems:
         raise SpecError(problems)
-    return tuple(found)
+    if not found:
+        what = "no term: expected functions marked by @reward, @observation or @termination"
+        raise SpecError.of(str(file), what)
+    return tuple(found.values())
 
 
-def _term(file: Path, node: ast.stmt, problems: list[Problem]) -> Iterator[Term[Any]]:
-    if not isinstance(node, ast.FunctionDef):
-        return
-    mark = next((mark for mark in node.decorator_list if _kind(mark)), None)
-    kind = _kind(mark) if mark is not None else None
-    if mark is None or kind is None:
-        return
-    try:
-        options = _options(kind, mark)
-        fields: dict[str, Any] = dict(_fields(node, kind))
-    except ValueError as error:
-        problems.append(Problem(Mark(str(file), node.lineno, node.col_offset + 1), (node.name,), str(error)))
-        return
-    function = OwnFunction(file, node.name, kind, tuple(fields))
-    object.__setattr__(function, "__doc__", ast.get_docstring(node))
-    yield Term(
-        node.name,
-        kind,
-        function,
-        create_model(f"{node.name}_parameters", __base__=_BASES[kind], **fields),
-        options.get("units", "true/false" if kind == "termination" else "1"),
-        options.get("source") or file.name,
-        frozenset(options.get("needs", ())),
-        size=options.get("size", 1),
-    )
-
-
-def _kind(mark: ast.expr) -> Kind | None:
-    called = mark.func if isinstance(mark, ast.Call) else mark
-    name = called.attr if isinstance(called, ast.Attribute) else getattr(called, "id", None)
-    return next((kind for kind in _BASES if kind == name), None)
-
-
-def _options(kind: Kind, mark: ast.expr) -> dict[str, Any]:
+def _term(file: Path, node: ast.FunctionDef, mark: ast.expr) -> Term:
+    name = _marker(mark)
     if not isinstance(mark, ast.Call):
-        raise ValueError(f"write @{kind}(), with parentheses")
-    places = ["size"] if kind == "observation" else []
-    values = dict(zip(places, mark.args, strict=False)) | {
-        word.arg or "**": word.value for word in mark.keywords
-    }
-    known = (
-        set(_OPTIONS)
-        - ({"size"} if kind != "observation" else set())
-        - ({"units"} if kind == "termination" else set())
-    )
-    if len(mark.args) > len(places) or set(values) - known:
-        extra = next(iter(set(values) - known), "an argument without a name")
-        raise ValueError(f"@{kind}: {extra}: expected {', '.join(sorted(known))} by name")
-    if kind == "observation" and "size" not in values:
-        raise ValueError("@observation needs its size: a number, 'joints' or 'actions'")
-    options = {name: _literal(value, f"@{kind}: {name}") for name, value in values.items()}
-    for name, value in options.items():
-        if not isinstance(value, _OPTIONS[name]):
-            raise ValueError(f"@{kind}: {name}: found {value!r}")
-    if (isinstance(size := options.get("size", 1), str) and size not in ("joints", "actions")) or size == 0:
-        raise ValueError(f"@{kind}: size: found {size!r}")
-    for sensor in options.get("needs", ()):
-        if sensor not in get_args(SensorGroup):
-            hint = did_you_mean(str(sensor), get_args(SensorGroup)) or ", ".join(get_args(SensorGroup))
-            raise ValueError(f"@{kind}: needs: no sensor {sensor!r} ({hint})")
-    return options
+        raise ValueError(f"write @{name}(), with parentheses")
+    words = {word.arg or "**": _literal(word.value, f"@{name}: {word.arg}") for word in mark.keywords}
+    marker = _MARKERS[name](*(_literal(value, f"@{name}") for value in mark.args), **words)
+    fields: dict[str, Any] = dict(_fields(node, marker.kind))
+    function = OwnFunction(file, node.name, marker.kind, tuple(fields), ast.get_docstring(node))
+    params = create_model(f"{node.name}_parameters", __base__=COMMON[marker.kind], **fields)
+    source = marker.source or file.name
+    return Term(
+        node.name, marker.kind, function, params, marker.units, source, frozenset(marker.needs), marker.size
+    )  # fmt: skip
+
+
+def _marker(mark: ast.expr) -> str:
+    """Name of the decorator of this module that an expression is; empty: of none."""
+    called = mark.func if isinstance(mark, ast.Call) else mark
+    name = called.attr if isinstance(called, ast.Attribute) else getattr(called, "id", "")
+    return name if name in _MARKERS else ""
+
+
+def _words(error: Exception) -> str:
+    if not isinstance(error, ValidationError):
+        return str(error)
+    first = error.errors()[0]
+    return f"{'.'.join(map(str, first['loc']))}: {first['msg']}, found {first['input']!r}"
 
 
 def _fields(node: ast.FunctionDef, kind: Kind) -> Iterator[tuple[str, tuple[Any, Any]]]:
@@ -242,7 +208,7 @@ def _fields(node: ast.FunctionDef, kind: Kind) -> Iterator[tuple[str, tuple[Any,
     for argument, default in (*pairs, *zip(arguments.kwonlyargs, arguments.kw_defaults, strict=True)):
         name = argument.arg
         annotation = ast.unparse(argument.annotation) if argument.annotation else "nothing"
-        if name in _BASES[kind].model_fields:
+        if name in COMMON[kind].model_fields:
             raise ValueError(f"{name}: every {kind} has this parameter; it is applied outside")
         if annotation not in _TYPES:
             raise ValueError(f"{name}: expected a type out of {', '.join(_TYPES)}; found {annotation}")

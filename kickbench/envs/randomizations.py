@@ -1,46 +1,27 @@
-"""Randomisation (thesis 3.1).
+"""Randomisation (thesis 3.1), and what that of the robot's hardware changes in the physics.
 
-One of episode starts is `(starts, params, draw) -> starts`. One of another stage makes the process that acts during
-the episode: `(params, setting) -> process`.
+One of initial states is `(states, params, draw) -> states`. One of another stage makes the process that acts during
+the episode: `(setting, params) -> process`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 
 import torch
 from pydantic import model_validator
 from torch import Tensor
 
-from kickbench.config.base import Fraction, NonNegativeRange, PositiveFloat, PositiveRange
-from kickbench.config.task import TaskSpec
+from kickbench.config.base import NonNegativeRange, PositiveFloat, PositiveRange
 from kickbench.config.terms import RandomizationParams
-from kickbench.envs.delay import ActionDelay as DelayBuffer
-from kickbench.envs.delay import whole_steps
-from kickbench.envs.draws import Draws
-from kickbench.envs.pushes import Pushes as PushSchedule
-from kickbench.envs.starts import Draw, Starts
+from kickbench.envs.disturbances import ActionDelay, DelayLine, Pushes, PushSchedule, Setting
+from kickbench.envs.initial_states import Draw, InitialStates
 from kickbench.envs.term import randomization
-
-
-@dataclass(frozen=True)
-class Setting:
-    """What a process needs to know of its environment.
-
-    Attributes:
-        timestep: Physics time step, s.
-        decimation: Physics steps per control step.
-        default_target: Control target of a zero action [nu].
-        num_worlds: Number of worlds B.
-        generator: Source of all draws.
-    """
-
-    timestep: float
-    decimation: int
-    default_target: Tensor
-    num_worlds: int
-    generator: Draws
+from kickbench.sim.build import Scene
+from kickbench.sim.engine import ModelField
+from kickbench.sim.layout import NO_SIDE
+from kickbench.sim.servo import servo_law
 
 
 class FootFriction(RandomizationParams):
@@ -50,10 +31,10 @@ class FootFriction(RandomizationParams):
     """Range of the sliding friction coefficient."""
 
 
-@randomization("3.1", units="1", needs=("foot_ball",), params=FootFriction)
-def foot_friction(starts: Starts, params: FootFriction, draw: Draw) -> Starts:
+@randomization("3.1", units="1", needs=("foot_ball",))
+def foot_friction(states: InitialStates, params: FootFriction, draw: Draw) -> InitialStates:
     """Sliding friction of each foot, uniform, drawn anew for every foot and episode."""
-    return starts.varied("foot_friction", draw(*params.range, len(starts), 2))
+    return states.varied("foot_friction", draw(*params.range, len(states), 2))
 
 
 class FactorsBySide(RandomizationParams):
@@ -73,37 +54,37 @@ class FactorsBySide(RandomizationParams):
         return self
 
     def draw(self, draw: Draw, count: int) -> Tensor:
-        """One factor a side and start [count, 3]: left, right, middle."""
+        """One factor a side and state [count, 3]: left, right, middle."""
         sides = (self.left, self.right, self.middle)
         return torch.cat([draw(*bounds, count, 1) for bounds in sides], dim=1)
 
 
-@randomization("5.1 (future work: asymmetric hardware)", units="1", params=FactorsBySide)
-def link_mass(starts: Starts, params: FactorsBySide, draw: Draw) -> Starts:
+@randomization("5.1 (future work: asymmetric hardware)", units="1")
+def link_mass(states: InitialStates, params: FactorsBySide, draw: Draw) -> InitialStates:
     """Factor of mass and inertia of all bodies of a side, drawn anew for every side and episode."""
-    return starts.varied("link_mass", params.draw(draw, len(starts)))
+    return states.varied("link_mass", params.draw(draw, len(states)))
 
 
-@randomization("5.1 (future work: asymmetric hardware)", units="1", params=FactorsBySide)
-def servo_stiffness(starts: Starts, params: FactorsBySide, draw: Draw) -> Starts:
+@randomization("5.1 (future work: asymmetric hardware)", units="1")
+def servo_stiffness(states: InitialStates, params: FactorsBySide, draw: Draw) -> InitialStates:
     """Factor of kp of all position servos of a side, drawn anew for every side and episode."""
-    return starts.varied("servo_stiffness", params.draw(draw, len(starts)))
+    return states.varied("servo_stiffness", params.draw(draw, len(states)))
 
 
-@randomization("5.1 (future work: asymmetric hardware)", units="1", params=FactorsBySide)
-def servo_damping(starts: Starts, params: FactorsBySide, draw: Draw) -> Starts:
+@randomization("5.1 (future work: asymmetric hardware)", units="1")
+def servo_damping(states: InitialStates, params: FactorsBySide, draw: Draw) -> InitialStates:
     """Factor of kd of all servos of a side, drawn anew for every side and episode."""
-    return starts.varied("servo_damping", params.draw(draw, len(starts)))
+    return states.varied("servo_damping", params.draw(draw, len(states)))
 
 
-@randomization("5.1 (future work: asymmetric hardware)", units="1", params=FactorsBySide)
-def motor_strength(starts: Starts, params: FactorsBySide, draw: Draw) -> Starts:
+@randomization("5.1 (future work: asymmetric hardware)", units="1")
+def motor_strength(states: InitialStates, params: FactorsBySide, draw: Draw) -> InitialStates:
     """Factor of the effort limit of all servos of a side, drawn anew for every side and episode.
 
     The no-load speed stays, so the torque at every speed scales alike; gains are `servo_stiffness` and
     `servo_damping`.
     """
-    return starts.varied("motor_strength", params.draw(draw, len(starts)))
+    return states.varied("motor_strength", params.draw(draw, len(states)))
 
 
 class JointPosition(RandomizationParams):
@@ -113,78 +94,92 @@ class JointPosition(RandomizationParams):
     """Half-width of the uniform offset, rad."""
 
 
-@randomization("not in the thesis: chosen so that initial poses differ", units="rad", params=JointPosition)
-def joint_position(starts: Starts, params: JointPosition, draw: Draw) -> Starts:
+@randomization("not in the thesis: chosen so that initial poses differ", units="rad")
+def joint_position(states: InitialStates, params: JointPosition, draw: Draw) -> InitialStates:
     """Uniform offset of every observed joint from the default pose."""
-    offset = draw(-params.noise, params.noise, len(starts), len(starts.joints))
-    qpos = starts.qpos.clone()
-    qpos[:, starts.joints] += offset
-    return replace(starts, qpos=qpos)
-
-
-class ActionDelay(RandomizationParams):
-    """Parameters of `action_delay`."""
-
-    delay: NonNegativeRange
-    """Age that a command must have to act, s; whole physics steps are drawn from it."""
-    hold_probability: Fraction = 0.0
-    """Probability that the delay is one physics step longer."""
-
-    def misfits(self, task: TaskSpec) -> Iterator[tuple[str, str]]:
-        """A delay that outlasts the episode, or that no whole number of physics steps lies in."""
-        low, high = self.delay
-        timestep, length = task.simulation.timestep, task.seconds
-        if high >= length:
-            yield (
-                "delay",
-                f"a delay of {high:g} s outlasts the episode of {length:g} s: commands would never act",
-            )
-        first, last = whole_steps(self.delay, timestep)
-        if first > last:
-            yield (
-                "delay",
-                f"no multiple of the time step of {timestep:g} s lies between {low:g} and {high:g} s",
-            )
+    offset = draw(-params.noise, params.noise, len(states), len(states.joints))
+    qpos = states.qpos.clone()
+    qpos[:, states.joints] += offset
+    return replace(states, qpos=qpos)
 
 
 @randomization(
     "3.1 Action Delay; in seconds, since its 2 to 8 steps are 10 to 40 ms only at 5 ms",
     units="s",
     stage="command",
-    params=ActionDelay,
 )
-def action_delay(params: ActionDelay, setting: Setting) -> DelayBuffer:
+def action_delay(setting: Setting, params: ActionDelay) -> DelayLine:
     """The servos follow the newest command of at least a certain age, drawn anew for every control step and world."""
-    return DelayBuffer(
-        params.delay,
-        params.hold_probability,
-        setting.timestep,
-        setting.decimation,
-        setting.default_target,
-        setting.num_worlds,
-        setting.generator,
-    )
-
-
-class Pushes(RandomizationParams):
-    """Parameters of `pushes`."""
-
-    interval: NonNegativeRange
-    """Time between two pushes, s."""
-    duration: PositiveFloat
-    """Length of a push, s."""
-    force: NonNegativeRange
-    """Magnitude of the force, N."""
+    return DelayLine(setting, params)
 
 
 @randomization(
-    "3.1 Physical Perturbations; duration and force are not in the thesis",
-    units="N",
-    stage="push",
-    params=Pushes,
+    "3.1 Physical Perturbations; duration and force are not in the thesis", units="N", stage="push"
 )
-def pushes(params: Pushes, setting: Setting) -> PushSchedule:
+def pushes(setting: Setting, params: Pushes) -> PushSchedule:
     """A horizontal force of random magnitude and direction acts on the base at random intervals."""
-    step = setting.timestep * setting.decimation
-    schedule = (params.interval, params.duration, params.force)
-    return PushSchedule(*schedule, step, setting.num_worlds, setting.generator)
+    return PushSchedule(setting, params)
+
+
+_SERVO = ("servo_stiffness", "servo_damping", "motor_strength")
+
+
+class ModelVariation:
+    """Computes the model fields of envs whose robots differ; see `InitialStates.by_side`."""
+
+    def __init__(self, scene: Scene, device: torch.device) -> None:
+        """Copies the figures of the compiled robot to a device."""
+        layout, model = scene.layout, scene.model
+
+        def whole(values: object) -> Tensor:
+            return torch.as_tensor(values, dtype=torch.int64, device=device)
+
+        def real(values: object) -> Tensor:
+            return torch.as_tensor(values, dtype=torch.float64, device=device)
+
+        sides = [torch.full((len(geoms),), side) for side, geoms in enumerate(layout.foot_geoms)]
+        self._foot_sides = torch.cat(sides).to(device) if sides else whole([])
+        self._foot_geoms = whole([geom for geoms in layout.foot_geoms for geom in geoms])
+        self._bodies = whole([body for body, side in enumerate(layout.body_sides) if side != NO_SIDE])
+        self._body_sides = whole(layout.body_sides)[self._bodies]
+        self._mass = real(model.body_mass)[self._bodies]
+        self._inertia = real(model.body_inertia)[self._bodies]
+        self._actuators, self._actuator_sides = whole(range(model.nu)), whole(layout.actuator_sides)
+        servos = layout.servos
+        self._is_velocity = torch.as_tensor(servos.is_velocity, device=device)
+        self._kp, self._kd = real(servos.kp), real(servos.kd)
+        self._effort, self._velocity_limit = real(servos.effort), real(servos.velocity_limit)
+
+    def __call__(self, by_side: Mapping[str, Tensor]) -> tuple[ModelField, ...]:
+        """The fields that follow from values by side, each [N, 2 or 3]."""
+        return tuple(self._fields(by_side))
+
+    def _fields(self, by_side: Mapping[str, Tensor]) -> Iterator[ModelField]:
+        if "foot_friction" in by_side:
+            friction = by_side["foot_friction"][:, self._foot_sides]
+            yield ModelField("geom_friction", self._foot_geoms, friction, column=0)
+        if "link_mass" in by_side:
+            factor = by_side["link_mass"][:, self._body_sides]
+            yield ModelField("body_mass", self._bodies, factor * self._mass)
+            yield ModelField("body_inertia", self._bodies, factor.unsqueeze(2) * self._inertia)
+        if any(name in by_side for name in _SERVO):
+            yield from self._servos(by_side)
+
+    def _servos(self, by_side: Mapping[str, Tensor]) -> Iterator[ModelField]:
+        one = self._kp.new_ones(1, len(self._kp))
+        stiffness, damping, strength = (
+            by_side[name][:, self._actuator_sides] if name in by_side else one for name in _SERVO
+        )
+        kp, kd, effort = stiffness * self._kp, damping * self._kd, strength * self._effort
+        law = servo_law(self._is_velocity, kp, kd, effort, self._velocity_limit)
+        columns = {
+            ("actuator_gainprm", 0): law.gain,
+            ("actuator_biasprm", 1): law.stiffness,
+            ("actuator_biasprm", 2): law.damping,
+            ("actuator_damping", None): law.back_emf,
+            ("actuator_forcerange", 0): -law.effort,
+            ("actuator_forcerange", 1): law.effort,
+        }
+        envs = max(len(values) for values in by_side.values())
+        for (name, column), values in columns.items():
+            yield ModelField(name, self._actuators, values.expand(envs, -1), column)

@@ -31,7 +31,7 @@ class TargetDistance(RewardParams):
     """Distance sensitivity sigma, sqrt(m)."""
 
 
-@reward("3.2.3 Target-Ball Distance", params=TargetDistance)
+@reward("3.2.3 Target-Ball Distance")
 def target_distance(state: State, params: TargetDistance) -> Tensor:
     """exp(-d / sigma^2) of the ball's distance d to the target, paid once the ball has come to rest.
 
@@ -57,7 +57,7 @@ class AgentApproachBall(RewardParams):
     """Zero once the ball was touched (thesis 4.1.3; the formula in 3.2.3 has no such gate)."""
 
 
-@reward("3.2.3 Agent Approach Ball, 4.1.3", params=AgentApproachBall)
+@reward("3.2.3 Agent Approach Ball, 4.1.3")
 def agent_approach_ball(state: State, params: AgentApproachBall) -> Tensor:
     """max(0, cos) of the angle between base velocity v and base-to-ball, over 1 + max(0, v_ball . d).
 
@@ -99,7 +99,7 @@ class Upright(RewardParams):
     """Tilt sensitivity sigma_upright, rad."""
 
 
-@reward("A Upright", params=Upright)
+@reward("A Upright")
 def upright(state: State, params: Upright) -> Tensor:
     """exp(-theta^2 / sigma^2) of the base's tilt theta."""
     return torch.exp(-((state.tilt / params.sigma) ** 2))
@@ -112,7 +112,7 @@ class FellOver(RewardParams):
     """Largest tilt theta_limit, rad."""
 
 
-@reward("A Fell Over", params=FellOver)
+@reward("A Fell Over")
 def fell_over(state: State, params: FellOver) -> Tensor:
     """1 when the base tilts by more than `angle`, else 0."""
     return (state.tilt > params.angle).float()
@@ -125,7 +125,7 @@ class FallDown(RewardParams):
     """Lowest base height z_falldown, m."""
 
 
-@reward("A Fall Down", params=FallDown)
+@reward("A Fall Down")
 def fall_down(state: State, params: FallDown) -> Tensor:
     """1 when the base is lower than `height`, else 0."""
     return (state.base_pos[:, 2] < params.height).float()
@@ -140,7 +140,7 @@ class ArmPosture(RewardParams):
     """Sensitivity sigma_roll, rad."""
 
 
-@reward("3.2.3 Arm Posture; the sign is not the thesis'", params=ArmPosture)
+@reward("3.2.3 Arm Posture; the sign is not the thesis'")
 def arm_posture(state: State, params: ArmPosture) -> Tensor:
     """Mean over the joints of 1 - exp(-(q - q_default)^2 / sigma^2); a penalty in [0, 1]."""
     offset = state.offsets_of(params.joints)
@@ -158,7 +158,7 @@ class ArmSwing(RewardParams):
     """Sum of the angles beyond which the term acts, rad."""
 
 
-@reward("3.2.3 Arm Swing; of angles, not offsets, as the formula is written", params=ArmSwing)
+@reward("3.2.3 Arm Swing; of angles, not offsets, as the formula is written")
 def arm_swing(state: State, params: ArmSwing) -> Tensor:
     """exp(-1 / (q_L + q_R)^2) while both arms point to the same side and |q_L + q_R| > threshold; else 0."""
     left, right = state.angles_of((params.left, params.right)).unbind(dim=1)
@@ -180,7 +180,7 @@ class JointPositionLimit(RewardParams):
     """Share of the joint's range, about its middle, that is free; in the thesis all of it."""
 
 
-@reward("A Joint Position Limit; soft limits are not in the thesis", params=JointPositionLimit)
+@reward("A Joint Position Limit; soft limits are not in the thesis")
 def joint_position_limit(state: State, params: JointPositionLimit) -> Tensor:
     """1 when any observed joint is outside its soft limits, else 0."""
     middle, half = state.joint_range_middle, state.joint_range_half

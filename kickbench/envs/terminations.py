@@ -23,13 +23,13 @@ def time_out(state: State, params: TerminationParams) -> Tensor:
     return state.timed_out
 
 
-@termination("Table 3.3; the contact window is that of the reward, 3.2.3", params=TargetRadius)
+@termination("Table 3.3; the contact window is that of the reward, 3.2.3")
 def target_hit(state: State, params: TargetRadius) -> Tensor:
     """The ball has stopped within `radius` of the target, and c_t > T_window."""
     return (state.target_distance < params.radius) & state.ball_stopped & state.contact_window_passed
 
 
-@termination("Table 3.3", params=TargetRadius)
+@termination("Table 3.3")
 def target_missed(state: State, params: TargetRadius) -> Tensor:
     """The ball has stopped at least `radius` away from the target, and c_t > T_window."""
     return (state.target_distance >= params.radius) & state.ball_stopped & state.contact_window_passed
@@ -48,7 +48,7 @@ class FellOver(TerminationParams):
     """Largest tilt theta_limit, rad."""
 
 
-@termination("Table 3.3", params=FellOver)
+@termination("Table 3.3")
 def fell_over(state: State, params: FellOver) -> Tensor:
     """The base tilts by more than `angle` from the vertical."""
     return state.tilt > params.angle
@@ -61,7 +61,7 @@ class FellDown(TerminationParams):
     """Lowest base height z_falldown, m."""
 
 
-@termination("Table 3.3", params=FellDown)
+@termination("Table 3.3")
 def fell_down(state: State, params: FellDown) -> Tensor:
     """The base is lower than `height`."""
     return state.base_pos[:, 2] < params.height

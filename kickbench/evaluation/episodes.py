@@ -15,11 +15,11 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from kickbench.envs.compile import CompiledTask
-from kickbench.envs.draws import EpisodeDraws
+from kickbench.envs.disturbances import EpisodeDraws
 from kickbench.envs.engines import make_engine
 from kickbench.envs.env import KickEnv
 from kickbench.envs.episode import FOOT_NAMES
-from kickbench.envs.starts import Starts, StartSampler
+from kickbench.envs.initial_states import InitialStates, InitialStateSampler
 from kickbench.evaluation.equivariance import EquivarianceProbe
 from kickbench.evaluation.kick import KickRecord
 from kickbench.evaluation.progress import EVALUATING, Steps
@@ -37,15 +37,13 @@ _BUSY_SHARE, _FEWEST_ENVS = 0.75, 8
 """Share of envs with an episode below which the others are dropped, and how few envs are not worth that."""
 
 
-def draw_starts(task: CompiledTask, episodes: int, seed: int) -> Starts:
+def draw_starts(task: CompiledTask, episodes: int, seed: int) -> InitialStates:
     """Draws the starts of an evaluation; the same seed gives the same starts on every machine."""
     generator = torch.Generator().manual_seed(seed)
-    layout, spec = task.scene.layout, task.spec
-    sampler = StartSampler(layout, spec.sampling, spec.ball, task.randomizers, task.scene.model.nv, generator)
-    return sampler.sample(episodes)
+    return InitialStateSampler(task, generator).sample(episodes)
 
 
-def mirror_starts(task: CompiledTask, starts: Starts) -> Starts:
+def mirror_starts(task: CompiledTask, starts: InitialStates) -> InitialStates:
     """The exact mirror images of the given starts."""
     return starts.mirrored(*(Mirror(representation) for representation in state_symmetry(task)))
 
@@ -58,12 +56,12 @@ class _Schedule:
         draws: Random numbers of the running episodes.
     """
 
-    def __init__(self, starts: Starts, seed: int, num_envs: int, begun: int = 0) -> None:
+    def __init__(self, starts: InitialStates, seed: int, num_envs: int, begun: int = 0) -> None:
         self.starts, self._seed, self._begun = starts, seed, begun
         self.running = torch.full((num_envs,), -1)
         self.draws = EpisodeDraws(num_envs)
 
-    def __call__(self, mask: Tensor) -> Starts:
+    def __call__(self, mask: Tensor) -> InitialStates:
         """Hands the next starts to the envs in `mask`; one that gets none repeats some start, uncounted."""
         envs = mask.nonzero().squeeze(1)
         given = torch.arange(self._begun, self._begun + len(envs))
@@ -92,7 +90,7 @@ class _Evaluation:
     """Running episodes: envs, their schedule and records, and the observations they wait with."""
 
     def __init__(
-        self, task: CompiledTask, starts: Starts, seed: int, num_envs: int, num_threads: int | None
+        self, task: CompiledTask, starts: InitialStates, seed: int, num_envs: int, num_threads: int | None
     ) -> None:
         self.task, self.starts, self.seed, self.num_threads = task, starts, seed, num_threads
         self.schedule = _Schedule(self.starts, self.seed, num_envs)
@@ -103,7 +101,9 @@ class _Evaluation:
         engine = make_engine(self.task, len(schedule.running), num_threads=self.num_threads)
         protocol, draws = self.task.spec.evaluation, schedule.draws
         noise, pushes = protocol.observation_noise, protocol.pushes
-        return KickEnv(self.task, engine, self.seed, noise=noise, pushes=pushes, starts=schedule, draws=draws)
+        return KickEnv(
+            self.task, engine, self.seed, noise=noise, pushes=pushes, initial_states=schedule, draws=draws
+        )
 
     def shrink(self) -> None:
         """Goes on with fewer envs where many are idle: engines step all of them."""
@@ -136,7 +136,7 @@ class _Evaluation:
 def run_episodes(
     task: CompiledTask,
     policy: Policy,
-    starts: Starts,
+    starts: InitialStates,
     seed: int,
     num_envs: int = 512,
     num_threads: int | None = None,
@@ -151,7 +151,7 @@ def run_episodes(
     Args:
         task: Compiled task.
         policy: Maps observations to actions, row by row; called without gradients.
-        starts: Starts, one an episode.
+        starts: Initial states, one an episode.
         seed: Seed of observation noise, delays and pushes, where the task's evaluation has any.
         num_envs: Envs at most.
         num_threads: Physics threads.
@@ -204,7 +204,7 @@ def run_sides(
 
     with Steps(EVALUATING, "episodes", len(starts) * (1 + protocol.mirrored)) as steps:
 
-        def episodes_from(starts: Starts) -> EpisodeTable:
+        def episodes_from(starts: InitialStates) -> EpisodeTable:
             return run_episodes(
                 task, policy, starts, seed, num_threads=num_threads, probe=probe, note=steps.advance
             )
@@ -257,7 +257,7 @@ def _ended(env: KickEnv, running: Tensor, before: Tensor, kick: dict[str, Tensor
     return {name: column[envs].numpy() for name, column in columns.items()}
 
 
-def _table(task: CompiledTask, starts: Starts, ended: list[dict[str, np.ndarray]]) -> EpisodeTable:
+def _table(task: CompiledTask, starts: InitialStates, ended: list[dict[str, np.ndarray]]) -> EpisodeTable:
     merged = {name: np.concatenate([chunk[name] for chunk in ended]) for name in ended[0]}
     order = np.argsort(merged["running"])
     rows = {name: column[order] for name, column in merged.items()}

@@ -13,11 +13,11 @@ import torch
 from torch import Tensor
 
 from kickbench.envs.compile import CompiledTask
-from kickbench.envs.draws import EpisodeDraws
+from kickbench.envs.disturbances import EpisodeDraws
 from kickbench.envs.engines import make_engine
 from kickbench.envs.env import KickEnv
 from kickbench.envs.episode import FOOT_NAMES, Outcome
-from kickbench.envs.starts import Starts
+from kickbench.envs.initial_states import InitialStates
 from kickbench.errors import KickbenchError
 from kickbench.evaluation.episodes import Policy
 from kickbench.nets.threads import torch_threads
@@ -87,12 +87,12 @@ class Session:
             seed,
             noise=protocol.observation_noise,
             pushes=protocol.pushes,
-            starts=self._hand_out,
+            initial_states=self._hand_out,
             draws=self._draws,
         )
         self.restart()
 
-    def _hand_out(self, mask: Tensor) -> Starts:
+    def _hand_out(self, mask: Tensor) -> InitialStates:
         if mask.any():
             self._draws.begin(0, (self._seed, self.number))
         return self.start

@@ -11,7 +11,7 @@ from torch import Tensor
 from kickbench.envs.compile import CompiledTask
 from kickbench.envs.engines import make_engine
 from kickbench.envs.env import KickEnv
-from kickbench.envs.starts import Starts
+from kickbench.envs.initial_states import InitialStates
 from kickbench.errors import KickbenchError
 from kickbench.evaluation.episodes import Policy
 from kickbench.results.episodes import NON_FINITE
@@ -40,24 +40,26 @@ class Recording:
 class _Watch:
     """Hands out the starts, and keeps the state that each reset is about to overwrite."""
 
-    def __init__(self, starts: Starts) -> None:
+    def __init__(self, starts: InitialStates) -> None:
         self._starts = starts
         self.env: KickEnv | None = None
         self.qpos = starts.qpos
 
-    def __call__(self, mask: Tensor) -> Starts:
+    def __call__(self, mask: Tensor) -> InitialStates:
         if self.env is not None:
             self.qpos = self.env.engine.qpos.clone()
         return self._starts
 
 
-def record_episodes(task: CompiledTask, policy: Policy | None, starts: Starts, seed: int) -> list[Recording]:
+def record_episodes(
+    task: CompiledTask, policy: Policy | None, starts: InitialStates, seed: int
+) -> list[Recording]:
     """Runs one episode from each start, as an evaluation does, and keeps every state.
 
     Args:
         task: Compiled task.
         policy: Deterministic policy; None: zero action.
-        starts: Starts, one an episode.
+        starts: Initial states, one an episode.
         seed: Seed of delays, and of noise where the task's evaluation has any.
     """
     watch, count = _Watch(starts), len(starts)
@@ -68,7 +70,7 @@ def record_episodes(task: CompiledTask, policy: Policy | None, starts: Starts, s
         seed,
         noise=protocol.observation_noise,
         pushes=protocol.pushes,
-        starts=watch,
+        initial_states=watch,
     )
     watch.env = env
     rest = torch.zeros(count, env.num_actions)
@@ -86,7 +88,7 @@ def record_episodes(task: CompiledTask, policy: Policy | None, starts: Starts, s
 def _note(
     env: KickEnv,
     qpos: Tensor,
-    starts: Starts,
+    starts: InitialStates,
     world: int,
     states: list[np.ndarray],
     done: dict[int, Recording],

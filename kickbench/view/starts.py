@@ -5,11 +5,11 @@ from __future__ import annotations
 import torch
 
 from kickbench.envs.compile import CompiledTask
-from kickbench.envs.starts import Starts
+from kickbench.envs.initial_states import InitialStates
 from kickbench.evaluation.episodes import draw_starts
 
 
-def evaluation_starts(task: CompiledTask, count: int, seed: int) -> Starts:
+def evaluation_starts(task: CompiledTask, count: int, seed: int) -> InitialStates:
     """The first starts of the task's evaluation with that seed: start k is row k of `episodes.csv`.
 
     Args:

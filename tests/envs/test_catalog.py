@@ -4,10 +4,9 @@ import pytest
 from pydantic import ValidationError
 
 from kickbench.config.task import TaskSpec
-from kickbench.config.terms import ObservationParams, RandomizationParams, RewardParams, TerminationParams
 from kickbench.envs import observations, randomizations, rewards, terminations
 from kickbench.envs.catalog import catalog, task_model
-from kickbench.envs.describe import describe, describe_common
+from kickbench.envs.term import COMMON, describe_common
 from kickbench.sim.sensors import available_groups
 
 MODULES = {
@@ -15,12 +14,6 @@ MODULES = {
     "reward": rewards,
     "termination": terminations,
     "randomization": randomizations,
-}
-COMMON = {
-    "observation": ObservationParams,
-    "reward": RewardParams,
-    "termination": TerminationParams,
-    "randomization": RandomizationParams,
 }
 
 
@@ -55,7 +48,7 @@ def test_a_term_says_what_it_is(term):
 def test_a_term_takes_state_and_parameters(term):
     expected = ["state", "params"]
     if term.kind == "randomization":
-        expected = ["starts", "params", "draw"] if term.stage == "start" else ["params", "setting"]
+        expected = ["states", "params", "draw"] if term.stage == "initial" else ["setting", "params"]
     assert list(inspect.signature(term.function).parameters) == expected
 
 
@@ -64,7 +57,7 @@ def test_a_term_needs_only_sensors_that_a_robot_with_feet_has(term, mini):
 
 
 def test_a_term_is_described_with_its_own_parameters_only(term):
-    text = describe(term)
+    text = term.describe()
     assert text.startswith(f"{term.name}\n")
     own = set(term.params.model_fields) - set(COMMON[term.kind].model_fields)
     listed = {

@@ -1,7 +1,7 @@
 import pytest
 
 from kickbench.envs.catalog import catalog
-from kickbench.envs.compile import field_size
+from kickbench.envs.term import field_size
 from kickbench.errors import SpecError
 
 ACTOR = [

@@ -72,11 +72,11 @@ def test_an_env_that_grew_to_the_tasks_own_values_goes_on_as_one_that_always_had
     env = KickEnv(chosen.task, make_engine(chosen.task, 4, num_threads=1), seed=0)
     actions = torch.full((4, env.num_actions), 0.1)
     env.step(actions)
-    before = env._delay.memory.history.clone()
+    before = env.tensors.command.history.clone()
     env.grow(grown(chosen.task, levels))
-    assert torch.equal(env._delay.memory.history, before[:, : env._delay.memory.history.shape[1]])
+    assert torch.equal(env.tensors.command.history, before[:, : env.tensors.command.history.shape[1]])
     env.grow(grown(chosen.task, dict.fromkeys(levels, 1.0)))
-    after = env._delay.memory.history
+    after = env.tensors.command.history
     assert after.shape == before.shape
     assert torch.equal(after[:, 0], before[:, 0]), "the newest command is still the newest"
     env.step(actions)

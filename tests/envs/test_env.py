@@ -193,9 +193,9 @@ def test_an_environment_mirrored_mid_episode_goes_on_as_the_mirror_image(experim
     symmetry, task, worlds = chosen.symmetry, chosen.task, 256
     mirror_q, mirror_v, act = (Mirror(r) for r in (symmetry.qpos, symmetry.qvel, symmetry.actions))
     starts = make_env(task, worlds, seed=1).sampler.sample(worlds)
-    env = make_env(task, worlds, starts=lambda mask: starts)
+    env = make_env(task, worlds, initial_states=lambda mask: starts)
     images = starts.mirrored(mirror_q, mirror_v)
-    image = make_env(task, worlds, starts=lambda mask: images)
+    image = make_env(task, worlds, initial_states=lambda mask: images)
     for k in range(50):
         env.step(random_actions(env, k))
     assert env.episode.contact_count.any(), "in the middle of episodes, kicks included"

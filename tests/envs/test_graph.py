@@ -14,8 +14,8 @@ from torch.utils._python_dispatch import TorchDispatchMode, _disable_current_mod
 
 from kickbench.envs.engines import make_engine
 from kickbench.envs.env import KickEnv
-from kickbench.envs.graph import CapturedStep, StaticTensors, graph_obstacle
-from kickbench.envs.starts import FreshStarts
+from kickbench.envs.graph import CapturedStep, graph_obstacle
+from kickbench.envs.tensors import flat as paths
 from kickbench.results.history import RunHistory
 from kickbench.training.checkpoint import Checkpoints
 from kickbench.training.trainer import Trainer
@@ -94,61 +94,51 @@ def test_steps_between_buffers_give_the_trajectories_of_plain_steps_bit_for_bit(
     }
     assert sum(int(step[".returned.done"].sum()) for step in expected) > 5, "resets are part of it"
     if name == "k1":
-        assert any(step[".state.pushes._force"].any() for step in expected), "so are pushes"
-        assert ".state.delay._history" in expected[0], "and the delay"
+        assert any(step[".state.tensors.push.force"].any() for step in expected), "so are pushes"
+        assert ".state.tensors.command.history" in expected[0], "and the delay"
 
 
-def test_the_state_stays_where_it_is():
+def addresses(env: KickEnv) -> dict[str, int]:
+    return {path: tensor.data_ptr() for path, tensor in paths(env.tensors).items()}
+
+
+def test_no_tensor_of_the_state_is_ever_replaced():
+    """Neither by steps nor by what happens between them: a graph reads and writes addresses."""
     env = make_env("k1")
-    captured = CapturedStep(env)
-    before = flat_addresses(env)
-    history(env, captured.step, 15)
-    assert flat_addresses(env) == before
-    # The plain environment replaces them, which is why this is worth a test.
-    env.step(actions_of(env, 0))
-    assert flat_addresses(env) != before
+    before = addresses(env)
+    history(env, env.step, 15)
+    env.reset(torch.arange(env.num_envs) < 4)
+    env.restore(env.snapshot())
+    env.load_state_dict(make_env("k1", seed=8).state_dict())
+    assert addresses(env) == before
 
 
-def flat_addresses(env: KickEnv) -> dict[str, int]:
-    return {
-        f"{part}.{name}": v.data_ptr() for part, table in env.tensors().items() for name, v in table.items()
-    }
-
-
-def test_every_tensor_that_a_step_replaces_is_known():
-    """Whatever else hangs on the environment stays the same object: nothing changes unnoticed."""
+def test_nothing_else_of_an_environment_changes_in_a_step():
     env = make_env("k1")
 
-    def replaceable(thing: Any, path: str, seen: set[int]) -> Iterator[tuple[str, int]]:
+    def everything(thing: Any, path: str, seen: set[int]) -> Iterator[tuple[str, tuple[int, int]]]:
         if id(thing) in seen or len(path) > 60:
             return
         seen.add(id(thing))
         if isinstance(thing, Tensor):
-            yield path, id(thing)
-        elif type(thing).__module__.startswith("kickbench.") and hasattr(thing, "__dict__"):
-            for key, value in vars(thing).items():
-                yield from replaceable(value, f"{path}.{key}", seen)
+            yield path, (id(thing), thing._version)
         elif isinstance(thing, dict):
             for key, value in thing.items():
-                yield from replaceable(value, f"{path}.{key}", seen)
+                yield from everything(value, f"{path}.{key}", seen)
+        elif type(thing).__module__.startswith("kickbench.") and hasattr(thing, "__dict__"):
+            for key, value in vars(thing).items():
+                yield from everything(value, f"{path}.{key}", seen)
 
-    def everything() -> dict[str, int]:
+    def parts() -> dict[str, tuple[int, int]]:
+        known = {id(tensor) for tensor in paths(env.tensors).values()}
         parts = {key: value for key, value in vars(env).items() if key not in ("engine", "outcome", "task")}
-        return dict(replaceable(parts, "", set()))
+        return dict(everything(parts, "", known))
 
     history(env, env.step, 15)
-    before, _kept = everything(), env.tensors()
-    history(env, env.step, 1)
-    replaced = {path for path, number in everything().items() if before.get(path) != number}
-    assert replaced
-    known = {
-        f".{part}.{name}".replace(".delay.", "._delay.")
-        .replace(".pushes.", "._pushes.")
-        .replace(".by_side.", "._by_side.")
-        for part, table in env.tensors().items()
-        for name in table
-    }
-    assert replaced <= known
+    before = parts()
+    history(env, env.step, 5)
+    assert before
+    assert parts() == before
 
 
 # No host round trip
@@ -337,7 +327,7 @@ def test_mean_return_and_length_are_those_of_the_finished_episodes(tmp_path):
 
 def test_starts_in_a_resident_environment_come_from_the_same_regions():
     env = make_env("k1", 64)
-    assert isinstance(env._starts, FreshStarts)
+    assert env._initial_states is env.sampler
     low_x, high_x = env.cfg.sampling.ball.x
     ball = env.state().ball_pos
     assert ((low_x - 1e-6 <= ball[:, 0]) & (ball[:, 0] <= high_x + 1e-6)).all()
@@ -352,26 +342,6 @@ def test_a_captured_environment_goes_on_from_a_checkpoint_bit_for_bit():
     assert differing(flat(first.get_observations()), flat(second.get_observations())) == set()
     pairs = zip(history(first.env, first.step, 10), history(second.env, second.step, 10), strict=True)
     assert [differing(a, b) for a, b in pairs] == [set()] * 10
-
-
-def test_a_step_begins_with_every_tensor_in_its_buffer():
-    """A graph reads its buffers and nothing else, whatever has been put in their place since the last step."""
-    captured = CapturedStep(make_env("k1"))
-    env, seen = captured.env, []
-    buffers, step = flat_addresses(env), env.step
-    env.load_state_dict(make_env("k1", seed=8).state_dict())
-    env.reset(torch.arange(env.num_envs) < 4)
-    loaded = {f"{part}.{name}": v.clone() for part, t in env.tensors().items() for name, v in t.items()}
-    assert flat_addresses(env) != buffers
-
-    def watched(actions: Tensor) -> Any:
-        values = {f"{part}.{name}": v for part, t in env.tensors().items() for name, v in t.items()}
-        seen.append((flat_addresses(env), differing(loaded, values)))
-        return step(actions)
-
-    env.step = watched
-    captured.step(actions_of(env, 0))
-    assert seen == [(buffers, set())]
 
 
 def test_a_step_is_recorded_once_after_a_few_and_replayed_from_then_on(monkeypatch):
@@ -417,25 +387,25 @@ def test_what_a_step_returns_is_the_callers_to_keep():
     assert [differing(a, flat(b)) for a, b in zip(copies, returned, strict=True)] == [set()] * 6
 
 
-def test_buffers_take_over_tensors_that_are_each_others_buffers():
-    env = make_env("mini")
-    static = StaticTensors(env)
-    env.episode.action.fill_(1.0)
-    env.episode.previous_action.fill_(2.0)
-    env.episode.action, env.episode.previous_action = env.episode.previous_action, env.episode.action
-    static.adopt()
-    assert (env.episode.action == 2.0).all()
-    assert (env.episode.previous_action == 1.0).all()
-
-
-def test_a_tensor_of_another_shape_or_type_is_refused():
-    env = make_env("mini")
-    static = StaticTensors(env)
-    env.episode.step = env.episode.step.float()
+def test_tensors_of_another_shape_or_type_are_refused_and_nothing_is_copied():
+    env, other = make_env("mini"), make_env("mini", seed=8).state_dict()
+    before = flat(env.tensors)
+    other["tensors"]["episode"]["step"] = other["tensors"]["episode"]["step"].float()
     with pytest.raises(
         ValueError, match=r"episode\.step: expected torch\.int64 \[12\], found torch\.float32"
     ):
-        static.adopt()
+        env.load_state_dict(other)
+    assert differing(before, flat(env.tensors)) == set()
+
+
+def test_assigning_copies_into_the_tensor_that_is_there():
+    episode = make_env("mini").episode
+    step = episode.step
+    episode.step = torch.full_like(step, 7)
+    assert episode.step is step
+    assert (step == 7).all()
+    with pytest.raises(AttributeError, match="no 'steps'"):
+        episode.steps = step
 
 
 def test_the_obstacle_to_graphs_is_named():

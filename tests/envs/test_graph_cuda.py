@@ -22,7 +22,8 @@ from kickbench.envs.compile import CompiledTask
 from kickbench.envs.engines import make_engine, make_warp_engine
 from kickbench.envs.env import KickEnv
 from kickbench.envs.graph import CapturedStep, WithoutGraphs
-from kickbench.envs.starts import FreshStarts, StartSampler
+from kickbench.envs.initial_states import InitialStateSampler
+from kickbench.envs.tensors import flat
 from kickbench.results.history import RunHistory
 from kickbench.sim.engine import ModelField
 from kickbench.training.checkpoint import Checkpoints
@@ -191,18 +192,18 @@ def without_numbers(monkeypatch):
     k1()
     monkeypatch.setattr(torch, "Generator", lambda device=None: MetaGenerator())
     # Asked once, when an environment is made, and so allowed to look at numbers.
-    monkeypatch.setattr(StartSampler, "_tries", lambda self, region: 16)
+    monkeypatch.setattr(InitialStateSampler, "_tries", lambda self: 16)
 
 
 def test_a_step_needs_no_number_and_leaves_no_tensor_on_the_host(without_numbers):
     env = drifting("meta")
     actions = torch.zeros(env.num_envs, env.num_actions, device="meta")
-    assert isinstance(env._starts, FreshStarts)
+    assert env._initial_states is env.sampler
     with OneDevice():
         for _ in range(3):
             observations, rewards, done, extras = env.step(actions)
     returned = (*observations.values(), rewards, done, *extras.values())
-    state = [value for table in env.tensors().values() for value in table.values()]
+    state = flat(env.tensors).values()
     assert {str(value.device) for value in (*returned, *state)} == {"meta"}
 
 
@@ -220,7 +221,7 @@ def test_the_made_up_engine_resets_pushes_and_differs_from_world_to_world():
     assert_equal(first, trajectory(plain := drifting("cpu"), plain, 20))
     assert env.totals.take().episodes > 64
     assert env.engine.sensors[:, 0].unique().numel() > 32
-    assert env.tensors()["pushes"]["_force"].any()
+    assert env.tensors.push.force.any()
 
 
 @pytest.mark.slow

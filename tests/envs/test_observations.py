@@ -1,14 +1,22 @@
-"""Observation fields in states by hand."""
+"""Observation fields, what groups of them share, noise and clipping."""
+
+from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
 
 import pytest
 import torch
+from torch import Tensor
 
+from kickbench.config.terms import ObservationParams
 from kickbench.envs.catalog import catalog
-from kickbench.envs.compile import field_size
+from kickbench.envs.observations import Disturbance, Observer
 from kickbench.envs.state import StateIndex
+from kickbench.envs.term import field_size
 
 LEFT_TURN = (math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))
 """A quarter turn to the left: the robot looks along +y, its left is -x."""
@@ -104,3 +112,118 @@ def test_every_field_is_as_long_as_its_term_says(name, term, mini):
 def test_every_field_is_float32(name, world):
     found = catalog().observations[name]
     assert found.function(world(), found.params()).dtype == torch.float32
+
+
+# Groups
+
+
+WORLDS = 8
+CPU = torch.device("cpu")
+
+
+@dataclass
+class FakeField:
+    key: str
+    size: int
+    bound: Callable[[Any], Tensor]
+    params: ObservationParams
+
+
+@pytest.fixture
+def field():
+    """Makes fields whose value is their own number, and counts how often each is evaluated."""
+    evaluated: dict[str, int] = {}
+
+    def make(number: int, size: int = 1, **params: Any) -> FakeField:
+        def bound(state: Any) -> Tensor:
+            evaluated[str(number)] = evaluated.get(str(number), 0) + 1
+            return torch.full((WORLDS, size), float(number))
+
+        return FakeField(str(number), size, bound, ObservationParams(**params))
+
+    make.evaluated = evaluated
+    return make
+
+
+def observe(groups: dict[str, list[FakeField]], seed: int = 0) -> dict[str, Tensor]:
+    return Observer(groups, CPU)(None, torch.Generator().manual_seed(seed))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("actor", "critic"),
+    [
+        ([1, 2], [1, 2, 3]),  # the beginning of the other
+        ([1, 2, 3], [1, 2]),
+        ([1, 2], [1, 2]),
+        ([2, 3], [1, 2, 3]),  # not its beginning
+        ([1, 3], [1, 2, 3]),
+        ([2, 1], [1, 2]),
+        ([1], [2]),
+    ],
+)
+def test_groups_are_their_fields_in_order_whatever_they_share(field, actor, critic):
+    sizes = {1: 2, 2: 1, 3: 3}
+    made = {number: field(number, size) for number, size in sizes.items()}
+    seen = observe({"actor": [made[n] for n in actor], "critic": [made[n] for n in critic]})
+    assert list(seen) == ["actor", "critic"]
+    for name, numbers in (("actor", actor), ("critic", critic)):
+        expected = [float(number) for number in numbers for _ in range(sizes[number])]
+        assert seen[name].tolist() == [expected] * WORLDS
+
+
+def test_a_shared_field_is_evaluated_once(field):
+    shared = field(1)
+    observe({"actor": [shared], "critic": [field(2), shared]})
+    assert field.evaluated == {"1": 1, "2": 1}
+
+
+def test_noise_stays_in_the_group_that_asks_for_it(field):
+    seen = observe({"actor": [field(1, noise=0.5)], "critic": [field(1), field(2)]})
+    assert seen["actor"].unique().numel() == WORLDS
+    assert (seen["actor"] - 1.0).abs().max() <= 0.5
+    assert seen["critic"].tolist() == [[1.0, 2.0]] * WORLDS
+
+
+# Noise and clipping
+
+
+@dataclass
+class Noisy:
+    """What a disturbance reads of a field."""
+
+    params: ObservationParams
+    size: int
+
+
+FIELDS = (
+    Noisy(ObservationParams(), 2),
+    Noisy(ObservationParams(noise=0.5), 3),
+    Noisy(ObservationParams(noise=0.1, clip=(-0.05, 0.05)), 1),
+)
+
+
+def generator() -> torch.Generator:
+    return torch.Generator().manual_seed(0)
+
+
+def test_noise_is_uniform_in_its_field_and_nowhere_else():
+    seen = Disturbance(FIELDS[:2], CPU)(torch.ones(20_000, 5), generator())
+    assert (seen[:, :2] == 1.0).all()
+    noise = seen[:, 2:] - 1.0
+    assert noise.abs().max() <= 0.5
+    assert noise.std(dim=0).tolist() == pytest.approx([0.5 / 3**0.5] * 3, rel=0.02)
+    assert noise.mean(dim=0).tolist() == pytest.approx([0.0] * 3, abs=0.01)
+    assert torch.corrcoef(noise.T).fill_diagonal_(0.0).abs().max() < 0.03
+
+
+def test_clipping_comes_after_the_noise():
+    seen = Disturbance(FIELDS, CPU)(torch.zeros(1000, 6), generator())[:, 5]
+    assert seen.abs().max() == pytest.approx(0.05)
+    assert (seen.abs() < 0.0499).any()
+
+
+def test_without_noise_only_clipping_is_left():
+    value = torch.full((4, 6), 0.2)
+    seen = Disturbance(FIELDS, CPU, noise=False)(value, generator())
+    assert (seen[:, :5] == value[:, :5]).all()
+    assert seen[:, 5].tolist() == pytest.approx([0.05] * 4)

@@ -19,8 +19,7 @@ pytest.importorskip("mujoco_warp", reason="the gpu extra is not installed")
 
 from kickbench.envs.engines import make_engine, make_warp_engine
 from kickbench.envs.env import KickEnv
-from kickbench.envs.state import EpisodeState, State
-from kickbench.envs.state_index import StateIndex
+from kickbench.envs.state import EpisodeState, State, StateIndex
 from kickbench.errors import KickbenchError
 from kickbench.sim.cpu import CpuEngine
 from kickbench.sim.engine import ModelField

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
 from functools import cache
 from pathlib import Path
 
@@ -12,7 +11,7 @@ import torch
 from kickbench.envs.engines import make_engine
 from kickbench.envs.env import KickEnv
 from kickbench.envs.episode import LEFT, RIGHT
-from kickbench.envs.snapshot import Snapshot
+from kickbench.envs.tensors import Tensors, flat
 from kickbench.symmetry.torch_ops import Mirror
 from kickbench.trials.trial import Trial, load_trial
 
@@ -35,20 +34,9 @@ def actions_of(step: int) -> torch.Tensor:
     return torch.randn(WORLDS, 22, generator=torch.Generator().manual_seed(step))
 
 
-def mirrored(snapshot: Snapshot) -> Snapshot:
+def mirrored(snapshot: Tensors) -> Tensors:
     symmetry = k1().symmetry
     return snapshot.mirrored(Mirror(symmetry.qpos), Mirror(symmetry.qvel), Mirror(symmetry.actions))
-
-
-def tensors(value: object, name: str = "snapshot") -> dict[str, torch.Tensor]:
-    """Every tensor in a snapshot by the path that leads to it."""
-    if isinstance(value, torch.Tensor):
-        return {name: value}
-    if isinstance(value, dict):
-        parts = value.items()
-    else:
-        parts = [(f.name, getattr(value, f.name)) for f in fields(value)] if value is not None else []
-    return {path: t for key, part in parts for path, t in tensors(part, f"{name}.{key}").items()}
 
 
 @pytest.fixture
@@ -60,16 +48,16 @@ def running() -> KickEnv:
 
 
 def test_every_part_of_the_state_is_in_motion(running):
-    found = tensors(running.snapshot())
+    found = flat(running.snapshot())
     for part in (
-        "delay.history",
-        "pushes.force",
+        "command.history",
+        "push.force",
         "episode.target",
         "episode.action",
         "by_side.foot_friction",
     ):
-        assert found[f"snapshot.{part}"].abs().max() > 0, part
-    assert (found["snapshot.pushes.wait"] < 0).any(), "a push acts somewhere"
+        assert found[part].abs().max() > 0, part
+    assert (found["push.wait"] < 0).any(), "a push acts somewhere"
 
 
 def test_restored_worlds_go_on_as_they_did(running):
@@ -89,25 +77,25 @@ def test_restored_worlds_go_on_as_they_did(running):
 
 def test_a_snapshot_is_not_changed_by_what_happens_later(running):
     start = running.snapshot()
-    before = {name: value.clone() for name, value in tensors(start).items()}
+    before = {name: value.clone() for name, value in flat(start).items()}
     for step in range(5):
         running.step(actions_of(step))
-    assert all(torch.equal(value, before[name]) for name, value in tensors(start).items())
+    assert all(torch.equal(value, before[name]) for name, value in flat(start).items())
 
 
 def test_mirroring_twice_gives_the_instant_back(running):
     start = running.snapshot()
-    there_and_back = tensors(mirrored(mirrored(start)))
-    for name, value in tensors(start).items():
+    there_and_back = flat(mirrored(mirrored(start)))
+    for name, value in flat(start).items():
         assert torch.equal(there_and_back[name], value), name
 
 
 def test_rows_are_taken_of_every_part(running):
     rows = torch.tensor([5, 5, 0])
-    start, taken = tensors(running.snapshot()), tensors(running.snapshot().take(rows))
-    assert all(
-        torch.equal(taken[name], value[rows]) for name, value in start.items() if "generator" not in name
-    )
+    start, taken = flat(running.snapshot()), flat(running.snapshot().take(rows))
+    for name, value in start.items():
+        shared = name.startswith(("totals.", "generator"))
+        assert torch.equal(taken[name], value if shared else value[rows]), name
 
 
 def test_the_image_of_a_running_episode_remains_its_image(running):
@@ -128,7 +116,7 @@ def test_the_image_of_a_running_episode_remains_its_image(running):
         error = (there["critic"] - see(here["critic"])).abs() / (1.0 + here["critic"].abs())
         # Of late, chaos may have magnified the last digits in a few worlds.
         assert (error.amax(dim=1)[alive] < 1e-3).float().mean() > 0.9
-        pushed |= running.snapshot().pushes.wait < 0
+        pushed |= running.snapshot().push.wait < 0
     assert alive.sum() > WORLDS / 2
     assert pushed.any()
 
@@ -150,6 +138,6 @@ def test_left_and_right_swap_in_what_is_remembered(running):
 def test_a_new_episode_is_pushed_as_any_other(running):
     other = make_env(8)
     other.restore(mirrored(running.snapshot()))
-    assert (other.snapshot().pushes.side == -1).all()
+    assert (other.snapshot().push.side == -1).all()
     other.reset(torch.arange(WORLDS) < 4)
-    assert other.snapshot().pushes.side.tolist() == [1.0] * 4 + [-1.0] * (WORLDS - 4)
+    assert other.snapshot().push.side.tolist() == [1.0] * 4 + [-1.0] * (WORLDS - 4)

@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -6,7 +7,13 @@ import torch
 
 from kickbench.config.task import BallSampling, BallSpec, SamplingSpec, TargetSampling
 from kickbench.envs.catalog import catalog
-from kickbench.envs.starts import StartPool, Starts, StartSampler, free_share, overlaps
+from kickbench.envs.initial_states import (
+    InitialStatePool,
+    InitialStates,
+    InitialStateSampler,
+    free_share,
+    overlaps,
+)
 from kickbench.symmetry.torch_ops import Mirror
 
 FRICTION = catalog().randomizations["foot_friction"]
@@ -20,13 +27,12 @@ def region(x=(0.2, 0.5), y=(-0.1, 0.3), distance=(1.0, 2.0), angle=(-0.5, 0.8)) 
 def sample(mini):
     def sample(
         sampling=None, count: int = 500, seed: int = 0, randomizers=(), radius: float = 0.08
-    ) -> Starts:
+    ) -> InitialStates:
         generator = torch.Generator().manual_seed(seed)
-        layout, nv = mini.scene.layout, mini.scene.model.nv
-        sampler = StartSampler(
-            layout, sampling or region(), BallSpec(radius=radius, inertia="shell"), randomizers, nv, generator
-        )
-        return sampler.sample(count)
+        changed = {"sampling": sampling or region(), "ball": BallSpec(radius=radius, inertia="shell")}
+        spec = mini.spec.model_copy(update=changed)
+        task = replace(mini, spec=spec, randomizers=randomizers)
+        return InitialStateSampler(task, generator).sample(count)
 
     return sample
 
@@ -37,7 +43,7 @@ def mirror(experiment):
     return lambda starts: starts.mirrored(Mirror(symmetry.qpos), Mirror(symmetry.qvel))
 
 
-def ball(starts: Starts, mini) -> np.ndarray:
+def ball(starts: InitialStates, mini) -> np.ndarray:
     first = mini.scene.layout.ball_qpos
     return starts.qpos[:, first : first + 3].numpy()
 
@@ -116,14 +122,14 @@ def test_friction_does_not_change_where_balls_and_targets_are(sample):
 
 
 @pytest.fixture
-def moving(sample) -> Starts:
-    """Starts with everything off centre and in motion, and unequal friction."""
+def moving(sample) -> InitialStates:
+    """InitialStates with everything off centre and in motion, and unequal friction."""
     starts, generator = sample(count=20), torch.Generator().manual_seed(1)
 
     def noise(like: torch.Tensor) -> torch.Tensor:
         return torch.rand(like.shape, generator=generator, dtype=torch.float64) - 0.5
 
-    moved = Starts(
+    moved = InitialStates(
         starts.qpos + noise(starts.qpos), starts.qvel + noise(starts.qvel), starts.target, starts.joints
     )
     factors = torch.stack([1.0 + noise(starts.target[:, 0]) for _ in range(3)], dim=1)
@@ -133,7 +139,7 @@ def moving(sample) -> Starts:
 FIELDS = ("qpos", "qvel", "target", "foot_friction", "link_mass")
 
 
-def part(starts: Starts, name: str) -> torch.Tensor:
+def part(starts: InitialStates, name: str) -> torch.Tensor:
     return starts.by_side[name] if name in starts.by_side else getattr(starts, name)
 
 
@@ -202,15 +208,15 @@ class Counter:
     def __init__(self) -> None:
         self.generator, self._made = torch.Generator(), 0
 
-    def sample(self, count: int) -> Starts:
+    def sample(self, count: int) -> InitialStates:
         numbers = (self._made + torch.arange(count, dtype=torch.float64)).unsqueeze(1)
         self._made += count
         tables = (numbers.clone(), numbers.clone(), numbers.clone())
-        return Starts(*tables, torch.zeros(0, dtype=torch.int64), {"foot_friction": numbers.clone()})
+        return InitialStates(*tables, torch.zeros(0, dtype=torch.int64), {"foot_friction": numbers.clone()})
 
 
 def test_a_pool_hands_out_its_starts_in_order_and_each_once():
-    pool, handed = StartPool(Counter(), size=10), []  # type: ignore[arg-type]
+    pool, handed = InitialStatePool(Counter(), size=10), []  # type: ignore[arg-type]
     for mask in ([0, 1, 1, 0], [0, 0, 0, 0], [1, 1, 1, 1], [0, 0, 0, 1], [1, 1, 0, 1], [1, 0, 1, 0]):
         chosen = torch.tensor(mask, dtype=torch.bool)
         starts = pool(chosen)

@@ -145,8 +145,8 @@ def test_all_factors_at_once_mirror_into_the_mirrored_motion():
     place = chosen.task.scene.layout.ball_qpos
     starts.qpos[: WORLDS // 2, place : place + 2] = torch.tensor([0.20, 0.09], dtype=torch.float64)
     images = starts.mirrored(Mirror(symmetry.qpos), Mirror(symmetry.qvel))
-    env = environment(*ranges, starts=lambda mask: starts)
-    image = environment(*ranges, starts=lambda mask: images)
+    env = environment(*ranges, initial_states=lambda mask: starts)
+    image = environment(*ranges, initial_states=lambda mask: images)
     act = Mirror(symmetry.actions)
     for step in range(10):
         actions = torch.randn(WORLDS, 22, generator=torch.Generator().manual_seed(step))
@@ -154,7 +154,9 @@ def test_all_factors_at_once_mirror_into_the_mirrored_motion():
         image.step(act(actions))
     # Double precision over ten steps with contacts; without the exchange of sides it is of order 1.
     torch.testing.assert_close(image.engine.qvel, Mirror(symmetry.qvel)(env.engine.qvel), rtol=0, atol=1e-7)
-    wrong = environment(*ranges, starts=lambda mask: starts.varied("link_mass", images.by_side["link_mass"]))
+    wrong = environment(
+        *ranges, initial_states=lambda mask: starts.varied("link_mass", images.by_side["link_mass"])
+    )
     assert not np.allclose(wrong.engine.model_field("body_mass"), env.engine.model_field("body_mass"))
 
 

@@ -1,0 +1,219 @@
+"""Initial states of episodes: sampled from the task's regions, and their exact mirror images."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+import torch
+from torch import Tensor
+
+from kickbench.config.task import BallSampling
+from kickbench.envs.tensors import across, sides_swapped
+from kickbench.symmetry.torch_ops import Mirror
+
+if TYPE_CHECKING:
+    from kickbench.envs.compile import CompiledTask
+
+Draw = Callable[..., Tensor]
+"""`draw(low, high, *shape)`: uniform numbers, float64, from the sampler's generator."""
+
+LEAST_FREE = 0.1
+"""Share of a ball's region that must be clear of the robot."""
+_TRIES, _LEFT_OVER = 16, 1e-5
+"""Fewest candidates for a ball's place, and how often all of them may overlap: more are drawn in a blocked region."""
+_GRID = 64
+"""Places a side on which a region is examined."""
+
+
+@dataclass(frozen=True)
+class InitialStates:
+    """Everything that differs between the beginnings of two episodes; one row an episode.
+
+    Attributes:
+        qpos: Generalised positions [N, nq], float64.
+        qvel: Generalised velocities [N, nv], float64.
+        target: Target position on the floor [N, 2], m, float64.
+        joints: Places of the observed joints in qpos.
+        by_side: What differs from the compiled model, by name of its randomisation: one column each for the left
+            and the right side, and where the term has it for the middle [N, 2 or 3], float64.
+    """
+
+    qpos: Tensor
+    qvel: Tensor
+    target: Tensor
+    joints: Tensor
+    by_side: Mapping[str, Tensor] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        """Number of initial states."""
+        return len(self.qpos)
+
+    def take(self, rows: Tensor) -> InitialStates:
+        """The initial states of the given row numbers."""
+        by_side = {name: values.index_select(0, rows) for name, values in self.by_side.items()}
+        qpos, qvel, target = (table.index_select(0, rows) for table in (self.qpos, self.qvel, self.target))
+        return InitialStates(qpos, qvel, target, self.joints, by_side)
+
+    def put(self, rows: Tensor, others: InitialStates, first: int) -> None:
+        """Overwrites the given rows with as many of others, from their row `first` on."""
+        fresh = slice(first, first + len(rows))
+        for here, there in zip(self._tables(), others._tables(), strict=True):
+            here.index_copy_(0, rows, there[fresh])
+
+    def _tables(self) -> tuple[Tensor, ...]:
+        return self.qpos, self.qvel, self.target, *self.by_side.values()
+
+    def mirrored(self, qpos: Mirror, qvel: Mirror) -> InitialStates:
+        """Reflects every state in the xz plane; `qpos` and `qvel` are the model's mirror maps."""
+        by_side = {name: sides_swapped(values) for name, values in self.by_side.items()}
+        return InitialStates(qpos(self.qpos), qvel(self.qvel), across(self.target), self.joints, by_side)
+
+    def varied(self, name: str, values: Tensor) -> InitialStates:
+        """The same states with values by side [N, 2 or 3] of a randomisation."""
+        return replace(self, by_side={**self.by_side, name: values})
+
+
+def overlaps(x: Tensor, y: Tensor, obstacles: Tensor, radius: float) -> Tensor:
+    """Whether a ball on the floor at (x, y) overlaps any rectangle of `SceneLayout.obstacles`, bool of their shape."""
+    low_x, high_x, low_y, high_y = obstacles.unbind(dim=1)
+    x, y = x.unsqueeze(-1), y.unsqueeze(-1)
+    dx = torch.maximum(low_x - x, x - high_x).clamp(min=0.0)
+    dy = torch.maximum(low_y - y, y - high_y).clamp(min=0.0)
+    return (dx.square() + dy.square() < radius**2).any(dim=-1)
+
+
+def free_share(region: BallSampling, obstacles: Tensor, radius: float) -> float:
+    """Share of a region in which a ball would not overlap the robot, from a grid of places."""
+    x, y = (
+        torch.linspace(*bounds, _GRID, dtype=torch.float64, device=obstacles.device)
+        for bounds in (region.x, region.y)
+    )
+    blocked = overlaps(x.unsqueeze(1).expand(-1, _GRID), y.expand(_GRID, -1), obstacles, radius)
+    return 1.0 - float(blocked.double().mean())
+
+
+class InitialStateSampler:
+    """Draws initial states: the robot in its default pose at the origin, ball and target from their regions.
+
+    It hands them out as well, one for every env in every step, needed or not: for devices that would have to wait for
+    the number that is needed. A few thousand cost a GPU less than the question. On a CPU see `InitialStatePool`.
+    """
+
+    def __init__(self, task: CompiledTask, generator: torch.Generator) -> None:
+        """Prepares sampling on the generator's device.
+
+        Args:
+            task: Regions of ball and target, the scene, and randomisations, applied in order.
+            generator: Source of all randomness.
+        """
+        layout, spec, device = task.scene.layout, task.spec, generator.device
+        self._regions, self._radius, self._randomizers = spec.sampling, spec.ball.radius, task.randomizers
+        self._place, self._nv = layout.ball_qpos, task.scene.model.nv
+        self._default = torch.as_tensor(layout.default_qpos, device=device)
+        self._obstacles = torch.as_tensor(layout.obstacles, device=device)
+        self._joints = torch.as_tensor(layout.joint_qpos, device=device)
+        self._candidates = self._tries()
+        self.generator = generator
+
+    def __call__(self, mask: Tensor) -> InitialStates:
+        """A new initial state for every env; those of envs outside `mask` [B] are left unused."""
+        return self.sample(len(mask))
+
+    def draw(self, low: float, high: float, *shape: int) -> Tensor:
+        """Uniform numbers in [low, high), float64."""
+        unit = torch.rand(shape, generator=self.generator, dtype=torch.float64, device=self.generator.device)
+        return low + (high - low) * unit
+
+    def sample(self, count: int) -> InitialStates:
+        """Draws `count` independent initial states."""
+        target = self._regions.target
+        qpos = self._default.repeat(count, 1)
+        qpos[:, self._place : self._place + 2] = self._draw_ball(count)
+        qpos[:, self._place + 2].fill_(self._radius)
+        distance, angle = self.draw(*target.distance, count), self.draw(*target.angle, count)
+        goal = torch.stack([distance * angle.cos(), distance * angle.sin()], dim=1)
+        states = InitialStates(qpos, qpos.new_zeros(count, self._nv), goal, self._joints)
+        for randomize in self._randomizers:
+            states = randomize(states, self.draw)
+        return states
+
+    def overlaps(self, x: Tensor, y: Tensor) -> Tensor:
+        """Whether a ball on the floor at (x, y) would overlap the robot in its default pose, bool of their shape."""
+        return overlaps(x, y, self._obstacles, self._radius)
+
+    def _draw_ball(self, count: int) -> Tensor:
+        """Ball positions [count, 2] from the region; those that overlap the robot are drawn again.
+
+        A fixed number of candidates each, of which the first free one is taken: no loop depends on the draws.
+        """
+        region, tries = self._regions.ball, self._candidates
+        x, y = self.draw(*region.x, tries, count), self.draw(*region.y, tries, count)
+        first = (~self.overlaps(x, y)).int().argmax(dim=0, keepdim=True)
+        return torch.stack([x.gather(0, first)[0], y.gather(0, first)[0]], dim=1)
+
+    def _tries(self) -> int:
+        """Candidates: one where the region is clear of the robot, else enough to find a free place."""
+        region, radius = self._regions.ball, self._radius
+        low_x, high_x, low_y, high_y = self._obstacles.unbind(dim=1)
+        apart_x = (low_x - radius > region.x[1]) | (high_x + radius < region.x[0])
+        apart_y = (low_y - radius > region.y[1]) | (high_y + radius < region.y[0])
+        if bool((apart_x | apart_y).all()):
+            return 1
+        blocked = 1.0 - max(free_share(region, self._obstacles, radius), LEAST_FREE)
+        enough = math.log(_LEFT_OVER) / math.log(blocked) if blocked > 0.0 else 1.0
+        return max(_TRIES, math.ceil(enough))
+
+
+class InitialStatePool:
+    """Hands out sampled states one by one; sampling many at once costs as little as sampling a few.
+
+    It counts them, which a GPU would have to wait for.
+    """
+
+    def __init__(self, sampler: InitialStateSampler, size: int) -> None:
+        """Draws the first states.
+
+        Args:
+            sampler: Where they come from.
+            size: States drawn at a time; at least the number of envs.
+        """
+        self._sampler, self._size = sampler, size
+        self._handed: InitialStates | None = None
+        self._draw()
+
+    def __call__(self, mask: Tensor) -> InitialStates:
+        """The next states for the envs in `mask` [B]; rows of other envs hold one that means nothing.
+
+        What it returns is written to in the next call.
+        """
+        envs = mask.nonzero().squeeze(1)
+        if self._used + len(envs) > self._size:
+            self._draw()
+        if self._handed is None:
+            self._handed = self._states.take(torch.arange(len(mask)))
+        self._handed.put(envs, self._states, self._used)
+        self._used += len(envs)
+        return self._handed
+
+    def _draw(self) -> None:
+        self._drawn_from = self._sampler.generator.get_state()
+        self._states, self._used = self._sampler.sample(self._size), 0
+
+    def state_dict(self) -> dict[str, Any]:
+        """How many states are handed out, and the generator's state before they were drawn: far smaller than they."""
+        return {"size": self._size, "used": self._used, "drawn_from": self._drawn_from.clone()}
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Draws the same states again. The generator is left behind them: set it to where it was afterwards.
+
+        Raises:
+            ValueError: The state is that of a pool of another size.
+        """
+        if state.get("size") != self._size:
+            raise ValueError(f"initial states: expected {self._size} drawn ahead, found {state.get('size')}")
+        self._sampler.generator.set_state(state["drawn_from"])
+        self._draw()
+        self._used = state["used"]
