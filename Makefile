@@ -7,7 +7,7 @@ INSTALLED := $(VENV)/.installed
 RUNTIME := $(VENV)/.runtime
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test test-all lint format schemas clean
+.PHONY: help install demo test test-all faults lint format schemas clean
 
 help:  ## list the targets
 	@awk -F ':.*## *' '/^[a-z-]+:.*##/ { printf "  make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -33,6 +33,9 @@ test: $(INSTALLED)  ## the tests, on all cores; without those that train or meas
 
 test-all: test  ## these, and then the trainings, recorded policies evaluated again, mujoco_warp
 	$(BIN)/pytest -m slow
+
+faults: $(INSTALLED)  ## put every bug of tests/faults into a copy: the tests must catch each
+	$(BIN)/python tests/faults/run.py --jobs 4
 
 lint: $(INSTALLED)  ## ruff and pyright
 	$(BIN)/ruff check .

@@ -85,7 +85,7 @@ def _pictures(plan: Plan) -> Iterator[str]:
     """Writes the page and a film of the mirrored side, where this machine can; what has been written."""
     from kickbench.report.write import write_report
     from kickbench.training.trained import load_run
-    from kickbench.view.film import film_runs
+    from kickbench.view.pictures import film_runs
 
     folder = plan.folder
     try:

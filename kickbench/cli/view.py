@@ -67,7 +67,7 @@ def play(
     from kickbench.envs.compile import read_task
     from kickbench.training.trained import load_run
     from kickbench.view.play import play as show
-    from kickbench.view.recording import fitting
+    from kickbench.view.session import fitting
 
     run = load_run(path, trust_code=trust_code, unfinished=True) if path.is_dir() else None
     if run is None and task is not None:
@@ -130,7 +130,7 @@ def _refuse(picture: Picture, reason: str, *options: str) -> None:
 
 def _sheet(task: CompiledTask, out: Path, seed: int, picture: Picture) -> None:
     from kickbench.results.atomic import atomic_file
-    from kickbench.view.contact_sheet import contact_sheet
+    from kickbench.view.pictures import contact_sheet
 
     sheet = contact_sheet(task, picture.starts or _STARTS, seed, *(picture.size or _SHEET_SIZE))
     with atomic_file(out) as file:
@@ -138,7 +138,7 @@ def _sheet(task: CompiledTask, out: Path, seed: int, picture: Picture) -> None:
 
 
 def _film(task: CompiledTask, out: Path, seed: int, picture: Picture) -> None:
-    from kickbench.view.film import film_runs
+    from kickbench.view.pictures import film_runs
 
     size, episodes = picture.size or _FILM_SIZE, picture.episodes or _EPISODES
     film_runs(task, picture.policy or [], out, episodes, seed, size, mirrored=bool(picture.mirrored))

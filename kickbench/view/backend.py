@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
 from ctypes.util import find_library
 from importlib import import_module
 from typing import Any
@@ -23,7 +22,7 @@ def check_mujoco() -> None:
     try:
         import_module("mujoco")
     except (ImportError, AttributeError, RuntimeError) as error:
-        raise _no_opengl([f"MUJOCO_GL={os.environ.get('MUJOCO_GL', '')}: {_reason(error)}"]) from None
+        raise _no_opengl(f"MUJOCO_GL={os.environ.get('MUJOCO_GL', '')}", error) from None
 
 
 def make_context(width: int, height: int) -> Any:
@@ -36,37 +35,26 @@ def make_context(width: int, height: int) -> Any:
         height: Its height, pixels.
 
     Raises:
-        KickbenchError: No platform works.
+        KickbenchError: The platform does not work.
     """
-    reasons = []
-    for platform in _candidates():
-        try:
-            context = import_module(f"mujoco.{platform}").GLContext(width, height)
-            context.make_current()
-            return context
-        except Exception as error:  # every platform has exceptions of its own
-            reasons.append(f"{platform}: {_reason(error)}")
-    raise _no_opengl(reasons)
+    platform = _platform()
+    try:
+        context = import_module(f"mujoco.{platform}").GLContext(width, height)
+        context.make_current()
+    except Exception as error:  # every platform has exceptions of its own
+        raise _no_opengl(platform, error) from None
+    return context
 
 
-def _candidates() -> Iterator[str]:
+def _platform() -> str:
     named = os.environ.get("MUJOCO_GL", "").strip().lower()
     if named in _PLATFORMS:
-        yield named
-        return
+        return named
     if os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
-        yield "glfw"
-    # One of the two at most: PyOpenGL keeps to the platform of its first import.
-    if find_library("OSMesa"):
-        yield "osmesa"
-    elif find_library("EGL"):
-        yield "egl"
+        return "glfw"
+    return "osmesa" if find_library("OSMesa") else "egl"
 
 
-def _reason(error: Exception) -> str:
-    return " ".join(str(error).split()) or type(error).__name__
-
-
-def _no_opengl(reasons: list[str]) -> KickbenchError:
-    tried = f" ({'; '.join(reasons)})" if reasons else ""
-    return KickbenchError(f"no OpenGL to draw with{tried}: {_HELP.format('|'.join(_PLATFORMS))}")
+def _no_opengl(tried: str, error: Exception) -> KickbenchError:
+    reason = " ".join(str(error).split()) or type(error).__name__
+    return KickbenchError(f"no OpenGL to draw with ({tried}: {reason}): {_HELP.format('|'.join(_PLATFORMS))}")

@@ -1,7 +1,7 @@
 """MuJoCo Studio's web viewer, bound to one address and closed to the pages of other sites.
 
 Studio binds every interface and answers every Host and Origin, and has no option for either: three of its functions
-are replaced while the viewer runs. If another version lacks one of them, nothing is served.
+are replaced (Dear ImGui allows one viewer a process). If another version lacks one of them, nothing is served.
 """
 
 from __future__ import annotations
@@ -14,10 +14,9 @@ import socket
 import sys
 import threading
 import webbrowser
-from collections.abc import Callable, Collection, Iterator
-from contextlib import contextmanager
+from collections.abc import Collection
 from http import HTTPStatus
-from typing import Any, Protocol
+from typing import Any
 from urllib.parse import urlsplit
 
 # pyright: reportAttributeAccessIssue=false
@@ -27,45 +26,76 @@ from mujoco.studio.dear_imgui import dear_imgui as imgui
 from mujoco.studio.web import web_server
 
 from kickbench.errors import KickbenchError
+from kickbench.view.play import Player
 
 _PORTS = 20
 """Ports that are tried, from the wished one on."""
 _PATIENCE = 30.0
 """How long Studio may take to begin to serve, s."""
+_REPLACED = ((web_server, "serve"), (web_server, "bind_public_socket"), (web_viewer, "_print_url_banner"))
 
 
-class Panel(Protocol):
-    """What a viewer shows; all of it is called in the thread that called `show`."""
+def show(
+    model: mujoco.MjModel, player: Player, title: str, host: str, port: int, browser: bool | None
+) -> None:
+    """Serves a model to browsers until Ctrl-C; prints the address.
 
-    def prepare(self, viewer: Any) -> None:
-        """Called once, before the first frame, with Studio's `WebViewer`."""
+    Args:
+        model: What is shown.
+        player: Its state and controls.
+        title: Title of the page.
+        host: Interface to bind.
+        port: Port; if it is taken, one of the next.
+        browser: Whether to open a browser; None: where there is one.
 
-    def update(self, viewer: Any) -> None:
-        """Called before every frame that a browser shows: sets `viewer.data`."""
-
-    def draw(self, imgui: Any) -> None:
-        """Called for every frame that a browser shows: builds windows with the bindings of Dear ImGui."""
+    Raises:
+        KickbenchError: There is no port, no browser though one is asked for, or Studio cannot be guarded.
+    """
+    for module, name in _REPLACED:
+        if not hasattr(module, name):
+            found = f"MuJoCo {mujoco.__version__} has no {module.__name__}.{name}"
+            raise KickbenchError(f"{found}, so its viewer cannot be guarded: pip install 'mujoco==4.0.*'")
+    opened = None if browser is False else _find_browser(required=bool(browser))
+    server = listen(host, port)
+    address, taken = server.getsockname()[:2]
+    own = {host.lower(), socket.gethostname().lower(), socket.getfqdn().lower()}
+    names = None if ipaddress.ip_address(address).is_loopback else own
+    serving = _guard(server, names)
+    logging.getLogger("WebServer").setLevel(logging.WARNING)
+    with server:
+        config = viewer_protocol.ViewerConfig(title=title, gfx="web", http_port=taken)
+        endpoint, _ = launch_thread.make_thread_endpoints()
+        viewer = web_viewer.WebViewer(config, endpoint, model=model, plugins=[_Plugin(player)])
+        try:
+            if not serving.wait(_PATIENCE):
+                raise KickbenchError(f"MuJoCo {mujoco.__version__}: its web viewer does not begin to serve")
+            _announce(_url(address, taken), port, taken, names is None, opened)
+            viewer_protocol.run_viewer_loop(viewer)
+        except KeyboardInterrupt:
+            print("\nstopped", flush=True)
+        finally:
+            viewer.close()
 
 
 class _Plugin:
-    """A panel as Studio calls it."""
+    """A player as Studio calls it, always in the thread that called `show`."""
 
-    def __init__(self, panel: Panel) -> None:
-        self._panel = panel
+    def __init__(self, player: Player) -> None:
+        self._player = player
 
     @messages.handler
     def _on_init(self, event: viewer_protocol.ViewerInitEvent) -> None:
         self._viewer = event.viewer
         ux.setup_theme(ux.GuiTheme.DARK)
-        self._panel.prepare(event.viewer)
+        self._player.prepare(event.viewer)
 
     @messages.handler
     def _on_update(self, event: messages.UpdateEvent) -> None:
-        self._panel.update(self._viewer)
+        self._player.update(self._viewer)
 
     @messages.handler
     def _on_gui(self, event: messages.BuildGuiEvent) -> None:
-        self._panel.draw(imgui)
+        self._player.draw(imgui)
 
 
 def listen(host: str, port: int) -> socket.socket:
@@ -109,95 +139,33 @@ def refusal(headers: Any, names: Collection[str] | None) -> str | None:
 def _is_own(host: str, names: Collection[str] | None) -> bool:
     try:
         name = urlsplit(f"//{host}").hostname or ""
-    except ValueError:
+        if name == "localhost" or name in (names or ()):
+            return True
+        # No name server can point an address elsewhere.
+        return ipaddress.ip_address(name).is_loopback or names is not None
+    except ValueError:  # neither a name nor an address
         return False
-    if name == "localhost" or name in (names or ()):
-        return True
-    try:
-        address = ipaddress.ip_address(name)
-    except ValueError:
-        return False
-    # No name server can point an address elsewhere.
-    return names is not None or address.is_loopback
 
 
-class _Guard:
-    """Stands in for `websockets.serve`: refuses what is foreign before Studio sees it."""
+def _guard(server: socket.socket, names: Collection[str] | None) -> threading.Event:
+    """Lets Studio serve on this socket alone, and refuses what is foreign before it sees it; set once it serves."""
+    serve, serving = web_server.serve, threading.Event()
 
-    def __init__(self, serve: Callable[..., Any], names: Collection[str] | None) -> None:
-        self._serve, self._names, self.serving = serve, names, threading.Event()
-
-    def __call__(self, handler: Any, *, process_request: Callable[..., Any], **options: Any) -> Any:
+    def guarded(handler: Any, *, process_request: Any, **options: Any) -> Any:
         def check(connection: Any, request: Any) -> Any:
-            reason = refusal(request.headers, self._names)
+            reason = refusal(request.headers, names)
             if reason is None and request.path.startswith("/drop"):
                 reason = "models are not taken"
             if reason is not None:
                 return connection.respond(HTTPStatus.FORBIDDEN, f"{reason}\n")
             return process_request(connection, request)
 
-        self.serving.set()
-        return self._serve(handler, process_request=check, **options)
+        serving.set()
+        return serve(handler, process_request=check, **options)
 
-
-_REPLACED = ((web_server, "serve"), (web_server, "bind_public_socket"), (web_viewer, "_print_url_banner"))
-
-
-def _check_studio() -> None:
-    for module, name in _REPLACED:
-        if not hasattr(module, name):
-            found = f"MuJoCo {mujoco.__version__} has no {module.__name__}.{name}"
-            raise KickbenchError(f"{found}, so its viewer cannot be guarded: pip install 'mujoco==4.0.*'")
-
-
-@contextmanager
-def _replaced(*functions: Callable[..., Any]) -> Iterator[None]:
-    before = [getattr(module, name) for module, name in _REPLACED]
-    try:
-        for (module, name), function in zip(_REPLACED, functions, strict=True):
-            setattr(module, name, function)
-        yield
-    finally:
-        for (module, name), function in zip(_REPLACED, before, strict=True):
-            setattr(module, name, function)
-
-
-def show(model: mujoco.MjModel, panel: Panel, title: str, host: str, port: int, browser: bool | None) -> None:
-    """Serves a model to browsers until Ctrl-C; prints the address.
-
-    Args:
-        model: What is shown.
-        panel: Its state and controls.
-        title: Title of the page.
-        host: Interface to bind.
-        port: Port; if it is taken, one of the next.
-        browser: Whether to open a browser; None: where there is one.
-
-    Raises:
-        KickbenchError: There is no port, no browser though one is asked for, or Studio cannot be guarded.
-    """
-    _check_studio()
-    opened = _find_browser(required=browser is True) if browser is not False else None
-    server = listen(host, port)
-    address, taken = server.getsockname()[:2]
-    local = ipaddress.ip_address(address).is_loopback
-    names = None if local else {host.lower(), socket.gethostname().lower(), socket.getfqdn().lower()}
-    guard = _Guard(web_server.serve, names)
-    url = _url(address, taken)
-    logging.getLogger("WebServer").setLevel(logging.WARNING)
-    with server, _replaced(guard, lambda host, port: server, lambda host, port: None):
-        config = viewer_protocol.ViewerConfig(title=title, gfx="web", http_port=taken)
-        endpoint, _ = launch_thread.make_thread_endpoints()
-        viewer = web_viewer.WebViewer(config, endpoint, model=model, plugins=[_Plugin(panel)])
-        try:
-            if not guard.serving.wait(_PATIENCE):
-                raise KickbenchError(f"MuJoCo {mujoco.__version__}: its web viewer does not begin to serve")
-            _announce(url, port, taken, local, opened)
-            viewer_protocol.run_viewer_loop(viewer)
-        except KeyboardInterrupt:
-            print("\nstopped", flush=True)
-        finally:
-            viewer.close()
+    for (module, name), own in zip(_REPLACED, (guarded, lambda *_: server, lambda *_: None), strict=True):
+        setattr(module, name, own)
+    return serving
 
 
 def _url(address: str, port: int) -> str:
@@ -208,12 +176,11 @@ def _url(address: str, port: int) -> str:
 
 def _find_browser(*, required: bool) -> webbrowser.BaseBrowser | None:
     """A browser with a window; None: there is none."""
-    has_screen = sys.platform != "linux" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-    try:
-        if has_screen:
+    if sys.platform != "linux" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
+        try:
             return webbrowser.get()
-    except webbrowser.Error:
-        pass
+        except webbrowser.Error:
+            pass
     if required:
         raise KickbenchError("--browser: no browser was found here; --no-browser serves the page without one")
     return None

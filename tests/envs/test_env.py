@@ -58,6 +58,18 @@ def test_an_episode_ends_by_time_out_after_max_steps_and_only_that_is_a_truncati
     assert (env.episode_length_buf == 0).all()
 
 
+def test_an_ending_that_is_not_by_time_alone_is_no_truncation(experiment):
+    env = make_env(experiment().task, 64)
+    others = [number for number, bound in enumerate(env.task.terminations) if bound.name != "time_out"]
+    ended = 0
+    for k in range(120):
+        _, _, done, extras = env.step(random_actions(env, k))
+        otherwise = env.outcome.terminated[:, others].any(dim=1)
+        assert torch.equal(extras["time_outs"], done & ~otherwise)
+        ended += int(otherwise.sum())
+    assert ended > 5
+
+
 def test_the_reward_of_the_final_step_is_paid_and_episode_sums_are_the_sums_of_step_rewards(experiment):
     env = make_env(experiment().task, 64)
     sums, checked = torch.zeros(64), 0

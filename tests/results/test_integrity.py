@@ -57,6 +57,18 @@ def run(finished, tmp_path) -> Path:
     return Path(shutil.copytree(finished, tmp_path / "run"))
 
 
+def test_the_result_is_the_last_file_of_a_run_after_the_sums(tmp_path, monkeypatch):
+    written, replace = [], os.replace
+
+    def noted(source, target):
+        written.append(Path(target).name)
+        replace(source, target)
+
+    monkeypatch.setattr(os, "replace", noted)
+    assert main(["run", TASK, METHOD, "--out", str(tmp_path / "run"), *QUICK]) == 0
+    assert written[-2:] == ["SHA256SUMS", "metrics.json"]
+
+
 def files_of(run: Path) -> list[Path]:
     found = (file for file in sorted(run.rglob("*")) if file.is_file())
     return [file for file in found if file.relative_to(run).parts[0] not in BESIDE]

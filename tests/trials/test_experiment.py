@@ -143,6 +143,15 @@ def test_what_does_not_fit_together_is_named(complaints, old, new, complaint):
     assert complaint in complaints(old, new)
 
 
+def test_each_seed_of_two_arms_is_compared_only_where_they_have_the_same_seeds(complaints):
+    old = "kind: at_least, metric: success_rate, value: {arm: baseline}, bound: 0.5"
+    new = old.replace("at_least", "greater_than, seeds: each").replace("bound: 0.5", "than: {arm: other}")
+    (complaint,) = complaints(old, new)
+    assert complaint.startswith("x.yaml:8:")
+    assert "claims.c.seeds: " in complaint
+    assert "seeds differ" in complaint
+
+
 def test_a_broken_task_is_named_with_the_arm_and_with_its_own_problems(complaints):
     Path("broken.yaml").write_text(f"extends: {ROOT}/tasks/mini_general.yaml\nepisode: {{max_stepz: 3}}\n")
     first, second = complaints(f"task: {ROOT}/tasks/mini_home_field.yaml", "task: broken.yaml")

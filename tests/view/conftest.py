@@ -6,6 +6,7 @@ import os
 from pathlib import Path
 
 import pytest
+import torch
 
 ROOT = Path(__file__).parents[2]
 
@@ -33,7 +34,51 @@ def task(experiment):
 @pytest.fixture
 def stage(opengl, task):
     """A stage for small pictures of `task`."""
-    from kickbench.view.picture import Stage
+    from kickbench.view.stage import Stage
 
     with Stage(task, 160, 120) as stage:
         yield stage
+
+
+def drive_forward(observations):
+    """An action for every env: forward, so that balls are touched and episodes end at different steps."""
+    return torch.tensor([[1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]]).expand(len(observations["actor"]), -1)
+
+
+@pytest.fixture
+def policy():
+    """`drive_forward`."""
+    return drive_forward
+
+
+@pytest.fixture
+def session(task):
+    """A session of all episodes of the task's evaluation, with a policy that drives forward."""
+    from kickbench.view.session import Session
+
+    session = Session(task, drive_forward, 7, task.spec.evaluation.episodes)
+    yield session
+    session.close()
+
+
+@pytest.fixture
+def run(experiment, tmp_path):
+    """The directory of a run that has not been trained yet."""
+    from kickbench.results.specs import write_specs
+    from kickbench.results.store import RunDirectory
+
+    directory = RunDirectory(tmp_path / "run")
+    directory.prepare(force=False)
+    write_specs(directory, experiment("mini_general"))
+    return directory
+
+
+@pytest.fixture
+def trained(run, experiment):
+    """The directory of a run with an untrained policy."""
+    from kickbench.nets.build import build_actor
+    from kickbench.training.checkpoint import save_policy
+
+    symmetry, method = experiment("mini_general").symmetry, experiment("mini_general").method
+    save_policy(run.policy, build_actor(method.spec, symmetry.groups["actor"], symmetry.actions))
+    return run

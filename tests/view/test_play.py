@@ -20,13 +20,10 @@ from types import SimpleNamespace
 import mujoco
 import numpy as np
 import pytest
-import torch
 
 from kickbench.cli import main
 from kickbench.errors import KickbenchError
-from kickbench.evaluation.episodes import mirror_starts, run_episodes
-from kickbench.view.play import Player, Session, slider_limits
-from kickbench.view.starts import evaluation_starts
+from kickbench.view.play import Player, slider_limits
 
 studio = pytest.importorskip("kickbench.view.studio")
 websockets = pytest.importorskip("websockets.sync.client")
@@ -36,140 +33,64 @@ TASK = ROOT / "tasks" / "mini_home_field.yaml"
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 
 
-def drive_forward(observations):
-    """An action for every env: forward, so that balls are touched and episodes end at different steps."""
-    return torch.tensor([[1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]]).expand(len(observations["actor"]), -1)
-
-
 @pytest.fixture
-def session(task):
-    session = Session(task, drive_forward, seed=7)
-    yield session
-    session.close()
+def player(session):
+    return Player(session)
 
 
-def run_to_end(session: Session) -> None:
-    while not session.ending:
-        session.step()
-
-
-def test_episodes_are_those_of_the_evaluation_on_both_sides(experiment, session, task):
-    starts = evaluation_starts(task, 3, 7)
-    tables = [
-        run_episodes(task, drive_forward, side, seed=7) for side in (starts, mirror_starts(task, starts))
-    ]
-    for table in tables:
-        for row in range(3):
-            session.show(row)
-            run_to_end(session)
-            assert int(session.outcome.steps[0]) == table.steps[row]
-            assert session.ending == table.termination[row]
-            assert float(session.outcome.distance[0]) == pytest.approx(table.distance[row], abs=1e-5)
-            assert session.rewards[1].sum() == pytest.approx(table.episode_return[row], rel=1e-4, abs=1e-5)
-        session.mirror()
-    counts = [(tally.successes, tally.episodes) for tally in session.tallies]
-    assert counts == [(int(table.success.sum()), 3) for table in tables]
-
-
-def test_rewards_of_the_steps_add_up_to_those_of_the_episode(session):
-    steps = []
-    while not session.ending:
-        session.step()
-        steps.append(session.rewards[0])
-    np.testing.assert_allclose(np.sum(steps, axis=0), session.rewards[1], atol=1e-4)
+def run_to_end(player: Player) -> None:
+    while not player.session.ending:
+        player.step()
 
 
 def test_time_passes_at_the_control_rate_times_the_speed(session, task):
     dt = task.spec.simulation.control_interval
     for speed, seconds, steps in ((1.0, 0.2, 0.2 / dt), (0.1, 0.2, 0.02 / dt)):
         session.restart()
-        session.speed = speed
-        session.elapse(seconds + 1e-9)
+        player = Player(session)
+        player.speed = speed
+        player.elapse(seconds + 1e-9)
         assert int(session.outcome.steps[0]) == round(steps)
 
 
-def test_a_long_gap_is_not_made_up_for(session, task):
-    session.elapse(3600.0)
-    assert int(session.outcome.steps[0]) * task.spec.simulation.control_interval <= 0.25
+def test_a_long_gap_is_not_made_up_for(player, task):
+    player.elapse(3600.0)
+    assert int(player.session.outcome.steps[0]) * task.spec.simulation.control_interval <= 0.25
 
 
-def test_no_time_passes_while_paused_but_single_steps_do(session):
-    session.paused = True
+def test_no_time_passes_while_paused_but_single_steps_do(player, session):
+    player.paused = True
     before = session.qpos
-    session.elapse(0.2)
+    player.elapse(0.2)
     assert session.outcome is None
     np.testing.assert_array_equal(session.qpos, before)
-    session.step()
+    player.step()
     assert int(session.outcome.steps[0]) == 1
 
 
-def test_a_reset_repeats_the_episode_exactly(session):
-    paths = []
-    for _ in range(2):
-        session.restart()
-        paths.append([])
-        for _ in range(20):
-            session.step()
-            paths[-1].append(session.qpos)
-    np.testing.assert_array_equal(*paths)
-
-
-def test_the_last_initial_state_is_followed_by_the_first(session, task):
-    first = session.places
-    session.show(task.spec.evaluation.episodes - 1)
-    assert not np.array_equal(session.places, first)
-    session.show(session.number + 1)
-    assert session.number == 0
-    np.testing.assert_array_equal(session.places, first)
-
-
-def test_the_end_of_an_episode_stays_in_sight_and_then_the_next_begins(session, task):
+def test_the_end_of_an_episode_stays_in_sight_and_then_the_next_begins(player, session, task):
     for repeat, number in ((True, 0), (False, 1)):
         session.show(0)
-        session.repeat = repeat
-        run_to_end(session)
+        player.repeat = repeat
+        run_to_end(player)
         last = session.qpos
-        session.step()
+        player.step()
         np.testing.assert_array_equal(session.qpos, last)
         for _ in range(round(1.0 / task.spec.simulation.control_interval)):
-            session.step()
+            player.step()
         assert (session.ending, session.number) == ("", number)
         assert not np.array_equal(session.qpos, last)
 
 
-MOVE = np.array([0.05, 0.02, 0.3, -0.2])
-
-
-def test_ball_and_target_move_and_the_robot_stays(session):
-    places, robot = session.places, session.qpos.copy()
-    ball = session.env.task.scene.layout.ball_qpos
-    assert session.place(places + MOVE)
-    np.testing.assert_allclose(session.places, places + MOVE)
-    np.testing.assert_array_equal(
-        np.delete(session.qpos, [ball, ball + 1]), np.delete(robot, [ball, ball + 1])
-    )
-    np.testing.assert_allclose(session.env.episode.target[0], session.places[2:], rtol=1e-6)
-    session.mirror()
-    np.testing.assert_allclose(session.places, (places + MOVE) * [1, -1, 1, -1])
-
-
-@pytest.mark.parametrize("where", [[0.0, 0.1], [float("nan"), 0.1]])
-def test_a_ball_without_room_stays_where_it_was(session, where):
-    places = session.places
-    assert not session.place(np.array([*where, 2.0, 0.0]))
-    np.testing.assert_array_equal(session.places, places)
-
-
-def test_without_a_policy_the_robot_stands(task):
-    session = Session(task, None, seed=7)
-    before = session.qpos
-    for _ in range(25):
-        session.step()
-    ball = task.scene.layout.ball_qpos
-    assert np.delete(session.qpos, range(ball, ball + 7)) == pytest.approx(
-        np.delete(before, range(ball, ball + 7)), abs=0.05
-    )
-    session.close()
+def test_successes_are_counted_on_each_side(player, session):
+    for _ in range(2):
+        run_to_end(player)
+        session.mirror()
+    assert [episodes for _, episodes in player.tallies] == [1, 1]
+    successes, _ = player.tallies[0]
+    session.show(0)
+    run_to_end(player)
+    assert player.tallies[0] == [successes + int(session.outcome.success[0]), 2]
 
 
 class Gui:
@@ -210,9 +131,8 @@ class Gui:
 
 
 @pytest.fixture
-def drawn(session):
-    """Draws the controls of `session`, and returns their texts."""
-    player = Player(session, "title")
+def drawn(player):
+    """Draws the controls of `player`, and returns their texts."""
 
     def draw(**actions) -> list[str]:
         gui = Gui(**actions)
@@ -223,11 +143,11 @@ def drawn(session):
 
 
 @pytest.mark.parametrize("way", ["button", "key"])
-def test_buttons_and_keys_do_the_same(session, drawn, way):
+def test_buttons_and_keys_do_the_same(player, session, drawn, way):
     names = {"pause": "space", "next": "n", "mirror": "m", "step": "s", "reset": "r"}
     for button in ("pause", "next", "mirror", "step"):
         drawn(**{way: button if way == "button" else names[button]})
-    assert (session.paused, session.number, session.mirrored) == (True, 1, True)
+    assert (player.paused, session.number, session.mirrored) == (True, 1, True)
     assert int(session.outcome.steps[0]) == 1
     drawn(**{way: "reset" if way == "button" else "r"})
     assert session.outcome is None
@@ -247,11 +167,11 @@ def test_a_slider_places_the_target_or_says_that_there_is_no_room(session, drawn
     assert "no room" not in " ".join(drawn(slider=("ball x", 0.4)))
 
 
-def test_the_window_reports_rewards_foot_and_success(session, drawn):
-    run_to_end(session)
+def test_the_window_reports_rewards_foot_and_success(player, session, drawn):
+    run_to_end(player)
     texts = drawn()
     assert f"ended: {session.ending}" in " ".join(texts)
-    assert f"success: {session.tallies[0].successes} of 1, mirrored 0 of 0 episodes" in texts
+    assert f"success: {player.tallies[0][0]} of 1, mirrored 0 of 0 episodes" in texts
     for bound, _ in session.env.task.rewards:
         assert bound.name in texts
     assert any(text.startswith("foot that touched the ball first: ") for text in texts)
@@ -420,29 +340,6 @@ def complaint(capsys, *arguments: object) -> str:
     assert printed.out == ""
     assert printed.err.count("\n") == 1
     return printed.err
-
-
-@pytest.fixture
-def run(experiment, tmp_path):
-    """The folder of a run that has not been trained yet."""
-    from kickbench.results.specs import write_specs
-    from kickbench.results.store import RunDirectory
-
-    directory = RunDirectory(tmp_path / "run")
-    directory.prepare(force=False)
-    write_specs(directory, experiment("mini_general"))
-    return directory
-
-
-@pytest.fixture
-def trained(run, experiment):
-    """The folder of a run with an untrained policy."""
-    from kickbench.nets.build import build_actor
-    from kickbench.training.checkpoint import save_policy
-
-    symmetry, method = experiment("mini_general").symmetry, experiment("mini_general").method
-    save_policy(run.policy, build_actor(method.spec, symmetry.groups["actor"], symmetry.actions))
-    return run
 
 
 def test_a_run_without_a_policy_is_named(run, capsys):

@@ -2,20 +2,63 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from matplotlib.path import Path
 
 from kickbench.errors import KickbenchError
-from kickbench.view.regions import draw_regions, plot_regions, sides
+from kickbench.evaluation.episodes import draw_starts
+from kickbench.view.regions import draw_regions, outlines, plot_regions, sector
 
 
 def labels(figure) -> list[str]:
     return [text.get_text() for text in figure.legends[0].get_texts()]
 
 
+def area(outline: np.ndarray) -> float:
+    x, y = outline.T
+    return abs(float(x @ np.roll(y, 1) - y @ np.roll(x, 1))) / 2
+
+
+@pytest.mark.parametrize(("angle", "turns"), [((-1.0, 1.0), 2.0), ((0.0, np.pi), np.pi), ((2.0, 3.5), 1.5)])
+def test_a_sector_has_the_area_of_its_annulus(angle, turns):
+    assert area(sector((2.5, 8.5), angle)) == pytest.approx(turns / 2 * (8.5**2 - 2.5**2), rel=1e-3)
+
+
+def test_a_sector_of_more_than_a_turn_is_an_annulus():
+    assert area(sector((1.0, 2.0), (-4.0, 4.0))) == pytest.approx(3 * np.pi, rel=1e-3)
+
+
+def test_a_constant_distance_and_angle_is_a_point():
+    assert np.ptp(sector((2.0, 2.0), (0.5, 0.5)), axis=0) == pytest.approx([0.0, 0.0])
+
+
+def test_the_ball_s_region_has_the_area_of_its_sides(task):
+    x, y = task.spec.sampling.ball.x, task.spec.sampling.ball.y
+    assert area(outlines(task.spec.sampling)[0]) == pytest.approx((x[1] - x[0]) * (y[1] - y[0]))
+
+
+def test_every_start_is_inside_the_outlines_and_no_mirrored_one_is(task):
+    starts, place = draw_starts(task, 500, 1), task.scene.layout.ball_qpos
+    points = starts.qpos[:, place : place + 2].numpy(), starts.target.numpy()
+    for outline, inside in zip(outlines(task.spec.sampling), points, strict=True):
+        # A chord of the outline cuts off 0.1 mm of its arc at most.
+        assert Path(outline).contains_points(inside, radius=1e-3).mean() > 0.99
+        assert not Path(outline * [1.0, -1.0]).contains_points(inside).any()
+
+
 def test_a_mirrored_evaluation_has_a_second_side_that_mirrors_the_first(task):
-    home, mirrored = sides(task, seed=1)
-    for one, other in ((home.ball, mirrored.ball), (home.target, mirrored.target)):
-        np.testing.assert_array_equal(one * [1, -1], other)
-    assert (home.light, home.dark) != (mirrored.light, mirrored.dark)
+    axes = draw_regions(task, seed=1).axes[0]
+    shapes = [patch.get_xy() for patch in axes.patches[:8:2]]
+    dots = [collection.get_offsets() for collection in axes.collections]
+    for drawn in (shapes, dots):
+        for one, other in zip(drawn[:2], drawn[2:4], strict=True):
+            np.testing.assert_allclose(one * [-1, 1], other)
+    figure = draw_regions(task, seed=1)
+    assert labels(figure)[:4] == [
+        "target (training)",
+        "ball (training)",
+        "target (mirrored, evaluation only)",
+        "ball (mirrored, evaluation only)",
+    ]
 
 
 def test_a_task_without_mirrored_evaluation_has_one_side(experiment):
@@ -29,13 +72,6 @@ def test_left_is_left_and_both_axes_have_one_scale(task):
         assert right < 0 < left
         assert axes.get_ylim()[0] < axes.get_ylim()[1]
         assert axes.get_aspect() == 1.0
-
-
-def test_the_bars_are_as_long_as_they_say(task):
-    for axes, length in zip(draw_regions(task, seed=1).axes, (1.0, 0.1), strict=True):
-        bar = axes.lines[-1].get_xdata()
-        assert bar[1] - bar[0] == pytest.approx(length)
-        assert f"{length:g} m" in [text.get_text() for text in axes.texts]
 
 
 def test_everything_drawn_lies_inside_the_panels(task):

@@ -1,0 +1,304 @@
+"""Pictures with words and a small map: a contact sheet of initial states, and films of episodes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+from kickbench.config.task import SamplingSpec
+from kickbench.envs.compile import CompiledTask
+from kickbench.errors import KickbenchError, require
+from kickbench.evaluation.progress import tracked
+from kickbench.results.atomic import atomic_file
+from kickbench.results.metrics import load_metrics
+from kickbench.results.store import RunDirectory
+from kickbench.training.trained import load_run
+from kickbench.view.regions import outlines
+from kickbench.view.session import Session, evaluation_starts, fitting
+from kickbench.view.stage import Stage
+
+_INK, _PAPER, _PALE, _WHITE = (32, 38, 44), (250, 250, 248), (104, 112, 120), (255, 255, 255)
+_BALL, _TARGET, _NIGHT = (120, 190, 255), (255, 214, 60), (24, 34, 28)
+_GAP = 10
+_LARGEST = 100_000_000
+"""Pixels of a sheet at most: more would fill the memory, and no viewer shows them."""
+_FRAME_TIME, _HOLD = 0.04, 0.8
+"""Wished time between frames, and how long the last one of an episode stays, s."""
+_QUALITY = 30
+"""Of a WebP, up to 100: at 30 two policies side by side, 320x240 each, take 250 kB an episode."""
+
+
+def contact_sheet(task: CompiledTask, count: int, seed: int, width: int, height: int) -> Image.Image:
+    """Draws initial states of a task's evaluation, each with its numbers and its place in the regions.
+
+    Args:
+        task: The task.
+        count: Number of initial states.
+        seed: Seed of the initial states.
+        width: Width of each picture, pixels.
+        height: Its height, pixels.
+
+    Raises:
+        KickbenchError: There is no OpenGL, or the sheet would be very large.
+    """
+    if count * width * height > _LARGEST:
+        raise KickbenchError(
+            f"{count} starts of {width}x{height} pixels make a sheet of more than 100 megapixels"
+        )
+    columns = math.ceil(math.sqrt(count))
+    size = max(height // 22, 11)
+    head, cell = 4 * size + _GAP, (width + _GAP, height + 2 * size + _GAP)
+    sheet_size = (columns * cell[0] + _GAP, head + math.ceil(count / columns) * cell[1] + _GAP)
+    sheet = Image.new("RGB", sheet_size, _PAPER)
+    draw = ImageDraw.Draw(sheet)
+    draw.text((_GAP, _GAP), task.name, _INK, ImageFont.load_default(round(1.5 * size)))
+    words = f"{count} starts of seed {seed}; x points forward, y and angles to the left"
+    draw.text((_GAP, _GAP + 1.9 * size), words, _PALE, ImageFont.load_default(size))
+    starts, place = evaluation_starts(task, count, seed), task.scene.layout.ball_qpos
+    small_map = SmallMap(task.spec.sampling, height // 4)
+    with Stage(task, width, height) as stage:
+        for index, (qpos, target) in enumerate(zip(starts.qpos.numpy(), starts.target.numpy(), strict=True)):
+            row, column = divmod(index, columns)
+            left, top = _GAP + column * cell[0], head + row * cell[1]
+            ball, pixels = qpos[place : place + 2], stage.picture(qpos, target, stage.camera(qpos, target))
+            sheet.paste(small_map.stamped(Image.fromarray(pixels), ball, target), (left, top))
+            words = f"{index}   {describe_start(ball, target)}"
+            draw.text((left, top + height + size // 3), words, _INK, ImageFont.load_default(size))
+    return sheet
+
+
+def describe_start(ball: np.ndarray, target: np.ndarray) -> str:
+    """`ball (0.42, +0.10) m, target 5.2 m at +34°`: Cartesian and polar as in the task file.
+
+    Args:
+        ball: Position of the ball [2], m.
+        target: Position of the target [2], m.
+    """
+    distance, angle = math.hypot(*target), math.degrees(math.atan2(target[1], target[0]))
+    return f"ball ({ball[0]:.2f}, {ball[1]:+.2f}) m, target {distance:.2f} m at {angle:+.0f}°"
+
+
+class SmallMap:
+    """The sampling regions from above in the corner of a picture, x up and y to the left."""
+
+    _FINE = 3
+    """It is drawn this much larger and scaled down: Pillow draws without anti-aliasing."""
+
+    def __init__(self, sampling: SamplingSpec, size: int, mirrored: bool = False) -> None:
+        """Sizes the map so that robot and regions fill it.
+
+        Args:
+            sampling: The regions.
+            size: Side of the map, pixels.
+            mirrored: Whether the mirror images of the regions are shown.
+        """
+        regions = [outline * [1.0, -1.0 if mirrored else 1.0] for outline in outlines(sampling)]
+        corners = np.concatenate([*regions, np.zeros((1, 2))])
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        self._size, self._side, self._middle = size, size * self._FINE, (low + high) / 2.0
+        self._scale = 0.84 * self._side / float((high - low).max())
+        self._map = Image.new("RGBA", (self._side, self._side), (0, 0, 0, 0))
+        draw = ImageDraw.Draw(self._map)
+        draw.rounded_rectangle((0, 0, self._side - 1, self._side - 1), self._side // 14, (*_NIGHT, 150))
+        for region, colour in zip(regions, (_BALL, _TARGET), strict=True):
+            # Width as well as area: a region may be a line or a point.
+            draw.polygon(self.place(region), (*colour, 90), (*colour, 200), self._FINE)
+        ((x, y),), nose = self.place(np.zeros((1, 2))), self._side / 22.0
+        draw.polygon([(x, y - 1.5 * nose), (x + nose, y + nose), (x - nose, y + nose)], _WHITE)
+
+    def place(self, points: np.ndarray) -> list[tuple[float, float]]:
+        """Places of points [N, 2], m, on the fine map, pixels from its upper left corner."""
+        offset, middle = (points - self._middle) * self._scale, self._side / 2.0
+        return [(float(middle - y), float(middle - x)) for x, y in offset]
+
+    def stamped(self, image: Image.Image, ball: np.ndarray, target: np.ndarray) -> Image.Image:
+        """Draws the map with ball and target [2], m, into the upper left corner of a picture, and returns that."""
+        fine, radius = self._map.copy(), self._side / 30.0
+        draw = ImageDraw.Draw(fine)
+        places = self.place(np.stack([target, ball]))
+        for (x, y), colour in zip(places, (_TARGET, _BALL), strict=True):
+            draw.ellipse((x - radius, y - radius, x + radius, y + radius), colour, _NIGHT, self._FINE)
+        small = fine.resize((self._size, self._size), Image.Resampling.LANCZOS)
+        image.paste(small, (_GAP, _GAP), small)
+        return image
+
+
+def film_runs(
+    task: CompiledTask,
+    runs: Sequence[Path],
+    out: Path,
+    episodes: int,
+    seed: int,
+    size: tuple[int, int],
+    *,
+    mirrored: bool = False,
+) -> None:
+    """Films the first episodes of a task's evaluation, in real time.
+
+    Args:
+        task: The task.
+        runs: Run directories, whose policies are shown side by side; none: zero action.
+        out: File to write, .webp or .mp4.
+        episodes: Number of episodes.
+        seed: Seed of the initial states.
+        size: Width and height of one policy's part, pixels.
+        mirrored: Whether to show the mirror images of the initial states.
+
+    Raises:
+        KickbenchError: There is no OpenGL, a library is missing, or a run has no policy for the task.
+    """
+    is_mp4 = out.suffix.lower() == ".mp4"
+    if is_mp4:
+        check_mp4(*size)
+    policies = [fitting(task, load_run(run, unfinished=True)) for run in runs] or [None]
+    titles = [_title(run) for run in runs] if len(runs) > 1 else [""]
+    sessions = [
+        (title, Session(task, policy, seed, episodes)) for title, policy in zip(titles, policies, strict=True)
+    ]
+    frames = tracked(film(task, sessions, episodes, *size, mirrored=mirrored), "drawing", "frames")
+    (write_mp4 if is_mp4 else write_webp)(out, frames, frame_time(task))
+
+
+def _title(run: Path) -> str:
+    file = RunDirectory(run).metrics
+    return load_metrics(file).method if file.is_file() else run.name
+
+
+def frame_stride(task: CompiledTask) -> int:
+    """Control steps between two frames."""
+    return max(1, round(_FRAME_TIME / task.spec.simulation.control_interval))
+
+
+def frame_time(task: CompiledTask) -> float:
+    """Time between two frames, s: films run at the speed of the world."""
+    return frame_stride(task) * task.spec.simulation.control_interval
+
+
+def film(
+    task: CompiledTask,
+    sessions: Sequence[Session],
+    episodes: int,
+    width: int,
+    height: int,
+    *,
+    mirrored: bool = False,
+) -> Iterator[Image.Image]:
+    """Draws episodes one after the other, those of several policies from the same initial state side by side.
+
+    Args:
+        task: The task.
+        sessions: The policies; the title of each is the heading of its part of the picture.
+        episodes: Number of episodes.
+        width: Width of one policy's part, pixels.
+        height: Its height, pixels.
+        mirrored: Whether the initial states are mirror images of the task's.
+
+    Raises:
+        KickbenchError: There is no OpenGL.
+    """
+    small_map = SmallMap(task.spec.sampling, height // 4, mirrored)
+    with Stage(task, width, height) as stage:
+        for number in range(episodes):
+            for session in sessions:
+                session.mirrored = mirrored
+                session.show(number)
+            start = sessions[0].start
+            camera = stage.camera(start.qpos[0].numpy(), start.target[0].numpy())
+            yield (image := _frame(stage, camera, small_map, sessions))
+            while not all(session.ending for session in sessions):
+                for session in sessions:
+                    for _ in range(frame_stride(task)):
+                        session.step()
+                yield (image := _frame(stage, camera, small_map, sessions))
+            yield from [image] * round(_HOLD / frame_time(task))
+
+
+def _frame(stage: Stage, camera: Any, small_map: SmallMap, sessions: Sequence[Session]) -> Image.Image:
+    image = Image.new("RGB", (len(sessions) * stage.width, stage.height))
+    size = max(stage.height // 24, 10)
+    for part, session in enumerate(sessions):
+        target = session.start.target[0].numpy()
+        panel = Image.fromarray(stage.picture(session.qpos, target, camera))
+        small_map.stamped(panel, session.ball, target)
+        draw, font = ImageDraw.Draw(panel), ImageFont.load_default(size)
+        for text, place, anchor in (
+            (session.title, (stage.width - size, size), "ra"),
+            (caption(session), (size, stage.height - size), "ld"),
+        ):
+            draw.text(place, text, _WHITE, font, anchor, stroke_width=2, stroke_fill=_NIGHT)
+        image.paste(panel, (part * stage.width, 0))
+    return image
+
+
+def caption(session: Session) -> str:
+    """`episode 0   1.20 s`, and at its end `success: 0.12 m from the target (target_hit)`."""
+    outcome = session.outcome
+    if outcome is None or not session.ending:
+        steps = 0 if outcome is None else int(outcome.steps[0])
+        return f"episode {session.number}   {steps * session.interval:4.2f} s"
+    word = "success" if outcome.success[0] else "no success"
+    return f"{word}: {float(outcome.distance[0]):.2f} m from the target ({session.ending})"
+
+
+def write_webp(path: Path, frames: Iterable[Image.Image], seconds: float) -> None:
+    """Writes frames as an animated WebP that repeats.
+
+    Args:
+        path: File to write.
+        frames: Frames, at least one.
+        seconds: Time between two frames.
+    """
+    frames = iter(frames)
+    first = next(frames)
+    with atomic_file(path) as file:
+        first.save(
+            file, "WEBP", save_all=True, append_images=frames, duration=round(1000 * seconds), loop=0,
+            quality=_QUALITY,
+        )  # fmt: skip
+
+
+def check_mp4(width: int, height: int) -> None:
+    """Checks that an .mp4 of that size can be written.
+
+    Raises:
+        KickbenchError: The library is missing, or a side is odd.
+    """
+    require("imageio_ffmpeg", "an .mp4")
+    if width % 2 or height % 2:
+        raise KickbenchError(f"an .mp4 has even sides; found {width}x{height}")
+
+
+def write_mp4(path: Path, frames: Iterable[Image.Image], seconds: float) -> None:
+    """Writes frames as H.264 that browsers play.
+
+    Args:
+        path: File to write.
+        frames: Frames of one size with even sides, at least one.
+        seconds: Time between two frames.
+
+    Raises:
+        KickbenchError: `imageio-ffmpeg` is not installed.
+    """
+    ffmpeg, frames = require("imageio_ffmpeg", "an .mp4"), iter(frames)
+    first = next(frames)
+    # The file has no telling suffix yet.
+    options = {
+        "codec": "libx264",
+        "quality": 7,
+        "macro_block_size": 2,
+        "output_params": ["-f", "mp4", "-movflags", "+faststart"],
+    }
+    with atomic_file(path) as file:
+        writer = ffmpeg.write_frames(file.name, first.size, fps=1.0 / seconds, **options)
+        writer.send(None)
+        try:
+            for frame in chain([first], frames):
+                writer.send(frame.tobytes())
+        finally:
+            writer.close()
