@@ -70,9 +70,9 @@ def measure_size(trials: Mapping[str, Trial], setting: Setting, tell: Tell) -> S
                 before = time.process_time()
                 record = method()
                 stage.watch.note(f"cpu {name}", time.process_time() - before)
-                stage.watch.note(f"rollout {name}", record.collect_seconds)
-                stage.watch.note(f"update {name}", record.update_seconds)
-                stage.watch.note(f"iteration {name}", record.collect_seconds + record.update_seconds)
+                stage.watch.note(f"rollout {name}", record["collect_seconds"])
+                stage.watch.note(f"update {name}", record["update_seconds"])
+                stage.watch.note(f"iteration {name}", record["collect_seconds"] + record["update_seconds"])
         tell(setting.rounds)
     timing, reference = stage.watch.timing(), next(iter(methods))
     return SizeFigures(

@@ -12,7 +12,7 @@ from kickbench.envs.env import KickEnv
 from kickbench.nets.threads import update_threads
 from kickbench.results.history import RunHistory
 from kickbench.training.checkpoint import Checkpoints
-from kickbench.training.progress import IterationRecord
+from kickbench.training.progress import Progress, Record
 from kickbench.training.trainer import Trainer
 from kickbench.trials.trial import Trial
 
@@ -38,24 +38,20 @@ class Iterations:
         self._last = _LastRecord()
         self.trainer = Trainer(trial, env, self._last, _Unkept(), history, self.update_threads, graph=graph)
 
-    def __call__(self) -> IterationRecord:
+    def __call__(self) -> Record:
         """Makes the next iteration."""
         if self.trainer.train(self.trainer.iteration + 1).interrupted:
             raise KeyboardInterrupt
         return self._last.record
 
 
-class _LastRecord:
+class _LastRecord(Progress):
     """Remembers what the last iteration was like."""
 
-    record: IterationRecord
+    record: Record
 
-    def start(self, total_iterations: int, first_iteration: int) -> None: ...
-
-    def update(self, record: IterationRecord) -> None:
+    def update(self, record: Record) -> None:
         self.record = record
-
-    def close(self) -> None: ...
 
 
 class _Unkept(Checkpoints):

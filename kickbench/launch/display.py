@@ -8,11 +8,11 @@ from collections.abc import Sequence
 from typing import TextIO
 
 from kickbench.errors import shown
+from kickbench.evaluation.progress import duration, percent
 from kickbench.launch.estimate import Remaining, estimate
 from kickbench.launch.jobs import Display, Job, Outcome
 from kickbench.launch.state import State
 from kickbench.launch.tables import figures, iteration
-from kickbench.training.progress import Clock, duration, percent
 
 
 class PlainDisplay:
@@ -27,9 +27,7 @@ class PlainDisplay:
     _EVERY_SECONDS = 60.0
     _EVERY_FRACTION = 0.1
 
-    def __init__(
-        self, at_a_time: int = 1, stream: TextIO | None = None, clock: Clock = time.monotonic
-    ) -> None:
+    def __init__(self, at_a_time: int = 1, stream: TextIO | None = None, clock=time.monotonic) -> None:
         self._at_a_time, self._stream, self._clock = at_a_time, stream or sys.stdout, clock
         self._known: dict[str, tuple[Outcome, str]] = {}
         self._printed: dict[str, tuple[float, int, str]] = {}

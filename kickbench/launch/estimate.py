@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
+from kickbench.evaluation.progress import duration
 from kickbench.launch.state import RunState, State
-from kickbench.training.progress import duration
 
 
 @dataclass(frozen=True)

@@ -29,10 +29,9 @@ from kickbench.results.store import RunDirectory
 from kickbench.sim.cpu import usable_cores
 from kickbench.sim.devices import check_device
 from kickbench.training.checkpoint import Checkpoints, save_policy
-from kickbench.training.initial import Initial, begin_from
-from kickbench.training.progress import ProgressGroup, standard_progress
+from kickbench.training.progress import Progress, RunProgress
 from kickbench.training.ranks import ALONE, Ranks, joined, read_ranks
-from kickbench.training.resume import Resume, begin, take_up
+from kickbench.training.resume import Initial, Resume, begin, begin_from, take_up
 from kickbench.training.trained import Run, load_run
 from kickbench.training.trainer import Trainer, TrainingResult
 from kickbench.trials.experiment import load_experiment
@@ -283,11 +282,9 @@ def make_trainer(
     worlds = ranks.share(experiment.method.spec.algorithm.num_envs)
     engine = make_engine(experiment.task, worlds, device, num_threads=threads)
     env = KickEnv(experiment.task, engine, own_seed)
-    title = f"{experiment.task.name} / {experiment.method.name} / seed {seed}"
-    shown = standard_progress(directory.progress, directory.tensorboard, title) if ranks.is_main else None
+    progress = RunProgress(directory.progress, directory.tensorboard) if ranks.is_main else Progress()
     update = update_threads(experiment.method.spec, threads)
     checkpoints = Checkpoints(directory.checkpoints)
-    progress = shown or ProgressGroup(())
 
     def success(trained: MLPModel) -> dict[str, float]:
         """Success of the policy in training; changes nothing of it."""

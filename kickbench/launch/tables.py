@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from kickbench.evaluation.progress import duration, percent
 from kickbench.launch.state import RunState, State
 from kickbench.results.columns import NOTHING, Row, render_block
-from kickbench.training.progress import duration, percent
 
 _HEADER = ("run", "state", "iteration", "success", "steps/s", "time left", "")
 

@@ -169,7 +169,7 @@ def test_an_iteration_a_call_leaves_no_file(experiment, tmp_path, monkeypatch):
     small = ("algorithm.num_envs=4", "algorithm.steps_per_env=4")
     iterations = Iterations(experiment("mini_general", "baseline", *small), "cpu", 1)
     records = [iterations() for _ in range(3)]
-    assert [record.iteration for record in records] == [0, 1, 2]
+    assert [record["iteration"] for record in records] == [0, 1, 2]
     assert not list(tmp_path.iterdir())
 
 

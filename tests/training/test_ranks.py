@@ -20,7 +20,7 @@ from kickbench.errors import KickbenchError
 from kickbench.results.metrics import load_metrics
 from kickbench.training.checkpoint import Checkpoints
 from kickbench.training.ranks import ALONE, Ranks, fingerprint, read_ranks
-from kickbench.training.stop import StopRequest
+from kickbench.training.trainer import StopRequest
 
 ROOT = Path(__file__).parents[2]
 SECOND_OF_TWO = {
