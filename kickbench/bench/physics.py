@@ -12,16 +12,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from kickbench.bench.record import ContactFigures, Count
 from kickbench.envs.engines import make_engine
 from kickbench.envs.env import KickEnv
 from kickbench.envs.graph import recorded_call
 from kickbench.sim.cpu import CpuEngine
 from kickbench.sim.engine import Engine
-
-_FULL = mujoco.mjtState.mjSTATE_FULLPHYSICS
-_SAMPLED_WORLDS = 512
-"""Worlds whose contacts are counted: one after the other, on the CPU."""
 
 
 def physics_alone(env: KickEnv, threads: int) -> Callable[[list[Tensor]], Callable[[], None]]:
@@ -52,25 +47,6 @@ def physics_alone(env: KickEnv, threads: int) -> Callable[[list[Tensor]], Callab
         return raw
 
     return prepare
-
-
-def count_contacts(env: KickEnv) -> ContactFigures | None:
-    """Counts contacts and constraints in the worlds' present states; None if the engine does not give them."""
-    engine = env.engine
-    if not isinstance(engine, CpuEngine):
-        return None
-    model = env.task.scene.model
-    data, counts = mujoco.MjData(model), []
-    for state in engine.full_state()[:_SAMPLED_WORLDS]:
-        mujoco.mj_setState(model, data, state, _FULL)
-        mujoco.mj_forward(model, data)
-        counts.append((data.ncon, data.nefc))
-    contacts, constraints = np.array(counts).T
-    return ContactFigures(worlds=len(counts), contacts=_count(contacts), constraints=_count(constraints))
-
-
-def _count(values: np.ndarray) -> Count:
-    return Count(mean=values.mean(), p95=np.percentile(values, 95), most=int(values.max()))
 
 
 class EnginePhysics:

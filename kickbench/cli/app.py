@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
 import typer
 from typer.core import TyperGroup
+
+from kickbench.errors import SpecError
 
 PANELS = ("Train", "Look at results", "Define", "Check")
 _BEGIN = """\
@@ -88,6 +90,29 @@ def exclude(flag: str, is_set: Any, other: str, other_is_set: Any) -> None:
     """Refuses two flags at once."""
     if is_set and other_is_set:
         raise typer.BadParameter(f"{flag}: not allowed with argument {other}")
+
+
+def override_of(overrides: Sequence[str], key: str) -> str | None:
+    """The override that gives a key its value: the last one."""
+    own = [text for text in overrides if text.partition("=")[0].replace(" ", "") == key]
+    return own[-1] if own else None
+
+
+def refuse_contradiction(overrides: Sequence[str], key: str, flag: str, values: Sequence[int]) -> None:
+    """Refuses a flag and a `--set` that give one key two values: one of them would be ignored.
+
+    Args:
+        overrides: `key.path=value` texts.
+        key: The key that the flag sets.
+        flag: The flag.
+        values: What the flag gives; nothing if it is not there.
+
+    Raises:
+        SpecError: They differ.
+    """
+    override, given = override_of(overrides, key), " ".join(map(str, values))
+    if override and values and {override.partition("=")[2].strip()} != set(map(str, values)):
+        raise SpecError.of(f"--set {override}", f"{flag} {given} sets {key}, too: give one of them only")
 
 
 def _whole(least: int) -> Callable[[str], int]:

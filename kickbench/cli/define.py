@@ -104,9 +104,7 @@ def show(
     cli.exclude("--fields", fields, "--plot", plot)
     path = find(file, *_KINDS)
     if plot is not None:
-        from kickbench.cli.view import plot as draw
-
-        return draw(path, plot, overrides)
+        return _plot(path, plot, overrides)
     if fields is not None:
         return _show_fields(path, find_method(fields, path, overrides), overrides)
     from kickbench.config.explain import explain
@@ -175,6 +173,21 @@ def derive(
     derivation = derive(compile_skeleton(model), plane)
     print(symmetry_block(derivation, model.name))
     return 1 if derivation.unclear else 0
+
+
+def _plot(file: Path, out: Path, overrides: list[str]) -> int:
+    """Draws a task's sampling regions from above."""
+    from kickbench.config.yamlio import load_document
+    from kickbench.envs.compile import read_task
+    from kickbench.trials.validate import kind_of
+    from kickbench.view.regions import plot_regions
+
+    kind = kind_of(load_document(file))
+    if kind != "task":
+        raise KickbenchError(f"--plot draws the sampling regions of a task; {file} is a {kind} file")
+    plot_regions(read_task(file, overrides), out)
+    print(shown(out))
+    return 0
 
 
 def _show_fields(task: Path, method: Path, overrides: list[str]) -> int:

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
-import mujoco
 import numpy as np
 import pytest
 import torch
 
 from kickbench.bench import measure, physics
-from kickbench.bench.memory import read_peaks, reset_peaks
-from kickbench.bench.physics import count_contacts, physics_alone
-from kickbench.bench.record import BenchReport, read_report, write_report
-from kickbench.bench.training import Iterations
+from kickbench.bench.measure import Iterations, Stopwatch, profile_iteration
+from kickbench.bench.physics import physics_alone
+from kickbench.bench.report import BenchReport
 from kickbench.cli import main
 from kickbench.envs.engines import make_engine, make_warp_engine
 from kickbench.envs.env import KickEnv
@@ -35,6 +32,10 @@ def measured(tmp_path_factory) -> Path:
         patch.chdir(ROOT)
         assert main(["bench", *sizes, *small, "--json", str(file), "--profile"]) == 0
     return file
+
+
+def read_report(file: Path) -> BenchReport:
+    return BenchReport.model_validate_json(file.read_bytes())
 
 
 def test_the_report_has_every_size_and_method(measured):
@@ -67,43 +68,44 @@ def test_the_report_says_where_it_comes_from(measured):
     assert str(ROOT) not in measured.read_text()
 
 
-def test_profiles_divide_the_step_of_one_method_and_the_updates_of_all(measured):
-    step, *updates = read_report(measured).profiles
-    assert [profile.what for profile in updates] == [f"one update of {method}" for method in METHODS]
-    expected = {
-        "physics",
-        "frame sensors",
-        "state view",
-        "rewards",
-        "terminations",
-        "reset",
-        "observations",
-        "policy",
-    }
-    assert expected <= {section.name for section in step.sections}
-    for profile in (step, *updates):
-        assert sum(section.share for section in profile.sections) == pytest.approx(1.0)
-        assert sum(s.seconds for s in profile.sections) == pytest.approx(profile.seconds)
+def test_profiles_have_the_parts_of_the_iterations_of_all_methods(measured):
+    profiles = read_report(measured).profiles
+    assert [profile.method for profile in profiles] == METHODS
+    expected = {"env step", "physics", "state view", "rewards", "reset", "observations", "policy", "update"}
+    for profile in profiles:
+        parts = {part.name: part for part in profile.parts}
+        assert expected <= set(parts)
+        assert parts["physics"].calls == parts["env step"].calls == 4
+        assert parts["physics"].seconds < parts["env step"].seconds
+        assert ("mirrored samples" in parts) == (profile.method == "augmentation")
         assert profile.operations
-    mirrored = ["mirrored samples" in {s.name for s in profile.sections} for profile in updates]
-    assert mirrored == [False, True, False]
 
 
-def test_a_report_of_something_else_is_refused(measured, tmp_path):
-    content = json.loads(measured.read_text())
-    content["sizes"][1]["step"]["env_share"] = -1
-    wrong = tmp_path / "wrong.json"
-    wrong.write_text(json.dumps(content))
-    with pytest.raises(KickbenchError, match=r"wrong\.json: not a bench report: sizes\.1\.step\.env_share"):
-        read_report(wrong)
-    with pytest.raises(KickbenchError, match=r"none\.json: No such file"):
-        read_report(tmp_path / "none.json")
+def test_profiling_changes_no_result_and_leaves_nothing_behind(experiment):
+    small = ("algorithm.num_envs=4", "algorithm.steps_per_env=4")
+    chosen, weights = experiment("mini_general", "augmentation", *small), []
+    for is_profiled in (False, True):
+        training = Iterations(chosen, "cpu", 1)
+        ppo, backward = training.trainer.ppo, torch.autograd.backward
+        before = [set(vars(thing)) for thing in (training.trainer.env, ppo, ppo.actor, ppo.storage)]
+        if is_profiled:
+            profile_iteration("augmentation", training)
+            assert torch.autograd.backward is backward
+            assert [set(vars(t)) for t in (training.trainer.env, ppo, ppo.actor, ppo.storage)] == before
+        else:
+            training()
+            training()
+        weights.append(torch.cat([parameter.flatten() for parameter in ppo.actor.parameters()]))
+    assert torch.equal(*weights)
 
 
-def test_a_report_is_read_as_it_was_written(measured, tmp_path):
-    report = read_report(measured)
-    write_report(tmp_path / "again.json", report)
-    assert BenchReport.model_validate_json((tmp_path / "again.json").read_bytes()) == report
+def test_a_ratio_is_the_median_of_the_ratios_round_by_round():
+    watch = Stopwatch(torch.device("cpu"))
+    watch.seconds |= {"a": [1.0, 4.0, 9.0], "b": [1.0, 2.0, 3.0]}
+    assert watch.ratio("a", "b") == 2.0
+    assert watch.median("a") == 4.0
+    watch.time("c", lambda: None)
+    assert len(watch.seconds["c"]) == 1
 
 
 def test_a_wrong_method_is_told_before_anything_is_measured(monkeypatch, capsys, tmp_path):
@@ -140,30 +142,6 @@ def test_physics_alone_repeats_the_control_steps_of_the_environment(name):
         np.testing.assert_allclose(raw._state[left, -1, 1:], engine.full_state()[left, 1:], atol=1e-12)  # pyright: ignore
 
 
-def test_contacts_are_those_of_the_present_states(experiment):
-    task = experiment("mini_general").task
-    env = KickEnv(task, make_engine(task, 3, num_threads=1), seed=0)
-    expected, data = [], mujoco.MjData(task.scene.model)
-    for world in range(3):
-        data.qpos[:], data.qvel[:] = env.engine.qpos[world], env.engine.qvel[world]
-        mujoco.mj_forward(task.scene.model, data)
-        expected.append(data.ncon)
-    found = count_contacts(env)
-    assert found is not None
-    assert found.worlds == 3
-    assert found.contacts.mean == pytest.approx(np.mean(expected))
-    assert found.contacts.most == max(expected)
-
-
-def test_a_peak_of_memory_is_seen():
-    device = torch.device("cpu")
-    reset_peaks(device)
-    before = read_peaks(device).resident_bytes
-    large = torch.ones(2**25)
-    assert read_peaks(device).resident_bytes >= before + 2**26
-    del large
-
-
 def test_an_iteration_a_call_leaves_no_file(experiment, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     small = ("algorithm.num_envs=4", "algorithm.steps_per_env=4")
@@ -189,7 +167,6 @@ def test_the_room_of_a_gpu_engine_is_read_and_its_steps_repeat_the_controls(expe
     assert room.overflow == 0.0
     assert 0 < room.contacts <= room.contact_room
     assert 0 < room.constraints <= room.constraint_room
-    assert count_contacts(env) is None
 
 
 @pytest.mark.parametrize(("task", "folder"), [("mini_general", "methods/mini"), ("k1_lite", "methods")])
@@ -201,14 +178,14 @@ def test_the_methods_that_are_compared_are_for_the_tasks_robot(monkeypatch, tmp_
         raise KickbenchError("enough")
 
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("kickbench.cli.bench.measure_size", stop)
+    monkeypatch.setattr("kickbench.bench.measure.measure_size", stop)
     assert main(["bench", "--task", task]) == 2
     assert found == [ROOT / folder] * 3
 
 
 def test_a_report_that_cannot_be_written_is_told_before_anything_is_measured(monkeypatch, tmp_path, capsys):
     monkeypatch.chdir(ROOT)
-    monkeypatch.setattr("kickbench.cli.bench.measure_size", None)
+    monkeypatch.setattr("kickbench.bench.measure.measure_size", None)
     assert main(["bench", "--json", str(tmp_path)]) == 2
     assert capsys.readouterr().err.endswith(": cannot be written: Is a directory\n")
 
@@ -225,7 +202,7 @@ def test_the_number_of_worlds_may_be_set_either_way(monkeypatch, argv, size):
         raise KickbenchError("enough")
 
     monkeypatch.chdir(ROOT)
-    monkeypatch.setattr("kickbench.cli.bench.measure_size", measure)
+    monkeypatch.setattr("kickbench.bench.measure.measure_size", measure)
     main(["bench", *argv])
     assert found == [size]
 

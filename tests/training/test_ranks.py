@@ -14,7 +14,7 @@ import pytest
 import torch
 from torch import nn
 
-from kickbench.bench.training import Iterations
+from kickbench.bench.measure import Iterations
 from kickbench.cli import main
 from kickbench.errors import KickbenchError
 from kickbench.results.metrics import load_metrics
