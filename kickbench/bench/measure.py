@@ -21,15 +21,7 @@ from torch import Tensor
 from torch.profiler import ProfilerActivity, profile, record_function
 
 from kickbench.bench.physics import physics_alone
-from kickbench.bench.report import (
-    MemoryFigures,
-    MethodFigures,
-    Operation,
-    Profile,
-    RoomFigures,
-    SizeFigures,
-    StepFigures,
-)
+from kickbench.bench.report import RoomFigures, SizeFigures, Timing
 from kickbench.envs.engines import make_engine
 from kickbench.envs.env import KickEnv
 from kickbench.envs.graph import fastest_steps
@@ -47,7 +39,8 @@ _WARM_STEPS = 60
 """Control steps before the first round: the envs are then at different places of their episodes."""
 _EXPLORATION = 0.6
 """Standard deviation of the random actions of the environment's step."""
-_OPERATIONS = 12
+_ROWS = 40
+"""Rows of a profile."""
 
 
 class Iterations:
@@ -64,12 +57,11 @@ class Iterations:
         """
         torch.manual_seed(0)
         self.trial = trial
-        self.update_threads = update_threads(trial.method.spec, threads)
         num_envs = trial.method.spec.algorithm.num_envs
         env = KickEnv(trial.task, make_engine(trial.task, num_envs, device, num_threads=threads), 0)
         history = RunHistory(trial.task.name, trial.method.name, 0, num_threads=threads)
-        self._last = _LastRecord()
-        self.trainer = Trainer(trial, env, self._last, _Unkept(), history, self.update_threads, graph=graph)
+        self._last, own = _LastRecord(), update_threads(trial.method.spec, threads)
+        self.trainer = Trainer(trial, env, self._last, _Unkept(), history, own, graph=graph)
 
     def __call__(self) -> Record:
         """Makes the next iteration."""
@@ -114,6 +106,20 @@ class Stopwatch:
         """Median over rounds of the seconds of one variant over those of another."""
         return float((pd.Series(self.seconds[name]) / pd.Series(self.seconds[reference])).median())
 
+    def timing(self, what: Any, method: str | None, steps: int, reference: str) -> Timing:
+        """What has been measured of something, as a ratio to a reference."""
+        name = f"{what} {method}" if method else what
+        cpu = self.median(f"cpu {method}") if what == "iteration" else None
+        return Timing(
+            what=what,
+            method=method,
+            steps=steps,
+            seconds=self.median(name),
+            steps_per_second=steps / self.median(name),
+            ratio=self.ratio(name, reference),
+            steps_per_cpu_second=steps / cpu if cpu else None,
+        )
+
     def _now(self) -> float:
         if self._device.type == "cuda":
             torch.cuda.synchronize(self._device)
@@ -134,29 +140,38 @@ def measure_size(trials: Mapping[str, Trial], device: str, threads: int, rounds:
         torch.cuda.reset_peak_memory_stats(device)
     with torch_threads(1):
         stage = _Stage(next(iter(trials.values())), device, threads)
-        watch, num_envs = stage.watch, stage.env.num_envs
         methods = {name: Iterations(trial, device, threads) for name, trial in trials.items()}
         for method in methods.values():
             method()  # not counted: memory is allocated, kernels are chosen
-        for _ in tracked(range(rounds), f"{num_envs:,} envs", "rounds", rounds):
+        for _ in tracked(range(rounds), f"{stage.env.num_envs:,} envs", "rounds", rounds):
             stage.round()
             for name, method in methods.items():
-                before, record = time.process_time(), method()
-                collect, update = record["collect_seconds"], record["update_seconds"]
-                watch.seconds[f"cpu {name}"].append(time.process_time() - before)
-                watch.seconds[f"rollout {name}"].append(collect)
-                watch.seconds[f"update {name}"].append(update)
-                watch.seconds[f"iteration {name}"].append(collect + update)
+                _note_iteration(stage.watch, name, method)
     return SizeFigures(
-        num_envs=num_envs,
-        step=stage.figures(),
-        methods={
-            name: _method_figures(method, watch, name, next(iter(methods)))
-            for name, method in methods.items()
-        },
+        num_envs=stage.env.num_envs,
+        timings=tuple(_timings(stage, methods)),
         room=room_of(stage.env.engine),
         memory=_memory(torch.device(device)),
     )
+
+
+def _note_iteration(watch: Stopwatch, name: str, method: Iterations) -> None:
+    before, record = time.process_time(), method()
+    collect, update = record["collect_seconds"], record["update_seconds"]
+    watch.seconds[f"cpu {name}"].append(time.process_time() - before)
+    watch.seconds[f"rollout {name}"].append(collect)
+    watch.seconds[f"update {name}"].append(update)
+    watch.seconds[f"iteration {name}"].append(collect + update)
+
+
+def _timings(stage: _Stage, methods: Mapping[str, Iterations]) -> Iterator[Timing]:
+    for what in ("physics alone", "environment"):
+        yield stage.watch.timing(what, None, _STEPS_PER_ROUND * stage.env.num_envs, "physics alone")
+    first = next(iter(methods))
+    for what in ("rollout", "update", "iteration"):
+        for name, method in methods.items():
+            samples = stage.env.num_envs * method.trial.method.spec.algorithm.steps_per_env
+            yield stage.watch.timing(what, name, samples, f"{what} {first}")
 
 
 class _Stage:
@@ -179,39 +194,13 @@ class _Stage:
         """Times some control steps both ways, from the same states."""
         actions = self._actions(_STEPS_PER_ROUND)
         physics = self._physics(actions)
-        self.watch.time("physics", physics)
-        self.watch.time("env", lambda: [self._steps.step(action) for action in actions])
-
-    def figures(self) -> StepFigures:
-        steps = _STEPS_PER_ROUND * self.env.num_envs
-        return StepFigures(
-            physics_steps_per_second=steps / self.watch.median("physics"),
-            env_steps_per_second=steps / self.watch.median("env"),
-            env_share=self.watch.ratio("physics", "env"),
-        )
+        self.watch.time("physics alone", physics)
+        self.watch.time("environment", lambda: [self._steps.step(action) for action in actions])
 
     def _actions(self, count: int) -> list[Tensor]:
         shape = (self.env.num_envs, self.env.num_actions)
         draws = (torch.randn(shape, generator=self._generator, device=self.env.device) for _ in range(count))
         return [_EXPLORATION * draw for draw in draws]
-
-
-def _method_figures(method: Iterations, watch: Stopwatch, name: str, reference: str) -> MethodFigures:
-    spec = method.trial.method.spec
-    samples = spec.algorithm.num_envs * spec.algorithm.steps_per_env
-    return MethodFigures(
-        actor_hidden=spec.network.actor_hidden,
-        critic_hidden=spec.network.critic_hidden,
-        samples=samples,
-        update_threads=method.update_threads,
-        rollout_steps_per_second=samples / watch.median(f"rollout {name}"),
-        update_seconds=watch.median(f"update {name}"),
-        update_ratio=watch.ratio(f"update {name}", f"update {reference}"),
-        iteration_seconds=watch.median(f"iteration {name}"),
-        iteration_ratio=watch.ratio(f"iteration {name}", f"iteration {reference}"),
-        iteration_steps_per_second=samples / watch.median(f"iteration {name}"),
-        steps_per_cpu_second=samples / watch.median(f"cpu {name}"),
-    )
 
 
 def room_of(engine: Engine) -> RoomFigures | None:
@@ -223,43 +212,33 @@ def room_of(engine: Engine) -> RoomFigures | None:
     return RoomFigures(**{name: getattr(load, name) for name in names}, overflow=load.short_share)
 
 
-def _memory(device: torch.device) -> MemoryFigures:
+def _memory(device: torch.device) -> dict[str, int]:
     unit = 1 if sys.platform == "darwin" else 1024
-    resident = unit * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    if device.type != "cuda":
-        return MemoryFigures(resident_bytes=resident, torch_device_bytes=None, device_bytes=None)
-    free, total = torch.cuda.mem_get_info(device)
-    # Warp allocates by itself; only the driver knows everything.
-    allocated = torch.cuda.max_memory_allocated(device)
-    return MemoryFigures(resident_bytes=resident, torch_device_bytes=allocated, device_bytes=total - free)
+    figures = {"memory": unit * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss}
+    if device.type == "cuda":
+        free, total = torch.cuda.mem_get_info(device)
+        # Warp allocates by itself; only the driver knows everything.
+        figures |= {"torch on the GPU": torch.cuda.max_memory_allocated(device), "GPU in use": total - free}
+    return figures
 
 
-def profile_iteration(name: str, method: Iterations) -> Profile:
-    """Profiles one iteration of a training without CUDA graphs: what a graph replays has no parts."""
-    method()
-    device = method.trainer.env.device
-    activities = [ProfilerActivity.CPU, *([ProfilerActivity.CUDA] if device.type == "cuda" else [])]
-    with _parts(method.trainer) as parts, profile(activities=activities) as profiler:
+def profile_iteration(trial: Trial, device: str, threads: int) -> str:
+    """Profiles an iteration of a training; a table of its parts and of torch's operations, the longest first.
+
+    It is one without CUDA graphs: what a graph replays has no parts.
+    """
+    method = Iterations(trial, device, threads, graph=False)
+    activities = [ProfilerActivity.CPU, *([ProfilerActivity.CUDA] if device.startswith("cuda") else [])]
+    with torch_threads(1):
         method()
-    events = {event.key: event for event in profiler.key_averages()}
-
-    def operation(key: str) -> Operation:
-        event, kind = events[key], "device" if device.type == "cuda" and key not in parts else "cpu"
-        total, own = (getattr(event, f"{which}{kind}_time_total") for which in ("", "self_"))
-        return Operation(name=key, calls=event.count, seconds=1e-6 * total, own_seconds=1e-6 * own)
-
-    found = [operation(key) for key in parts if key in events]
-    others = sorted((operation(key) for key in events.keys() - parts), key=lambda o: -o.own_seconds)
-    return Profile(
-        method=name,
-        parts=tuple(sorted(found, key=lambda o: -o.seconds)),
-        operations=tuple(others[:_OPERATIONS]),
-    )
+        with _parts(method.trainer), profile(activities=activities) as profiler:
+            method()
+    return profiler.key_averages().table("cpu_time_total", row_limit=_ROWS, max_name_column_width=32)
 
 
 @contextmanager
-def _parts(trainer: Trainer) -> Iterator[set[str]]:
-    """Within the block, calls of the parts of an iteration are named for the profiler; yields their names."""
+def _parts(trainer: Trainer) -> Iterator[None]:
+    """Within the block, calls of the parts of an iteration are named for the profiler."""
     env, ppo = trainer.env, trainer.ppo
     methods: list[tuple[Any, str, str]] = [
         (env, "step", "env step"),
@@ -285,4 +264,4 @@ def _parts(trainer: Trainer) -> Iterator[set[str]]:
         for owner, name, part in methods:
             named = record_function(part)(getattr(owner, name))
             stack.enter_context(patch.object(owner, name, named))
-        yield {part for _, _, part in methods}
+        yield

@@ -88,7 +88,7 @@ def bench(
     """Measure speed, as ratios within one run."""
     file = find(task, "task")
     cli.refuse_contradiction(overrides, _NUM_ENVS, "--num-envs", num_envs)
-    from kickbench.bench.measure import Iterations, measure_size, profile_iteration
+    from kickbench.bench.measure import measure_size, profile_iteration
     from kickbench.bench.report import BenchReport, print_report
     from kickbench.results.atomic import atomic_write_text, check_writable
     from kickbench.results.provenance import Moment, collect_provenance
@@ -107,16 +107,11 @@ def bench(
     if json:
         check_writable(json)
     measured = [measure_size(trials, device, threads, rounds) for trials in chosen]
-    profiled = chosen[0] if profile else {}
     report = BenchReport(
         task=chosen[0]["baseline"].task.name,
         device=device,
         rounds=rounds,
         sizes=tuple(measured),
-        profiles=tuple(
-            profile_iteration(name, Iterations(trial, device, threads, graph=False))
-            for name, trial in profiled.items()
-        ),
         provenance=collect_provenance(
             seed=0, env_steps=0, started=started, num_threads=threads, device=device, argv=sys.argv
         ),
@@ -124,6 +119,8 @@ def bench(
     if json:
         atomic_write_text(json, report.model_dump_json(indent=2) + "\n")
     print_report(report)
+    for name, trial in chosen[0].items() if profile else ():
+        print(f"\none iteration of {name}:\n{profile_iteration(trial, device, threads)}")
     return 0
 
 

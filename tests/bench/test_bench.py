@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -23,78 +24,71 @@ METHODS = ["baseline", "augmentation", "equivariant"]
 
 
 @pytest.fixture(scope="module")
-def measured(tmp_path_factory) -> Path:
-    """A report of two sizes, with profiles."""
+def measured(tmp_path_factory) -> BenchReport:
+    """A report of two sizes."""
     file = tmp_path_factory.mktemp("bench") / "report.json"
     sizes = ["--num-envs", "4", "8", "--rounds", "2", "--threads", "1"]
     small = ["--set", "algorithm.steps_per_env=4", "--set", "algorithm.mini_batches=2"]
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(ROOT)
-        assert main(["bench", *sizes, *small, "--json", str(file), "--profile"]) == 0
-    return file
-
-
-def read_report(file: Path) -> BenchReport:
+        assert main(["bench", *sizes, *small, "--json", str(file)]) == 0
     return BenchReport.model_validate_json(file.read_bytes())
 
 
 def test_the_report_has_every_size_and_method(measured):
-    report = read_report(measured)
-    assert [size.num_envs for size in report.sizes] == [4, 8]
-    assert (report.task, report.device, report.rounds) == ("mini_general", "cpu", 2)
-    for size in report.sizes:
-        assert list(size.methods) == METHODS
-        assert {figures.samples for figures in size.methods.values()} == {4 * size.num_envs}
-        assert size.memory.resident_bytes > 2**20
-        assert size.memory.torch_device_bytes is size.memory.device_bytes is None
+    assert [size.num_envs for size in measured.sizes] == [4, 8]
+    assert (measured.task, measured.device, measured.rounds) == ("mini_general", "cpu", 2)
+    for size in measured.sizes:
+        names = [(timing.what, timing.method) for timing in size.timings]
+        of_methods = [(what, method) for what in ("rollout", "update", "iteration") for method in METHODS]
+        assert names == [("physics alone", None), ("environment", None), *of_methods]
+        assert {timing.steps for timing in size.timings[2:]} == {4 * size.num_envs}
+        assert list(size.memory) == ["memory"]
+        assert size.memory["memory"] > 2**20
 
 
 def test_the_first_method_is_the_reference_and_figures_fit_each_other(measured):
-    for size in read_report(measured).sizes:
-        first = size.methods["baseline"]
-        assert first.update_ratio == first.iteration_ratio == 1.0
-        for figures in size.methods.values():
-            assert figures.iteration_seconds > figures.update_seconds
-            per_second = figures.samples / figures.iteration_seconds
-            assert figures.iteration_steps_per_second == pytest.approx(per_second, rel=1e-9)
-            assert figures.rollout_steps_per_second > figures.iteration_steps_per_second
-            assert figures.steps_per_cpu_second > 0.0
+    for size in measured.sizes:
+        timing = {(timing.what, timing.method): timing for timing in size.timings}
+        assert timing["physics alone", None].ratio == 1.0
+        for what in ("rollout", "update", "iteration"):
+            assert timing[what, "baseline"].ratio == 1.0
+        for found in size.timings:
+            assert found.steps_per_second == pytest.approx(found.steps / found.seconds, rel=1e-9)
+        for method in METHODS:
+            assert timing["iteration", method].seconds > timing["update", method].seconds
+            assert timing["iteration", method].steps_per_cpu_second > 0.0
 
 
 def test_the_report_says_where_it_comes_from(measured):
-    origin = read_report(measured).provenance
-    assert {"torch", "mujoco", "python"} <= set(origin.versions)
-    assert origin.num_threads == 1
-    assert str(ROOT) not in measured.read_text()
+    assert {"torch", "mujoco", "python"} <= set(measured.provenance.versions)
+    assert measured.provenance.num_threads == 1
+    assert str(ROOT) not in measured.model_dump_json()
 
 
-def test_profiles_have_the_parts_of_the_iterations_of_all_methods(measured):
-    profiles = read_report(measured).profiles
-    assert [profile.method for profile in profiles] == METHODS
-    expected = {"env step", "physics", "state view", "rewards", "reset", "observations", "policy", "update"}
-    for profile in profiles:
-        parts = {part.name: part for part in profile.parts}
-        assert expected <= set(parts)
-        assert parts["physics"].calls == parts["env step"].calls == 4
-        assert parts["physics"].seconds < parts["env step"].seconds
-        assert ("mirrored samples" in parts) == (profile.method == "augmentation")
-        assert profile.operations
+@pytest.mark.parametrize("method", ["baseline", "augmentation"])
+def test_a_profile_has_the_parts_of_an_iteration(experiment, method):
+    small = ("algorithm.num_envs=4", "algorithm.steps_per_env=4")
+    rows = profile_iteration(experiment("mini_general", method, *small), "cpu", 1).splitlines()
+    calls = {row[:32].strip(): row.split()[-1] for row in rows if row.strip()}
+    assert calls["env step"] == calls["physics"] == calls["policy"] == "4"
+    assert calls["update"] == "1"
+    assert {"reset", "observations", "backward"} <= set(calls)
+    assert ("mirrored samples" in calls) == (method == "augmentation")
 
 
-def test_profiling_changes_no_result_and_leaves_nothing_behind(experiment):
+def test_naming_the_parts_leaves_the_training_as_it_is(experiment):
     small = ("algorithm.num_envs=4", "algorithm.steps_per_env=4")
     chosen, weights = experiment("mini_general", "augmentation", *small), []
-    for is_profiled in (False, True):
+    for are_named in (False, True):
         training = Iterations(chosen, "cpu", 1)
         ppo, backward = training.trainer.ppo, torch.autograd.backward
+        training()
         before = [set(vars(thing)) for thing in (training.trainer.env, ppo, ppo.actor, ppo.storage)]
-        if is_profiled:
-            profile_iteration("augmentation", training)
-            assert torch.autograd.backward is backward
-            assert [set(vars(t)) for t in (training.trainer.env, ppo, ppo.actor, ppo.storage)] == before
-        else:
+        with measure._parts(training.trainer) if are_named else nullcontext():
             training()
-            training()
+        assert torch.autograd.backward is backward
+        assert [set(vars(t)) for t in (training.trainer.env, ppo, ppo.actor, ppo.storage)] == before
         weights.append(torch.cat([parameter.flatten() for parameter in ppo.actor.parameters()]))
     assert torch.equal(*weights)
 
