@@ -10,7 +10,7 @@ import sys
 from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 from kickbench.cli import app as cli
 from kickbench.config.shipped import find, find_method, names
@@ -32,17 +32,15 @@ _SECONDS = 120
 @cli.verb("Check", "audit k1_general equivariant")
 def audit(
     task: cli.Task,
-    method: Annotated[
-        Path | None,
-        cli.argument(
-            "Method or representation table (default: the run's with --policy, else the robot's own table).",
-            "[METHOD]",
-            "method",
-            "representations",
-        ),
-    ] = None,
+    method: Path | None = cli.argument(
+        "Method or representation table (default: the run's with --policy, else the robot's own table).",
+        "[METHOD]",
+        "method",
+        "representations",
+        default=None,
+    ),
     policy: cli.Policy = None,
-    states: Annotated[int | None, cli.count("States to visit (default: 4096).")] = None,
+    states: int | None = cli.count("States to visit (default: 4096)."),
     seed: cli.Seed = 0,
     json: cli.Json = False,
     overrides: cli.Set = cli.NONE,
@@ -64,23 +62,16 @@ def audit(
 
 @cli.verb("Check", "bench --num-envs 256 1024 --profile")
 def bench(
-    task: Annotated[
-        Path, cli.option("Task: a YAML file or a name (default: mini_general).", metavar="TASK")
-    ] = Path("mini_general"),
-    methods: Annotated[
-        Path | None,
-        cli.option(
-            "Folder of the three methods compared (default: that for the task's robot).", metavar="DIR"
-        ),
-    ] = None,
-    num_envs: Annotated[
-        list[int], cli.count("Envs: one or more numbers (default: 512).", metavar="N...")
-    ] = cli.NONE,
-    rounds: Annotated[int, cli.count("Interleaved repetitions (default: 10).")] = 10,
-    json: Annotated[Path | None, cli.option("Write the figures as JSON, too.", metavar="FILE")] = None,
-    profile: Annotated[
-        bool, cli.option("Print where the time goes, for the first number of envs.", "--profile")
-    ] = False,
+    task: Path = cli.option(
+        "Task: a YAML file or a name (default: mini_general).", metavar="TASK", default=Path("mini_general")
+    ),
+    methods: Path | None = cli.option(
+        "Folder of the three methods compared (default: that for the task's robot).", metavar="DIR"
+    ),
+    num_envs: list[int] = cli.count("Envs: one or more numbers (default: 512).", metavar="N...", default=[]),
+    rounds: int = cli.count("Interleaved repetitions (default: 10).", default=10),
+    json: Path | None = cli.option("Write the figures as JSON, too.", metavar="FILE"),
+    profile: bool = cli.flag("Print where the time goes, for the first number of envs.", "--profile"),
     overrides: cli.Set = cli.NONE,
     device: cli.Device = "cpu",
     threads: cli.Threads = None,

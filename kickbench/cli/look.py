@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Literal
 
 import typer
 
@@ -21,9 +21,9 @@ if TYPE_CHECKING:
 @cli.verb("Look at results", "table runs --columns kick")
 def table(
     roots: cli.Roots,
-    columns: Annotated[
-        Literal["success", "kick"], cli.option("Figures to print (default: success).")
-    ] = "success",
+    columns: Literal["success", "kick"] = cli.option(
+        "Figures to print (default: success).", default="success"
+    ),
 ) -> int:
     """Print the table of finished runs."""
     from kickbench.results.kick_table import render_kicks
@@ -48,20 +48,16 @@ def compare(roots: cli.Roots) -> int:
 @cli.verb("Look at results", "claims mini_home_field runs/mini_home_field")
 def claims(
     experiment: cli.Experiment,
-    folder: Annotated[
-        Path | None,
-        cli.argument(
-            "Folder of its runs (default: measured/<experiment> beside the YAML file's folder).", "DIR"
-        ),
-    ] = None,
-    strict: Annotated[bool, cli.option("Exit code 1 unless every claim is met.", "--strict")] = False,
-    power: Annotated[
-        bool,
-        cli.option(
-            "Simulate instead how often claims are met by an exact replication, and though they are wrong.",
-            "--power",
-        ),
-    ] = False,
+    folder: Path | None = cli.argument(
+        "Folder of its runs (default: measured/<experiment> beside the YAML file's folder).",
+        "DIR",
+        default=None,
+    ),
+    strict: bool = cli.flag("Exit code 1 unless every claim is met.", "--strict"),
+    power: bool = cli.flag(
+        "Simulate instead how often claims are met by an exact replication, and though they are wrong.",
+        "--power",
+    ),
     json: cli.Json = False,
 ) -> int:
     """Judge the claims of an experiment by its measured runs."""
@@ -105,18 +101,13 @@ def _when_fixed(experiment: LoadedExperiment, measured: pd.DataFrame) -> list[st
 
 @cli.verb("Look at results", "report runs/mini_home_field --experiment mini_home_field")
 def report(
-    folder: Annotated[Path | None, cli.argument("A run directory, or a folder of them.", "DIR")] = None,
-    out: Annotated[
-        Path | None, cli.option("Page to write (default: DIR/report.html).", "-o", "--out", metavar="FILE")
-    ] = None,
+    folder: Path | None = cli.argument("A run directory, or a folder of them.", "DIR", default=None),
+    out: Path | None = cli.option("Page to write (default: DIR/report.html).", "-o", "--out", metavar="FILE"),
     experiment: cli.For = None,
-    readme: Annotated[
-        bool,
-        cli.option(
-            "Write README.md's results and results/pictures from results/measured instead.", "--readme"
-        ),
-    ] = False,
-    root: Annotated[Path, typer.Option(hidden=True)] = Path(),
+    readme: bool = cli.flag(
+        "Write README.md's results and results/pictures from results/measured instead.", "--readme"
+    ),
+    root: Path = typer.Option(Path(), hidden=True),
 ) -> int:
     """Write one self-contained page about a folder of runs, or the README's results."""
     if readme:

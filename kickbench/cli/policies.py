@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
 
 import typer
 
@@ -19,13 +18,11 @@ _SHEET_SIZE, _FILM_SIZE = (400, 300), (640, 480)
 @cli.verb("Train", "eval runs/mini_home_field/equivariant/seed1 --episodes 500", name="eval")
 def evaluate(
     run: cli.Run,
-    task: Annotated[
-        Path | None, cli.option("Another task: a YAML file or a name (default: the run's).", metavar="TASK")
-    ] = None,
-    save: Annotated[
-        bool, cli.option("Keep the figures on another task in RUN/also/<task>.json.", "--save")
-    ] = False,
-    episodes: Annotated[int | None, cli.count("Episodes a side (default: the task's).")] = None,
+    task: Path | None = cli.option(
+        "Another task: a YAML file or a name (default: the run's).", metavar="TASK"
+    ),
+    save: bool = cli.flag("Keep the figures on another task in RUN/also/<task>.json.", "--save"),
+    episodes: int | None = cli.count("Episodes a side (default: the task's)."),
     seed: cli.TaskSeed = None,
     json: cli.Json = False,
     threads: cli.Threads = None,
@@ -59,23 +56,17 @@ def evaluate(
 @cli.verb("Look at results", "render mini_home_field --out starts.png")
 def render(
     task: cli.Task,
-    policy: Annotated[
-        list[Path],
-        cli.option("Run directory (default: zero action); several are shown side by side.", metavar="RUN"),
-    ] = cli.NONE,
-    out: Annotated[
-        Path | None,
-        cli.option(
-            ".png: a sheet of initial states; .webp or .mp4: episodes (default: <task>.png).", metavar="FILE"
-        ),
-    ] = None,
-    starts: Annotated[int | None, cli.count("Initial states on a sheet (default: 9).")] = None,
-    episodes: Annotated[int | None, cli.count("Episodes of a film (default: 3).")] = None,
+    policy: list[Path] = cli.option(
+        "Run directory (default: zero action); several are shown side by side.", metavar="RUN", default=[]
+    ),
+    out: Path | None = cli.option(
+        ".png: a sheet of initial states; .webp or .mp4: episodes (default: <task>.png).", metavar="FILE"
+    ),
+    starts: int | None = cli.count("Initial states on a sheet (default: 9)."),
+    episodes: int | None = cli.count("Episodes of a film (default: 3)."),
     seed: cli.TaskSeed = None,
     size: cli.Size = None,
-    mirrored: Annotated[
-        bool, cli.option("Film the mirror images of the initial states.", "--mirrored")
-    ] = False,
+    mirrored: bool = cli.flag("Film the mirror images of the initial states.", "--mirrored"),
     overrides: cli.Set = cli.NONE,
 ) -> int:
     """Draw initial states of a task, or film episodes."""
@@ -117,20 +108,19 @@ def _refuse(reason: str, **options: object) -> None:
 
 @cli.verb("Look at results", "play runs/mini_home_field/equivariant/seed0")
 def play(
-    path: Annotated[
-        Path, cli.argument("Run directory; or a task, whose robot stands on zero action.", "RUN|TASK", "task")
-    ],
-    task: Annotated[Path | None, cli.option("Another task for the run's policy.", metavar="TASK")] = None,
+    path: Path = cli.argument(
+        "Run directory; or a task, whose robot stands on zero action.", "RUN|TASK", "task"
+    ),
+    task: Path | None = cli.option("Another task for the run's policy.", metavar="TASK"),
     seed: cli.TaskSeed = None,
-    port: Annotated[int, cli.count("Port, or the next that is free (default: 8080).", least=0)] = 8080,
-    host: Annotated[
-        str,
-        cli.option("Interface; on another than the default everyone who reaches the port controls the page."),
-    ] = "127.0.0.1",
-    browser: Annotated[
-        bool | None,
-        typer.Option("--browser/--no-browser", help="Open a browser (default: where there is one)."),
-    ] = None,
+    port: int = cli.count("Port, or the next that is free (default: 8080).", least=0, default=8080),
+    host: str = cli.option(
+        "Interface; on another than the default everyone who reaches the port controls the page.",
+        default="127.0.0.1",
+    ),
+    browser: bool | None = typer.Option(
+        None, "--browser/--no-browser", help="Open a browser (default: where there is one)."
+    ),
     trust_code: cli.Trust = False,
     overrides: cli.Set = cli.NONE,
 ) -> int:
@@ -170,14 +160,11 @@ def play(
 @cli.verb("Look at results", "export runs/mini_home_field/equivariant/seed0")
 def export(
     run: cli.Run,
-    out: Annotated[
-        Path | None,
-        cli.option(
-            "Folder to write (default: exported/<task>/<method>/seed<k>).", "-o", "--out", metavar="DIR"
-        ),
-    ] = None,
-    states: Annotated[int, cli.count("Write so many initial states of the evaluation, too.", least=0)] = 0,
-    force: Annotated[bool, cli.option("Overwrite a policy that is there.", "--force")] = False,
+    out: Path | None = cli.option(
+        "Folder to write (default: exported/<task>/<method>/seed<k>).", "-o", "--out", metavar="DIR"
+    ),
+    states: int = cli.count("Write so many initial states of the evaluation, too.", least=0, default=0),
+    force: bool = cli.flag("Overwrite a policy that is there.", "--force"),
 ) -> int:
     """Write a run's policy as ONNX, with a contract of inputs, outputs, gains and limits."""
     from kickbench.deploy.export import export as write

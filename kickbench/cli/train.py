@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 from kickbench.cli import app as cli
 from kickbench.config.shipped import find, find_method
@@ -34,35 +34,25 @@ def run(
     task: cli.Task,
     method: cli.Method,
     seed: cli.Seed = 0,
-    iterations: Annotated[int | None, cli.count("Iterations (default: the method's).")] = None,
+    iterations: int | None = cli.count("Iterations (default: the method's)."),
     scale: cli.Scale = None,
-    num_envs: Annotated[int | None, cli.count("Parallel envs (default: the method's).")] = None,
-    out: Annotated[
-        Path | None, cli.option("Run directory (default: runs/<task>/<method>/seed<k>).", metavar="DIR")
-    ] = None,
+    num_envs: int | None = cli.count("Parallel envs (default: the method's)."),
+    out: Path | None = cli.option("Run directory (default: runs/<task>/<method>/seed<k>).", metavar="DIR"),
     overrides: cli.Set = cli.NONE,
     device: cli.Device = "cpu",
-    no_graph: Annotated[bool, cli.option("No CUDA graphs: slow, for finding faults.", "--no-graph")] = False,
+    no_graph: bool = cli.flag("No CUDA graphs: slow, for finding faults.", "--no-graph"),
     threads: cli.Threads = None,
     experiment: cli.For = None,
-    init_from: Annotated[
-        Path | None,
-        cli.option(
-            "Begin with the policy of this run: network, observation statistics, action noise.", metavar="RUN"
-        ),
-    ] = None,
-    init_std: Annotated[
-        float | None,
-        cli.option(
-            "Standard deviation to begin with (default: that policy's).",
-            metavar="STD",
-            parser=cli.number(1e-3, 10),
-        ),
-    ] = None,
-    force: Annotated[bool, cli.option("Overwrite a run that is there.", "--force")] = False,
-    resume: Annotated[
-        bool, cli.option("Go on with the run that is there; --iterations may extend it.", "--resume")
-    ] = False,
+    init_from: Path | None = cli.option(
+        "Begin with the policy of this run: network, observation statistics, action noise.", metavar="RUN"
+    ),
+    init_std: float | None = cli.option(
+        "Standard deviation to begin with (default: that policy's).",
+        metavar="STD",
+        parser=cli.number(1e-3, 10),
+    ),
+    force: bool = cli.flag("Overwrite a run that is there.", "--force"),
+    resume: bool = cli.flag("Go on with the run that is there; --iterations may extend it.", "--resume"),
 ) -> int:
     """Train a method on a task and evaluate it."""
     options = dict(locals())  # as `RunRequest` names them
@@ -96,24 +86,20 @@ def run(
 @cli.verb("Train", "reproduce mini_home_field --seeds 0 1 --jobs 2")
 def reproduce(
     experiment: cli.Experiment,
-    only: Annotated[list[str], cli.option("This condition only; may be repeated.", metavar="ARM")] = cli.NONE,
-    seeds: Annotated[
-        list[int],
-        cli.count("Seeds: one or more numbers (default: the experiment's).", least=0, metavar="K..."),
-    ] = cli.NONE,
+    only: list[str] = cli.option("This condition only; may be repeated.", metavar="ARM", default=[]),
+    seeds: list[int] = cli.count(
+        "Seeds: one or more numbers (default: the experiment's).", least=0, metavar="K...", default=[]
+    ),
     scale: cli.Scale = None,
     overrides: cli.Set = cli.NONE,
-    jobs: Annotated[int, cli.count("Runs at a time (default: 1).")] = 1,
+    jobs: int = cli.count("Runs at a time (default: 1).", default=1),
     device: cli.Device = "cpu",
     threads: cli.Threads = None,
-    out: Annotated[
-        Path | None,
-        cli.option(
-            "Folder of the runs (default: runs/<experiment>; with --scale or --set one of its own).",
-            metavar="DIR",
-        ),
-    ] = None,
-    dry_run: Annotated[bool, cli.option("Show the plan, write nothing.", "--dry-run")] = False,
+    out: Path | None = cli.option(
+        "Folder of the runs (default: runs/<experiment>; with --scale or --set one of its own).",
+        metavar="DIR",
+    ),
+    dry_run: bool = cli.flag("Show the plan, write nothing.", "--dry-run"),
 ) -> int:
     """Run a whole experiment, or what is left of it."""
     file = find(experiment, "reported")
@@ -181,8 +167,8 @@ def _exit_code(jobs: Jobs) -> int:
 
 @cli.verb("Train", "demo")
 def demo(
-    out: Annotated[Path, cli.option("Folder of the runs (default: runs/demo).", metavar="DIR")] = Path(
-        "runs/demo"
+    out: Path = cli.option(
+        "Folder of the runs (default: runs/demo).", metavar="DIR", default=Path("runs/demo")
     ),
     scale: cli.Scale = None,
 ) -> int:
@@ -260,7 +246,7 @@ def _pictures(folder: Path) -> Iterator[str]:
 
 
 @cli.verb("Train", "status runs/mini_home_field")
-def status(root: Annotated[Path, cli.argument("Folder of runs.", "DIR")]) -> int:
+def status(root: Path = cli.argument("Folder of runs.", "DIR")) -> int:
     """Print how far the runs of a folder are."""
     if not root.is_dir():
         raise KickbenchError(f"{root}: no such folder")
