@@ -11,14 +11,15 @@ from pathlib import Path
 import pandas as pd
 
 from kickbench.evaluation.progress import EVALUATING, duration, percent
-from kickbench.results.atomic import read_regular
 from kickbench.results.columns import NOTHING, Row, render_block
 from kickbench.results.frame import known, load_runs, runs_of
-from kickbench.results.integrity import find_damage, without_digest
+from kickbench.results.integrity import find_damage
 from kickbench.results.progress import last_rows
 from kickbench.results.store import RunDirectory
+from kickbench.training.checkpoint import Checkpoints, is_whole, iteration_of
 
 _PACE_ROWS = 20
+_OF_THE_PACE = ["iteration", "steps_per_second", "success_rate", "collect_seconds", "update_seconds"]
 _HEADER = ("run", "state", "iteration", "success", "steps/s", "time left", "")
 
 
@@ -108,7 +109,7 @@ def state_of(run: pd.Series, total: int | None = None) -> RunState:
         return _training(State.RUNNING, directory, None, total)
     is_short = total is not None and run.iterations < total
     # What has a result, but no checkpoint to go on from, stays as long as it is.
-    if run.state == "finished" and not (is_short and any(directory.checkpoints.glob("iteration_*.pt"))):
+    if run.state == "finished" and not (is_short and Checkpoints(directory.checkpoints).files()):
         return RunState(
             state=State.FINISHED,
             done=int(run.iterations),
@@ -140,9 +141,9 @@ def _training(
 
 def _unfinished(directory: RunDirectory, total: int | None, note: str) -> RunState:
     """A run that is where its last checkpoint is that is whole."""
-    files = sorted(directory.checkpoints.glob("iteration_*.pt"), key=_iteration, reverse=True)
-    for file in filter(_is_whole, files):
-        done = _iteration(file)
+    files = Checkpoints(directory.checkpoints).files()[::-1]
+    for file in filter(is_whole, files):
+        done = iteration_of(file)
         if file != files[0]:
             note = f"the newest checkpoint is damaged: {files[0].name}"
         elif not note and done == total:
@@ -157,25 +158,13 @@ def _unfinished(directory: RunDirectory, total: int | None, note: str) -> RunSta
 def read_tail(path: Path) -> Tail | None:
     """Reads the last rows of a `progress.csv`; None if there is not one whole row."""
     try:
-        rows = pd.DataFrame(last_rows(path, _PACE_ROWS)).replace("", "nan").astype(float)
+        rows = pd.DataFrame(last_rows(path, _PACE_ROWS))[_OF_THE_PACE].replace("", "nan").astype(float)
         seconds = rows.collect_seconds + rows.update_seconds
         speed = (rows.steps_per_second * seconds).sum() / seconds.sum()
         last = rows.iloc[-1]
         return Tail(int(last.iteration) + 1, float(last.success_rate), float(speed), float(seconds.mean()))
-    except (AttributeError, ValueError):
+    except (LookupError, ValueError):
         return None  # no row, or not a progress table of ours
-
-
-def _iteration(file: Path) -> int:
-    digits = file.stem.removeprefix("iteration_")
-    return int(digits) if digits.isdecimal() else -1
-
-
-def _is_whole(file: Path) -> bool:
-    try:
-        return without_digest(read_regular(file)) is not None
-    except (OSError, ValueError):
-        return False
 
 
 def run_table(title: str, runs: Sequence[tuple[str, RunState, str]], words: Sequence[str] = ()) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
@@ -205,51 +205,42 @@ def begin_from(trial: Trial, run: Run, std: float | None) -> tuple[Trial, Initia
     Raises:
         KickbenchError: The policy is one of another robot, of other observations or of another network.
     """
-    if misfits := ", ".join(_misfits(trial, run.trial)):
-        raise KickbenchError(f"{shown(run.directory.path)}: its policy cannot begin this run: {misfits}")
+    if misfits := _misfits(trial, run.trial):
+        raise KickbenchError(
+            f"{shown(run.directory.path)}: its policy cannot begin this run: {', '.join(misfits)}"
+        )
     symmetry = trial.symmetry
     own = build_actor(trial.method.spec, symmetry.groups["actor"], symmetry.actions)
     own.load_state_dict(run.policy.network.state_dict())
     if std is not None:
         _set_std(own, std)
-    metrics, weights = run.metrics, fingerprint(own)
-    ref = InitialRef(
-        task=metrics.task,
-        method=metrics.method,
-        seed=metrics.seed,
-        env_steps=metrics.env_steps,
-        fingerprint=read_identity(run.directory).fingerprint,
-        policy=weights,
-        std=std,
-    )
+    weights, identity = fingerprint(own), read_identity(run.directory).fingerprint
+    labels = {key: getattr(run.metrics, key) for key in ("task", "method", "seed", "env_steps")}
+    ref = InitialRef(**labels, fingerprint=identity, policy=weights, std=std)
     return replace(trial, initial_policy=weights), Initial(own, ref)
 
 
-def _misfits(ours: Trial, theirs: Trial) -> Iterator[str]:
-    def compare(name: str, mine: object, other: object) -> Iterator[str]:
-        if mine != other:
-            yield f"{name} {mine}, there {other}"
+def _misfits(ours: Trial, theirs: Trial) -> list[str]:
+    if list(ours.task.robot.spec.actuators) != list(theirs.task.robot.spec.actuators):
+        return ["it is for another robot, with other actuators"]
+    here, there = _of_the_policy(ours), _of_the_policy(theirs)
+    return [f"{key} {value}, there {there[key]}" for key, value in here.items() if value != there[key]]
 
-    actuators = [list(each.task.robot.spec.actuators) for each in (ours, theirs)]
-    if actuators[0] != actuators[1]:
-        yield "it is for another robot, with other actuators"
-        return
-    fields = [{f.name: f.size for f in each.task.groups["actor"]} for each in (ours, theirs)]
-    yield from compare("actor observations", *(list(f.items()) for f in fields))
-    for key in ("type", "actor_hidden", "activation", "normalize_observations", "std_type"):
-        yield from compare(
-            f"network.{key}", *(getattr(each.method.spec.network, key) for each in (ours, theirs))
-        )
-    for key in ("symmetric_normalization", "tied_std"):
-        yield from compare(
-            f"symmetry.{key}", *(getattr(each.method.spec.symmetry, key) for each in (ours, theirs))
-        )
+
+def _of_the_policy(trial: Trial) -> dict[str, Any]:
+    """What a policy must share with another one to take its weights."""
+    network, symmetry = trial.method.spec.network, trial.method.spec.symmetry
+    of_network = ("type", "actor_hidden", "activation", "normalize_observations", "std_type")
+    of_symmetry = ("symmetric_normalization", "tied_std")
+    return {
+        "actor observations": [(field.name, field.size) for field in trial.task.groups["actor"]],
+        **{f"network.{key}": getattr(network, key) for key in of_network},
+        **{f"symmetry.{key}": getattr(symmetry, key) for key in of_symmetry},
+    }
 
 
 def _set_std(policy: MLPModel, std: float) -> None:
-    value = torch.tensor(std)
     for name, parameter in policy.named_parameters():
-        if name.endswith("log_std_param"):
-            parameter.data.fill_(value.log())
-        elif name.endswith("std_param"):
-            parameter.data.fill_(value)
+        if name.endswith("std_param"):
+            value = torch.tensor(std)
+            parameter.data.fill_(value.log() if name.endswith("log_std_param") else value)

@@ -42,7 +42,7 @@ class TrainingResult:
 
     Attributes:
         iterations: Iterations done and kept, those before a resume included.
-        env_steps: Their control steps, over all worlds.
+        env_steps: Their control steps, over all envs.
         seconds: Their wall-clock time, s.
         horizon: Iterations over which the method's schedules run.
         interrupted: It was stopped by the keyboard.
@@ -113,21 +113,16 @@ class Trainer:
             self.env.grow(grown(self.trial.task, levels))
             self._steps = fastest_steps(self.env, graph=self._graph)
 
-    def _begin_growth(self) -> None:
-        """The first episodes have the first values, too."""
+    def _grow_after(self, success: float) -> None:
+        """Lets the curriculum know how often exploration succeeded in an iteration, in all processes."""
         if self._growth is not None:
-            self._grow()
-            self.env.reset()
-
-    def _note_success(self, rate: float) -> None:
-        """Lets the curriculum know how often exploration succeeded in this iteration, in all processes."""
-        if self._growth is not None:
-            rates = [float(part["success"]) for part in self._ranks.gather({"success": rate})]
+            rates = [float(part["success"]) for part in self._ranks.gather({"success": success})]
             self._growth.note(sum(rates) / len(rates))
+            self._grow()
 
     @property
     def env_steps(self) -> int:
-        """Control steps done so far, over all worlds."""
+        """Control steps done so far, over all envs."""
         return self.iteration * self._steps_per_iteration
 
     def train(self, iterations: int) -> TrainingResult:
@@ -146,7 +141,9 @@ class Trainer:
         if self._ranks.size > 1:
             self.ppo.broadcast_parameters()
         if self.iteration == 0:
-            self._begin_growth()
+            if self._growth is not None:  # the first episodes have the first values, too
+                self._grow()
+                self.env.reset()
             self.save()
         self.progress.start(iterations, self.iteration)
         self.ppo.train_mode()
@@ -196,17 +193,17 @@ class Trainer:
         """
         trained_by = len(state.get("ranks", ())) or 1
         if trained_by != self._ranks.size:
-            raise KickbenchError(
-                f"the run was trained by {trained_by} processes and goes on with as many, not with {self._ranks.size}"
+            what = (
+                f"was trained by {trained_by} processes and goes on with as many, not with {self._ranks.size}"
             )
+            raise KickbenchError(f"the run {what}")
         own = state["ranks"][self._ranks.rank] if "ranks" in state else state
         try:
             learner = dict(state["learner"])
             self.ppo.load(learner, None, strict=True)
             self.ppo.learning_rate = learner["learning_rate"]
-            self.iteration, self._horizon, self._seconds = (
-                state[key] for key in ("iteration", "horizon", "seconds")
-            )
+            self.iteration, self._horizon = state["iteration"], state["horizon"]
+            self._seconds = state["seconds"]
             if self._growth is not None:
                 self._growth.load_state_dict(state["curriculum"])
                 self._grow()
@@ -217,7 +214,7 @@ class Trainer:
         self._kept, self._kept_at = self._result(), time.monotonic()
 
     def _gather_ranks(self, own: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-        """What differs between the processes, by rank: worlds and random numbers."""
+        """What differs between the processes, by rank: envs and random numbers."""
         weights = fingerprint(self.ppo.get_policy(), self.ppo.critic)
         parts = self._ranks.gather({"rng": own["rng"], "env": own["env"], "weights": weights})
         if any(part["weights"] != weights for part in parts):
@@ -255,8 +252,7 @@ class Trainer:
         if not all(torch.isfinite(torch.tensor(list(losses.values())))):
             raise KickbenchError(f"iteration {record['iteration']}: the loss is not finite ({losses})")
         self.progress.update(record)
-        self._note_success(record["success_rate"])
-        self._grow()
+        self._grow_after(record["success_rate"])
 
     def _now(self) -> float:
         """The time by which everything asked of the device is done, s."""

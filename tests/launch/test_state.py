@@ -93,7 +93,9 @@ def test_the_tail_of_a_long_table_is_that_of_the_whole(make_run):
 
 
 @pytest.mark.parametrize(
-    "cut", ["7,1", "7,100,0.1,1.5,0.", "", "7,100,0.1,1.5,0.5"], ids=["short", "almost", "none", "no newline"]
+    "cut",
+    ["7,1", "7,100,0.1,1.5,0.", "", "7,100,0.1,1.5,0.5,00000000"],
+    ids=["short", "almost", "none", "no newline"],
 )
 def test_a_row_that_a_kill_cut_short_is_left_out(make_run, cut):
     run = make_run(rows=7)
