@@ -23,7 +23,7 @@ def physics_alone(env: KickEnv, threads: int) -> Callable[[list[Tensor]], Callab
     """The reference of the environment's step.
 
     On the CPU that is `mujoco.rollout` as it is, without the engine's sensing and latching, from the states in which
-    the environment's control steps begin and with the controls, delays and pushes that they apply; all worlds have
+    the environment's control steps begin and with the controls, delays and pushes that they apply; all envs have
     the compiled model, whatever the environment varies. On a GPU it is the engine, whose step is one graph, with the
     actions' own targets.
 
@@ -33,7 +33,7 @@ def physics_alone(env: KickEnv, threads: int) -> Callable[[list[Tensor]], Callab
 
     Returns:
         Given the actions of the next control steps, makes the call that repeats their physics alone, before the
-        environment takes them. It has to be told of all its actions.
+        environment takes them. It needs all of its actions.
     """
     engine = make_engine(env.task, env.num_envs, str(env.device), num_threads=threads)
     if not isinstance(engine, CpuEngine):
@@ -102,10 +102,10 @@ class _RawPhysics:
 
     def prepare(self, steps: list[_ControlStep]) -> None:
         self._steps = steps
-        worlds, nstate = steps[0].state.shape
-        self._models = [self._model] * worlds
-        self._state = np.zeros((worlds, self._decimation, nstate))
-        self._sensed = np.zeros((worlds, self._decimation, self._model.nsensordata))
+        envs, nstate = steps[0].state.shape
+        self._models = [self._model] * envs
+        self._state = np.zeros((envs, self._decimation, nstate))
+        self._sensed = np.zeros((envs, self._decimation, self._model.nsensordata))
 
     def __call__(self) -> None:
         for step in self._steps:

@@ -71,45 +71,28 @@ class RunProgress(Progress):
     """
 
     def __init__(self, csv_path: Path, tensorboard: Path, stream: TextIO | None = None) -> None:
-        # The console comes last: it is up only once the files are known to be writable.
-        self._members = (CsvProgress(csv_path), TensorBoardProgress(tensorboard), _Console(stream))
+        self._files = (CsvProgress(csv_path), TensorBoardProgress(tensorboard))
+        self._stream, self._open = stream or sys.stdout, ExitStack()
 
     def start(self, total_iterations: int, first_iteration: int) -> None:
-        """See `Progress.start`."""
-        for member in self._members:
-            member.start(total_iterations, first_iteration)
-
-    def update(self, record: Record) -> None:
-        """See `Progress.update`."""
-        for member in self._members:
-            member.update(record)
-
-    def close(self) -> None:
-        """Closes all of them, even if one fails."""
-        with ExitStack() as stack:
-            for member in self._members:
-                stack.callback(member.close)
-
-
-class _Console(Progress):
-    def __init__(self, stream: TextIO | None) -> None:
-        self._stream = stream or sys.stdout
-        self._steps: Steps | None = None
-
-    def start(self, total_iterations: int, first_iteration: int) -> None:
+        """See `Progress.start`. The console comes last: once the files are known to be writable."""
+        for file in self._files:
+            file.start(total_iterations, first_iteration)
+            self._open.callback(file.close)
         resumed = f", resumed at {first_iteration}" if first_iteration else ""
         print(f"training: {total_iterations} iterations{resumed}", file=self._stream, flush=True)
         steps = Steps("training", "iterations", total_iterations, first_iteration, self._stream)
-        self._steps = steps.__enter__()
+        self._steps = self._open.enter_context(steps)
 
     def update(self, record: Record) -> None:
-        assert self._steps is not None
+        """See `Progress.update`."""
+        for file in self._files:
+            file.update(record)
         self._steps.advance(text=describe(record))
 
     def close(self) -> None:
-        if self._steps is not None:
-            self._steps.__exit__()
-            self._steps = None
+        """Closes all of them, even if one fails."""
+        self._open.close()
 
 
 def describe(record: Record) -> str:

@@ -60,7 +60,7 @@ class Ranks:
         return num_envs // self.size
 
     def seed(self, seed: int) -> int:
-        """The seed of this process' worlds and exploration; rank 0 has the run's own."""
+        """The seed of this process' envs and exploration; rank 0 has the run's own."""
         if self.is_main:
             return seed
         return int(np.random.SeedSequence((seed, self.rank)).generate_state(1, np.uint64)[0] >> 1)

@@ -259,11 +259,11 @@ def test_everything_is_closed_even_when_one_place_fails(tmp_path, monkeypatch):
         raise OSError("disk full")
 
     progress = RunProgress(tmp_path / "progress.csv", tmp_path / "tensorboard", io.StringIO())
-    progress.start(2, 0)
     monkeypatch.setattr(TensorBoardProgress, "close", fail)
+    progress.start(2, 0)
     with pytest.raises(OSError, match="disk full"):
         progress.close()
-    assert progress._members[0]._file.closed
+    assert progress._files[0]._file.closed
 
 
 def test_importing_the_console_s_progress_loads_nothing_heavy():
