@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,7 +11,7 @@ from kickbench.launch.record import PlanRecord, RunRecord
 from kickbench.launch.state import RunState, State, read_state
 from kickbench.results.metrics import load_metrics
 from kickbench.results.store import RunDirectory
-from kickbench.training.resume import run_differences
+from kickbench.training.resume import check_same
 from kickbench.trials.experiment import Arm, LoadedExperiment
 from kickbench.trials.trial import Trial, load_trial
 
@@ -112,7 +112,7 @@ def make_plan(experiment: LoadedExperiment, selection: Selection) -> Plan:
         for run in columns[-1]:
             problems += _differences(run.directory, trial, run.record.seed, selection.scale)
     if problems:
-        raise SpecError(problems)
+        raise SpecError([*problems, Problem(None, (), "--out takes another folder")])
     record = PlanRecord(
         experiment=experiment.name, scale=selection.scale, overrides=selection.overrides, runs=tuple(records)
     )
@@ -149,20 +149,20 @@ def _planned(
     return PlannedRun(record, RunDirectory(folder / record.folder), arguments, also)
 
 
-def _differences(directory: RunDirectory, trial: Trial, seed: int, scale: float | None) -> list[Problem]:
+def _differences(directory: RunDirectory, trial: Trial, seed: int, scale: float | None) -> Iterable[Problem]:
     """In what a run that has been begun is another one. Its checkpoint is compared when it is taken up."""
     state = read_state(directory, trial.method.spec.algorithm.iterations).state
-    if state in (State.NEW, State.DAMAGED):  # a damaged one fails by itself, and keeps no other from running
+    # What is new or damaged fails by itself, and keeps no other from running; a running one may just write its specs.
+    if state in (State.NEW, State.DAMAGED, State.RUNNING):
         return []
     recorded = load_metrics(directory.metrics).model_dump() if directory.is_finished else None
     try:
-        problems = run_differences(directory, trial, seed, scale, recorded)
+        check_same(directory, trial, seed, scale, recorded)
+    except SpecError as error:
+        return error.problems
     except KickbenchError as error:
-        if state is State.RUNNING:  # one that has just begun writes its specs at this moment
-            return []
-        problems = error.problems if isinstance(error, SpecError) else [Problem(None, (), str(error))]
-    what = f"{shown(directory.path)} holds another run"
-    return [Problem(None, (), what, "--out takes another folder"), *problems] if problems else []
+        return [Problem(None, (), str(error))]
+    return []
 
 
 def _is_valid(path: Path) -> bool:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
@@ -69,16 +70,6 @@ class RunState:
         return f"{self.done:,}/{NOTHING if self.total is None else f'{self.total:,}'}"
 
 
-@dataclass(frozen=True)
-class Tail:
-    """The end of a progress table: iterations done, and means over the last of them; see `RunState`."""
-
-    done: int
-    success: float
-    steps_per_second: float
-    seconds_per_iteration: float
-
-
 def read_state(directory: RunDirectory, total: int | None = None) -> RunState:
     """Reads how far a run is.
 
@@ -129,14 +120,12 @@ def _training(
     state: State, directory: RunDirectory, done: int | None, total: int | None, note: str = ""
 ) -> RunState:
     """A run without a result, as its progress table shows it; that shows how far it is, too, if `done` is None."""
-    tail = read_tail(directory.progress)
-    done = done if done is not None else tail.done if tail else 0
-    if state is State.RUNNING and total is not None and done >= total:
+    figures = read_tail(directory.progress)
+    if done is not None:
+        figures["done"] = done
+    if state is State.RUNNING and total is not None and figures.get("done", 0) >= total:
         note = EVALUATING
-    if tail is None:
-        return RunState(state, done, total, note=note)
-    pace = tail.seconds_per_iteration
-    return RunState(state, done, total, tail.success, tail.steps_per_second, pace, note=note)
+    return RunState(state, total=total, note=note, **figures)
 
 
 def _unfinished(directory: RunDirectory, total: int | None, note: str) -> RunState:
@@ -155,16 +144,19 @@ def _unfinished(directory: RunDirectory, total: int | None, note: str) -> RunSta
     return RunState(State.NEW, 0, total)
 
 
-def read_tail(path: Path) -> Tail | None:
-    """Reads the last rows of a `progress.csv`; None if there is not one whole row."""
+def read_tail(path: Path) -> dict[str, Any]:
+    """Fields of `RunState` by the last rows of a `progress.csv`; nothing if there is not one whole row."""
     try:
         rows = pd.DataFrame(last_rows(path, _PACE_ROWS))[_OF_THE_PACE].replace("", "nan").astype(float)
-        seconds = rows.collect_seconds + rows.update_seconds
-        speed = (rows.steps_per_second * seconds).sum() / seconds.sum()
-        last = rows.iloc[-1]
-        return Tail(int(last.iteration) + 1, float(last.success_rate), float(speed), float(seconds.mean()))
+        seconds, last = rows.collect_seconds + rows.update_seconds, rows.iloc[-1]
     except (LookupError, ValueError):
-        return None  # no row, or not a progress table of ours
+        return {}  # no row, or not a progress table of ours
+    return {
+        "done": int(last.iteration) + 1,
+        "success": float(last.success_rate),
+        "steps_per_second": float((rows.steps_per_second * seconds).sum() / seconds.sum()),
+        "seconds_per_iteration": float(seconds.mean()),
+    }
 
 
 def run_table(title: str, runs: Sequence[tuple[str, RunState, str]], words: Sequence[str] = ()) -> str:
@@ -195,30 +187,21 @@ def time_left(runs: Sequence[tuple[str, RunState]], at_a_time: int = 1) -> str:
         runs: Condition and state of all runs, those that are finished among them.
         at_a_time: How many run at a time.
     """
-    pace = _means(runs, lambda state: state.seconds_per_iteration)
-    evaluation = _means(runs, lambda state: state.evaluation_seconds)
+    fields = ("seconds_per_iteration", "evaluation_seconds")
+    measured = pd.DataFrame(
+        [[getattr(s, field) for field in fields] for _, s in runs], columns=["pace", "evaluation"]
+    )
+    means = measured.astype(float).groupby([condition for condition, _ in runs]).mean()
     left = [(condition, state) for condition, state in runs if state.state is not State.FINISHED]
-    if left and not pace:
+    if left and means.pace.isna().all():
         return "unknown until the first iterations have been timed"
+    also = "" if not left or means.evaluation.notna().any() else " and evaluation"
+    means = means.fillna(means.mean()).fillna(0.0)
     seconds = [
-        _of(condition, pace) * max(0, (state.total or 0) - state.done) + _of(condition, evaluation)
+        means.pace[condition] * max(0, (state.total or 0) - state.done) + means.evaluation[condition]
         for condition, state in left
     ]
-    longest = max(sum(seconds) / at_a_time, max(seconds, default=0.0))
-    return f"about {duration(longest)}{'' if evaluation or not left else ' and evaluation'}"
-
-
-def _means(
-    runs: Sequence[tuple[str, RunState]], of_run: Callable[[RunState], float | None]
-) -> Mapping[str, float]:
-    """Means over the runs of each condition, where there is something to average."""
-    values = pd.Series([of_run(state) for _, state in runs], dtype=float)
-    return values.groupby([condition for condition, _ in runs]).mean().dropna().to_dict()
-
-
-def _of(condition: str, means: Mapping[str, float]) -> float:
-    """The mean of a condition, or that of the others; 0: nothing has been measured."""
-    return means.get(condition, sum(means.values()) / max(1, len(means)))
+    return f"about {duration(max(sum(seconds) / at_a_time, max(seconds, default=0.0)))}{also}"
 
 
 def _figures(state: RunState, remark: str) -> Row:

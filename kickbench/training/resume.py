@@ -93,7 +93,7 @@ def take_up(
         return begin(directory, trial, initial)
     if _is_intact(directory) and directory.metrics.exists():
         recorded = load_metrics(directory.metrics)
-        _check_same(directory, trial, seed, scale, recorded.model_dump(), extend)
+        check_same(directory, trial, seed, scale, recorded.model_dump(), extend=extend)
         if recorded.iterations >= trial.method.spec.algorithm.iterations:
             return Resume(finished=True, directory=directory)
     state = Checkpoints(directory.checkpoints).load()
@@ -104,12 +104,12 @@ def take_up(
             )
         directory.clear()
         return begin(directory, trial, initial)
-    _check_same(directory, trial, seed, scale, state["run"], extend)
+    check_same(directory, trial, seed, scale, state["run"], extend=extend)
     rows_before(directory.progress, state["iteration"])  # before anything is removed
     return Resume(state, directory=directory)
 
 
-def run_differences(
+def check_same(
     directory: RunDirectory,
     trial: Trial,
     seed: int,
@@ -117,8 +117,8 @@ def run_differences(
     recorded: Mapping[str, Any] | None,
     *,
     extend: bool = False,
-) -> list[Problem]:
-    """Every key in which a run is another one than that which a directory's run was begun with.
+) -> None:
+    """Checks that the run of a directory is this one.
 
     Args:
         directory: The run directory; it holds a run.
@@ -129,7 +129,7 @@ def run_differences(
         extend: Whether the trial may have more iterations than the run.
 
     Raises:
-        SpecError: A stored spec is missing or not valid.
+        SpecError: It is another one, with every key that differs; or a stored spec is missing or not valid.
         KickbenchError: The run has no identity, or a damaged one.
     """
     problems = [
@@ -144,7 +144,8 @@ def run_differences(
         what = f"{wanted}, but the run has {had}"
         hint = f"--iterations {had} finishes it, a larger number extends it"
         problems.append(trial.method.document.problem(ITERATIONS, what, hint))
-    return problems
+    if problems:
+        raise SpecError([Problem(None, (), f"{shown(directory.path)} holds another run"), *problems])
 
 
 def _text(value: Any) -> str:
@@ -163,19 +164,6 @@ def _is_intact(directory: RunDirectory) -> bool:
     if damage:
         print(f"{damage}; the run is evaluated again", file=sys.stderr)
     return damage is None
-
-
-def _check_same(
-    directory: RunDirectory,
-    trial: Trial,
-    seed: int,
-    scale: float | None,
-    recorded: Mapping[str, Any],
-    extend: bool,
-) -> None:
-    problems = run_differences(directory, trial, seed, scale, recorded, extend=extend)
-    if problems:
-        raise SpecError([Problem(None, (), f"{directory.path} holds another run"), *problems])
 
 
 @dataclass(frozen=True)
