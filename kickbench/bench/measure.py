@@ -9,7 +9,7 @@ import resource
 import sys
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
@@ -21,13 +21,14 @@ from torch import Tensor
 from torch.profiler import ProfilerActivity, profile, record_function
 
 from kickbench.bench.physics import physics_alone
-from kickbench.bench.report import RoomFigures, SizeFigures, Timing
+from kickbench.bench.report import BenchReport, RoomFigures, SizeFigures, Timing
 from kickbench.envs.engines import make_engine
 from kickbench.envs.env import KickEnv
 from kickbench.envs.graph import fastest_steps
 from kickbench.evaluation.progress import tracked
 from kickbench.nets.threads import torch_threads, update_threads
 from kickbench.results.history import RunHistory
+from kickbench.results.provenance import Moment, collect_provenance
 from kickbench.sim.engine import Engine
 from kickbench.training.checkpoint import Checkpoints
 from kickbench.training.progress import Progress, Record
@@ -124,6 +125,17 @@ class Stopwatch:
         if self._device.type == "cuda":
             torch.cuda.synchronize(self._device)
         return time.perf_counter()
+
+
+def measure(chosen: Sequence[Mapping[str, Trial]], device: str, threads: int, rounds: int) -> BenchReport:
+    """Measures everything with several numbers of envs; the arguments are those of `measure_size`."""
+    started = Moment.now()
+    sizes = [measure_size(trials, device, threads, rounds) for trials in chosen]
+    origin = collect_provenance(
+        seed=0, env_steps=0, started=started, num_threads=threads, device=device, argv=sys.argv
+    )
+    task = next(iter(chosen[0].values())).task.name
+    return BenchReport(task=task, device=device, rounds=rounds, sizes=tuple(sizes), provenance=origin)
 
 
 def measure_size(trials: Mapping[str, Trial], device: str, threads: int, rounds: int) -> SizeFigures:

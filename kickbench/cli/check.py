@@ -79,34 +79,21 @@ def bench(
     """Measure speed, as ratios within one run."""
     file = find(task, "task")
     cli.refuse_contradiction(overrides, _NUM_ENVS, "--num-envs", num_envs)
-    from kickbench.bench.measure import measure_size, profile_iteration
-    from kickbench.bench.report import BenchReport, print_report
+    from kickbench.bench.measure import measure, profile_iteration
+    from kickbench.bench.report import print_report
     from kickbench.results.atomic import atomic_write_text, check_writable
-    from kickbench.results.provenance import Moment, collect_provenance
     from kickbench.sim.cpu import usable_cores
     from kickbench.sim.devices import check_device
 
     check_device(device)
-    started, threads = Moment.now(), threads or usable_cores()
-    sizes = [f"{_NUM_ENVS}={number}" for number in num_envs]
-    if not num_envs and cli.override_of(overrides, _NUM_ENVS) is None:
-        sizes = [f"{_NUM_ENVS}={_DEFAULT_ENVS}"]
+    threads = threads or usable_cores()
+    default = [_DEFAULT_ENVS] if cli.override_of(overrides, _NUM_ENVS) is None else []
+    sizes = [[f"{_NUM_ENVS}={number}"] for number in num_envs or default] or [[]]
     # All at first: a wrong file is an error before anything is measured.
-    chosen = [_trials(file, methods, [*overrides, size]) for size in sizes] or [
-        _trials(file, methods, overrides)
-    ]
+    chosen = [_trials(file, methods, [*overrides, *size]) for size in sizes]
     if json:
         check_writable(json)
-    measured = [measure_size(trials, device, threads, rounds) for trials in chosen]
-    report = BenchReport(
-        task=chosen[0]["baseline"].task.name,
-        device=device,
-        rounds=rounds,
-        sizes=tuple(measured),
-        provenance=collect_provenance(
-            seed=0, env_steps=0, started=started, num_threads=threads, device=device, argv=sys.argv
-        ),
-    )
+    report = measure(chosen, device, threads, rounds)
     if json:
         atomic_write_text(json, report.model_dump_json(indent=2) + "\n")
     print_report(report)

@@ -192,29 +192,28 @@ def checked_update(ppo: PPO, iteration: int) -> Iterator[None]:
 
 def _samples(ppo: PPO, env: KickEnv) -> Iterator[str]:
     storage = ppo.storage
-    for group, fields in env.task.groups.items():
-        values = storage.observations[group]
-        for field in fields:
-            if (where := _first(values[..., field.first : field.first + field.size])) is not None:
-                yield f"the observation '{field.name}' of the {group}, first in step {where[0]} of env {where[1]}"
-    for what, values in (("action", storage.actions), ("value", storage.values)):
-        if (where := _first(values)) is not None:
-            yield f"the {what} that the network gives, first in step {where[0]} of env {where[1]}"
-    names = [bound.name for bound, _ in env.task.rewards]
-    # What has ended since the last reading, and what is still running.
-    sums = env.totals.by_reward_raw + env.record.by_reward_raw.sum(dim=0)
-    wrong = [
-        name for name, total in zip(names, (sums * env.totals.weights).tolist(), strict=True) if total - total
+    tables = {
+        f"the observation '{field.name}' of the {group}": storage.observations[group][
+            ..., field.first : field.first + field.size
+        ]
+        for group, fields in env.task.groups.items()
+        for field in fields
+    }
+    tables["the action that the network gives"] = storage.actions
+    tables["the value that the network gives"] = storage.values
+    tables["the reward" + "".join(f" '{name}'" for name in _wrong_rewards(env)[:1])] = storage.rewards
+    for what, values in tables.items():  # [steps, B, ...]
+        wrong = (~values.isfinite()).flatten(2).any(dim=2).nonzero()
+        if len(wrong):
+            yield f"{what}, first in step {int(wrong[0, 0])} of env {int(wrong[0, 1])}"
+
+
+def _wrong_rewards(env: KickEnv) -> list[str]:
+    """The rewards that are not finite in what has ended since the last reading, or is still running."""
+    sums = (env.totals.by_reward_raw + env.record.by_reward_raw.sum(dim=0)) * env.totals.weights
+    return [
+        bound.name for (bound, _), total in zip(env.task.rewards, sums, strict=True) if not total.isfinite()
     ]
-    if (where := _first(storage.rewards)) is not None:
-        which = f"the reward '{wrong[0]}'" if wrong else "the reward"
-        yield f"{which}, first in step {where[0]} of env {where[1]}"
-
-
-def _first(values: Tensor) -> tuple[int, int] | None:
-    """Step and env of the first number of a table [steps, B, ...] that is not finite."""
-    wrong = (~values.isfinite()).flatten(2).any(dim=2).nonzero()
-    return (int(wrong[0, 0]), int(wrong[0, 1])) if len(wrong) else None
 
 
 def _parameters(ppo: PPO) -> Iterator[str]:
