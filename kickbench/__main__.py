@@ -3,7 +3,7 @@
 import sys
 
 from kickbench.cli import main
-from kickbench.launch.child import die_with_parent
+from kickbench.launch.process import die_with_parent
 
 if __name__ == "__main__":
     die_with_parent()

@@ -12,23 +12,18 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from kickbench.bench.record import ContactFigures, Count
 from kickbench.envs.engines import make_engine
 from kickbench.envs.env import KickEnv
 from kickbench.envs.graph import recorded_call
 from kickbench.sim.cpu import CpuEngine
 from kickbench.sim.engine import Engine
 
-_FULL = mujoco.mjtState.mjSTATE_FULLPHYSICS
-_SAMPLED_WORLDS = 512
-"""Worlds whose contacts are counted: one after the other, on the CPU."""
-
 
 def physics_alone(env: KickEnv, threads: int) -> Callable[[list[Tensor]], Callable[[], None]]:
     """The reference of the environment's step.
 
     On the CPU that is `mujoco.rollout` as it is, without the engine's sensing and latching, from the states in which
-    the environment's control steps begin and with the controls, delays and pushes that they apply; all worlds have
+    the environment's control steps begin and with the controls, delays and pushes that they apply; all envs have
     the compiled model, whatever the environment varies. On a GPU it is the engine, whose step is one graph, with the
     actions' own targets.
 
@@ -38,7 +33,7 @@ def physics_alone(env: KickEnv, threads: int) -> Callable[[list[Tensor]], Callab
 
     Returns:
         Given the actions of the next control steps, makes the call that repeats their physics alone, before the
-        environment takes them. It has to be told of all its actions.
+        environment takes them. It needs all of its actions.
     """
     engine = make_engine(env.task, env.num_envs, str(env.device), num_threads=threads)
     if not isinstance(engine, CpuEngine):
@@ -52,25 +47,6 @@ def physics_alone(env: KickEnv, threads: int) -> Callable[[list[Tensor]], Callab
         return raw
 
     return prepare
-
-
-def count_contacts(env: KickEnv) -> ContactFigures | None:
-    """Counts contacts and constraints in the worlds' present states; None if the engine does not give them."""
-    engine = env.engine
-    if not isinstance(engine, CpuEngine):
-        return None
-    model = env.task.scene.model
-    data, counts = mujoco.MjData(model), []
-    for state in engine.full_state()[:_SAMPLED_WORLDS]:
-        mujoco.mj_setState(model, data, state, _FULL)
-        mujoco.mj_forward(model, data)
-        counts.append((data.ncon, data.nefc))
-    contacts, constraints = np.array(counts).T
-    return ContactFigures(worlds=len(counts), contacts=_count(contacts), constraints=_count(constraints))
-
-
-def _count(values: np.ndarray) -> Count:
-    return Count(mean=values.mean(), p95=np.percentile(values, 95), most=int(values.max()))
 
 
 class EnginePhysics:
@@ -126,10 +102,10 @@ class _RawPhysics:
 
     def prepare(self, steps: list[_ControlStep]) -> None:
         self._steps = steps
-        worlds, nstate = steps[0].state.shape
-        self._models = [self._model] * worlds
-        self._state = np.zeros((worlds, self._decimation, nstate))
-        self._sensed = np.zeros((worlds, self._decimation, self._model.nsensordata))
+        envs, nstate = steps[0].state.shape
+        self._models = [self._model] * envs
+        self._state = np.zeros((envs, self._decimation, nstate))
+        self._sensed = np.zeros((envs, self._decimation, self._model.nsensordata))
 
     def __call__(self) -> None:
         for step in self._steps:

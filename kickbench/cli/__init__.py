@@ -6,17 +6,18 @@ import io
 import os
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from functools import cache
 from importlib import import_module
-from typing import Any
+from typing import Any, TextIO
 
-from kickbench.cli.faults import fault_message, mute, report_fault
-from kickbench.errors import KickbenchError
+from kickbench.errors import KickbenchError, printable, shown
 
-_VERBS = ("train", "look", "define", "check")
+_VERBS = ("train", "look", "policies", "define", "check")
 """Modules with verbs."""
 _LISTS = {"reproduce": "--seeds", "bench": "--num-envs"}
 """Options that take several numbers at once."""
+_NO_MEMORY = ("DefaultCPUAllocator", "can't allocate memory", "CUDA out of memory", "Cannot allocate memory")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -41,18 +42,18 @@ def main(argv: Sequence[str] | None = None) -> int:
             sys.stdout.flush()  # while there is still someone to handle a full disk
         return code
     except KeyboardInterrupt:
-        report_fault("interrupted")
+        _report("interrupted")
         return 130
     except BrokenPipeError:
         # The reader of our output has gone (`kickbench show ... | head`).
-        mute(sys.stdout, sys.stderr)
+        _mute(sys.stdout, sys.stderr)
         return 1
     except Exception as error:
-        message = fault_message(error)
+        message = _fault(error)
         if message is None:
             raise
-        mute(sys.stdout)
-        report_fault(message)
+        _mute(sys.stdout)
+        _report(message)
         return 2 if isinstance(error, KickbenchError) else 1
 
 
@@ -73,7 +74,7 @@ def _call(argv: list[str]) -> int:
         text = error.format_message()
         if parameter is not None and type(error) is typer.BadParameter:
             text = f"{parameter.opts[0]}: {error.message}"
-        report_fault(f"{where}: {text} ({where} --help)")
+        _report(f"{where}: {text} ({where} --help)")
         raise SystemExit(error.exit_code) from None  # type: ignore[attr-defined]
 
 
@@ -95,3 +96,35 @@ def _spread(argv: list[str]) -> list[str]:
         is_further = token.isdecimal() and argv[index - 1].isdecimal() and flag in spread
         spread += [flag, token] if is_further else [token]
     return spread
+
+
+def _fault(error: Exception) -> str | None:
+    """What the user or the system did wrong, in one line; None for a defect of kickbench: its traceback is wanted."""
+    if isinstance(error, KickbenchError):
+        return printable(str(error))
+    if isinstance(error, OSError):
+        where = f"{shown(os.fsdecode(error.filename))}: " if isinstance(error.filename, str | bytes) else ""
+        return f"{where}{error.strerror or error}"
+    if isinstance(error, RecursionError):
+        return "the input is nested too deeply"
+    # torch's and MuJoCo's own errors, known by their names: importing them takes seconds.
+    kind, text = type(error).__name__, " ".join(str(error).split())
+    if isinstance(error, MemoryError) or kind == "OutOfMemoryError" or any(t in text for t in _NO_MEMORY):
+        return f"not enough memory: {text[:200] or 'the system gives no more'}; --num-envs takes fewer environments"
+    return f"MuJoCo: {text}" if kind == "FatalError" else None
+
+
+def _report(text: str) -> None:
+    """Prints a line to standard error, which may be closed, full or missing."""
+    with suppress(OSError, ValueError, AttributeError):
+        print(text, file=sys.stderr, flush=True)
+
+
+def _mute(*streams: TextIO | None) -> None:
+    """What is still buffered goes nowhere: the interpreter would fail on it once more when it ends."""
+    for stream in streams:
+        with suppress(OSError, ValueError, AttributeError):
+            assert stream is not None
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nowhere, stream.fileno())
+            os.close(nowhere)

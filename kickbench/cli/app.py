@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
 import typer
 from typer.core import TyperGroup
+
+from kickbench.errors import SpecError
 
 PANELS = ("Train", "Look at results", "Define", "Check")
 _BEGIN = """\
@@ -90,6 +92,29 @@ def exclude(flag: str, is_set: Any, other: str, other_is_set: Any) -> None:
         raise typer.BadParameter(f"{flag}: not allowed with argument {other}")
 
 
+def override_of(overrides: Sequence[str], key: str) -> str | None:
+    """The override that gives a key its value: the last one."""
+    own = [text for text in overrides if text.partition("=")[0].replace(" ", "") == key]
+    return own[-1] if own else None
+
+
+def refuse_contradiction(overrides: Sequence[str], key: str, flag: str, values: Sequence[int]) -> None:
+    """Refuses a flag and a `--set` that give one key two values: one of them would be ignored.
+
+    Args:
+        overrides: `key.path=value` texts.
+        key: The key that the flag sets.
+        flag: The flag.
+        values: What the flag gives; nothing if it is not there.
+
+    Raises:
+        SpecError: They differ.
+    """
+    override, given = override_of(overrides, key), " ".join(map(str, values))
+    if override and values and {override.partition("=")[2].strip()} != set(map(str, values)):
+        raise SpecError.of(f"--set {override}", f"{flag} {given} sets {key}, too: give one of them only")
+
+
 def _whole(least: int) -> Callable[[str], int]:
     def parse(value: str | int) -> int:
         text = str(value)  # a default is parsed, too
@@ -142,55 +167,73 @@ def names_of(*kinds: str) -> Callable[[str], list[str]]:
     return complete
 
 
-def argument(text: str, metavar: str, *kinds: str) -> Any:
+def argument(text: str, metavar: str, *kinds: str, default: Any = ...) -> Any:
     """A positional argument; of some kinds of file: a path or a shipped name."""
     completion: dict[str, Any] = {"autocompletion": names_of(*kinds)} if kinds else {}
-    return typer.Argument(help=text, metavar=metavar, show_default=False, **completion)
+    return typer.Argument(default, help=text, metavar=metavar, show_default=False, **completion)
 
 
 def option(
-    text: str, *flags: str, metavar: str | None = None, parser: Callable[[str], Any] | None = None
+    text: str,
+    *flags: str,
+    default: Any = None,
+    metavar: str | None = None,
+    parser: Callable[[str], Any] | None = None,
 ) -> Any:
-    """An option."""
-    return typer.Option(*flags, help=text, metavar=metavar, parser=parser, show_default=False)
+    """An option that only one verb has."""
+    return typer.Option(default, *flags, help=text, metavar=metavar, parser=parser, show_default=False)
 
 
-def count(text: str, *flags: str, least: int = 1, metavar: str = "N") -> Any:
+def flag(text: str, name: str) -> Any:
+    """An option without a value."""
+    return option(text, name, default=False)
+
+
+def count(text: str, *flags: str, default: Any = None, least: int = 1, metavar: str = "N") -> Any:
     """An option that is a whole number."""
-    return option(text, *flags, metavar=metavar, parser=_whole(least))
+    return option(text, *flags, default=default, metavar=metavar, parser=_whole(least))
 
 
 NONE: list[Any] = []
 """Default of an option that may be repeated."""
+
+# What several verbs have; the default is with the verb.
 Task = Annotated[Path, argument("Task: a YAML file or a name of `kickbench list`.", "TASK", "task")]
 Method = Annotated[Path, argument("Method: a YAML file or a name; of a task's robot.", "METHOD", "method")]
 Experiment = Annotated[Path, argument("Experiment: a YAML file or a name.", "EXPERIMENT", "reported")]
 Run = Annotated[Path, argument("Run directory.", "RUN")]
-Policy = Annotated[Path | None, option("Run directory whose policy is used.", metavar="RUN")]
+Policy = Annotated[Path | None, option("Run directory whose policy is used.", default=..., metavar="RUN")]
 Roots = Annotated[list[Path], argument("Run directories, or folders of them.", "DIR...")]
 For = Annotated[
-    Path | None, option("Experiment that the runs are for: a YAML file or a name.", metavar="EXPERIMENT")
+    Path | None,
+    option("Experiment that the runs are for: a YAML file or a name.", default=..., metavar="EXPERIMENT"),
 ]
-Set = Annotated[list[str], option("Override a value; may be repeated.", "--set", metavar="key.path=value")]
+Set = Annotated[
+    list[str], option("Override a value; may be repeated.", "--set", default=..., metavar="key.path=value")
+]
 Device = Annotated[Literal["cpu", "cuda"], typer.Option(help="Where to compute.")]
-Threads = Annotated[int | None, count("Threads (default: the cores this process may use).")]
-Seed = Annotated[int, count("Seed (default: 0).", least=0, metavar="K")]
+Threads = Annotated[int | None, count("Threads (default: the cores this process may use).", default=...)]
+Seed = Annotated[int, count("Seed (default: 0).", default=..., least=0, metavar="K")]
 TaskSeed = Annotated[
-    int | None, count("Seed of the initial states (default: the task's).", least=0, metavar="K")
+    int | None, count("Seed of the initial states (default: the task's).", default=..., least=0, metavar="K")
 ]
 Trust = Annotated[
-    bool, option("Import the terms that came with the run: code of whoever made it.", "--trust-code")
+    bool,
+    option("Import the terms that came with the run: code of whoever made it.", "--trust-code", default=...),
 ]
-Json = Annotated[bool, option("Print JSON.", "--json")]
+Json = Annotated[bool, option("Print JSON.", "--json", default=...)]
 Scale = Annotated[
     float | None,
     option(
         "Shrink iterations and evaluation episodes (100 a side at least) by this factor, below 1; marked in results.",
+        default=...,
         metavar="S",
         parser=number(0, 1),
     ),
 ]
 Size = Annotated[
     Pixels | None,
-    option("Pixels of a picture (default: 400x300, films 640x480).", metavar="WxH", parser=_size),
+    option(
+        "Pixels of a picture (default: 400x300, films 640x480).", default=..., metavar="WxH", parser=_size
+    ),
 ]

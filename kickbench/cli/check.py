@@ -3,27 +3,44 @@
 from __future__ import annotations
 
 import json as json_text
+import os
+import platform
+import subprocess
+import sys
+from collections.abc import Mapping
+from importlib import import_module
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING
 
 from kickbench.cli import app as cli
 from kickbench.config.shipped import find, find_method, names
+from kickbench.errors import KickbenchError
+
+if TYPE_CHECKING:
+    from kickbench.trials.trial import Trial
+
+_METHODS = ("baseline", "augmentation", "equivariant")
+_NUM_ENVS, _DEFAULT_ENVS = "algorithm.num_envs", 512
+_NEEDED = {"torch": "torch", "mujoco": "mujoco", "rsl-rl-lib": "rsl_rl", "tensordict": "tensordict"}
+"""Packages without which nothing runs, and the modules they are imported as."""
+_GPU_EXTRA = ("mujoco-warp", "warp-lang")
+_QUERY = ("nvidia-smi", "--query-gpu=name,memory.total,driver_version", "--format=csv,noheader")
+_DRAW = "from kickbench.view.backend import make_context; print(type(make_context(64, 64)).__module__)"
+_SECONDS = 120
 
 
 @cli.verb("Check", "audit k1_general equivariant")
 def audit(
     task: cli.Task,
-    method: Annotated[
-        Path | None,
-        cli.argument(
-            "Method or representation table (default: the run's with --policy, else the robot's own table).",
-            "[METHOD]",
-            "method",
-            "representations",
-        ),
-    ] = None,
+    method: Path | None = cli.argument(
+        "Method or representation table (default: the run's with --policy, else the robot's own table).",
+        "[METHOD]",
+        "method",
+        "representations",
+        default=None,
+    ),
     policy: cli.Policy = None,
-    states: Annotated[int | None, cli.count("States to visit (default: 4096).")] = None,
+    states: int | None = cli.count("States to visit (default: 4096)."),
     seed: cli.Seed = 0,
     json: cli.Json = False,
     overrides: cli.Set = cli.NONE,
@@ -45,38 +62,149 @@ def audit(
 
 @cli.verb("Check", "bench --num-envs 256 1024 --profile")
 def bench(
-    task: Annotated[
-        Path, cli.option("Task: a YAML file or a name (default: mini_general).", metavar="TASK")
-    ] = Path("mini_general"),
-    methods: Annotated[
-        Path | None,
-        cli.option(
-            "Folder of the three methods compared (default: that for the task's robot).", metavar="DIR"
-        ),
-    ] = None,
-    num_envs: Annotated[
-        list[int], cli.count("Envs: one or more numbers (default: 512).", metavar="N...")
-    ] = cli.NONE,
-    rounds: Annotated[int, cli.count("Interleaved repetitions (default: 10).")] = 10,
-    json: Annotated[Path | None, cli.option("Write the figures as JSON, too.", metavar="FILE")] = None,
-    profile: Annotated[
-        bool, cli.option("Print where the time goes, for the first number of envs.", "--profile")
-    ] = False,
+    task: Path = cli.option(
+        "Task: a YAML file or a name (default: mini_general).", metavar="TASK", default=Path("mini_general")
+    ),
+    methods: Path | None = cli.option(
+        "Folder of the three methods compared (default: that for the task's robot).", metavar="DIR"
+    ),
+    num_envs: list[int] = cli.count("Envs: one or more numbers (default: 512).", metavar="N...", default=[]),
+    rounds: int = cli.count("Interleaved repetitions (default: 10).", default=10),
+    json: Path | None = cli.option("Write the figures as JSON, too.", metavar="FILE"),
+    profile: bool = cli.flag("Print where the time goes, for the first number of envs.", "--profile"),
     overrides: cli.Set = cli.NONE,
     device: cli.Device = "cpu",
     threads: cli.Threads = None,
 ) -> int:
     """Measure speed, as ratios within one run."""
     file = find(task, "task")
-    from kickbench.cli.bench import Subject, bench
+    cli.refuse_contradiction(overrides, _NUM_ENVS, "--num-envs", num_envs)
+    from kickbench.bench.measure import measure, profile_iteration
+    from kickbench.bench.report import print_report
+    from kickbench.results.atomic import atomic_write_text, check_writable
+    from kickbench.sim.cpu import usable_cores
+    from kickbench.sim.devices import check_device
 
-    subject = Subject(file, methods, overrides, num_envs)
-    return bench(subject, device, threads, rounds, json, profile=profile)
+    check_device(device)
+    threads = threads or usable_cores()
+    default = [_DEFAULT_ENVS] if cli.override_of(overrides, _NUM_ENVS) is None else []
+    sizes = [[f"{_NUM_ENVS}={number}"] for number in num_envs or default] or [[]]
+    # All at first: a wrong file is an error before anything is measured.
+    chosen = [_trials(file, methods, [*overrides, *size]) for size in sizes]
+    if json:
+        check_writable(json)
+    report = measure(chosen, device, threads, rounds)
+    if json:
+        atomic_write_text(json, report.model_dump_json(indent=2) + "\n")
+    print_report(report)
+    for name, trial in chosen[0].items() if profile else ():
+        print(f"\none iteration of {name}:\n{profile_iteration(trial, device, threads)}")
+    return 0
+
+
+def _trials(task: Path, folder: Path | None, overrides: list[str]) -> dict[str, Trial]:
+    """The methods that are compared, on one task."""
+    from kickbench.trials.trial import load_trial
+
+    files = {
+        name: folder / f"{name}.yaml" if folder else find_method(name, task, overrides) for name in _METHODS
+    }
+    return {name: load_trial(task, file, overrides) for name, file in files.items()}
 
 
 @cli.verb("Check", "doctor")
 def doctor() -> int:
     """Print what can run here, and why not the rest."""
-    from kickbench.cli.doctor import doctor
+    from kickbench import __version__
+    from kickbench.results.provenance import package_versions
 
-    return doctor()
+    versions = package_versions()
+    rows = [("python", f"{versions['python']}, {platform.system()} {platform.machine()}")]
+    rows += [(name, versions.get(name, "not installed")) for name in (*_NEEDED, *_GPU_EXTRA)]
+    broken = _broken()
+    rows = [(name, f"cannot be imported: {broken[name]}" if name in broken else text) for name, text in rows]
+    rows += [("idle threads", _waiting(os.environ)), ("pictures", _drawing())]
+    if broken:
+        verdict = f"nothing can run: {' and '.join(broken)} cannot be imported"
+    else:
+        found, verdict = _devices()
+        rows += found
+    width = max(len(name) for name, _ in rows)
+    print(f"kickbench {__version__}\n")
+    print("\n".join(f"{name:{width}}  {text}" for name, text in rows))
+    print(f"\n{verdict}")
+    return 1 if broken else 0
+
+
+def _broken() -> dict[str, str]:
+    """Why a needed package cannot be imported, by package."""
+    reasons = {}
+    for package, module in _NEEDED.items():
+        try:
+            import_module(module)
+        except Exception as error:  # a library that does not load fails in ways of its own
+            reasons[package] = " ".join(str(error).split()) or type(error).__name__
+    return reasons
+
+
+def _devices() -> tuple[list[tuple[str, str]], str]:
+    """What there is to say of processor and graphics cards, and what can be used of them."""
+    import torch
+
+    from kickbench.envs.graph import graph_obstacle
+    from kickbench.results.provenance import cpu_name
+    from kickbench.sim.cpu import usable_cores
+    from kickbench.sim.devices import check_device
+
+    cores, names = f"{usable_cores()} core{'s' * (usable_cores() != 1)}", _gpus()
+    numbers = range(torch.cuda.device_count() if torch.cuda.is_available() else 0)
+    obstacle, graphs = None, graph_obstacle(torch.device("cuda"))
+    try:
+        check_device("cuda")
+    except KickbenchError as error:
+        obstacle = graphs = str(error).removeprefix("--device cuda: ").partition(";")[0]
+    rows = [("processor", f"{cpu_name()}, {cores} usable")]
+    rows += [("graphics card", name) for name in names or ["no NVIDIA driver answers"]]
+    rows += [("CUDA device", f"cuda:{k} {torch.cuda.get_device_name(k)}") for k in numbers] or [
+        ("CUDA device", "none")
+    ]
+    rows += [("CUDA graphs", f"off: {graphs}" if graphs else "on")]
+    if obstacle:
+        return rows, f"ready on the CPU ({cores}); not on CUDA: {obstacle}"
+    if graphs:
+        return rows, f"ready on the CPU ({cores}); CUDA WORKS WITHOUT GRAPHS, several times slower: {graphs}"
+    devices = f"{len(numbers)} device{'s' * (len(numbers) != 1)}"
+    return rows, f"ready on the CPU ({cores}) and on CUDA ({devices}), with graphs"
+
+
+def _gpus() -> list[str]:
+    """The graphics cards that the NVIDIA driver names, with memory and version of the driver."""
+    try:
+        done = subprocess.run(_QUERY, capture_output=True, text=True, check=True, timeout=_SECONDS)
+    except (OSError, subprocess.SubprocessError):
+        return []
+    found = [line.split(", ") for line in done.stdout.splitlines() if line.count(", ") == 2]
+    return [f"{name}, {memory}, driver {driver}" for name, memory, driver in found]
+
+
+def _drawing() -> str:
+    """The OpenGL platform that works, or why none does. In a process of its own: some drivers end it."""
+    command = [sys.executable, "-c", _DRAW]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=_SECONDS)
+    except subprocess.TimeoutExpired:
+        return f"cannot be drawn: OpenGL does not answer within {_SECONDS} s"
+    if done.returncode == 0:
+        return done.stdout.strip().removeprefix("mujoco.")
+    said = done.stderr.split("kickbench.errors.KickbenchError: ")[-1].strip().splitlines()
+    return f"cannot be drawn: {said[-1] if said else f'OpenGL ended the process with code {done.returncode}'}"
+
+
+def _waiting(environment: Mapping[str, str]) -> str:
+    """What torch's threads do while they have no work: kickbench asks for passive waiting where nothing is set."""
+    if "GOMP_SPINCOUNT" in environment:
+        return f"spin: GOMP_SPINCOUNT={environment['GOMP_SPINCOUNT']}"
+    policy = environment.get("OMP_WAIT_POLICY", "not set")
+    if policy.upper() == "PASSIVE":
+        return "sleep (OMP_WAIT_POLICY=PASSIVE)"
+    return f"spin (OMP_WAIT_POLICY={policy}): slow beside other processes"

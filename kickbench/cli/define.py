@@ -6,7 +6,7 @@ import json
 import os
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
 from kickbench.cli import app as cli
 from kickbench.config.shipped import FOLDERS, find, find_method, names
@@ -19,9 +19,9 @@ Terms = Literal["observations", "rewards", "terminations", "randomizations"]
 
 @cli.verb("Define", "list", name="list")
 def list_files(
-    folder: Annotated[
-        Path | None, cli.argument("Folder whose files and runs are listed instead.", "DIR")
-    ] = None,
+    folder: Path | None = cli.argument(
+        "Folder whose files and runs are listed instead.", "DIR", default=None
+    ),
 ) -> int:
     """List tasks, methods, robots and experiments by name, or what is below a folder."""
     if folder is not None and not folder.is_dir():
@@ -40,9 +40,9 @@ def list_files(
 
 @cli.verb("Define", "new task my_task --from mini_general")
 def new(
-    kind: Annotated[Literal["task", "method"], cli.argument("What to define.", "KIND")],
-    name: Annotated[str, cli.argument("Its name; the file is NAME.yaml.", "NAME")],
-    base: Annotated[Path, cli.option("What it extends: a YAML file or a name.", "--from", metavar="BASE")],
+    kind: Literal["task", "method"] = cli.argument("What to define.", "KIND"),
+    name: str = cli.argument("Its name; the file is NAME.yaml.", "NAME"),
+    base: Path = cli.option("What it extends: a YAML file or a name.", "--from", metavar="BASE", default=...),
 ) -> int:
     """Write a YAML file that extends another one, with every value as a comment to edit."""
     from kickbench.config.yamlio import dump_yaml, load_document
@@ -66,7 +66,7 @@ def new(
 
 @cli.verb("Define", "validate my_task.yaml mini/equivariant")
 def validate(
-    files: Annotated[list[Path], cli.argument("YAML files of any kind, or names.", "FILE...", *_KINDS)],
+    files: list[Path] = cli.argument("YAML files of any kind, or names.", "FILE...", *_KINDS),
     overrides: cli.Set = cli.NONE,
 ) -> int:
     """Check YAML files, a single task with every method among them, and report all errors."""
@@ -87,26 +87,20 @@ def validate(
 
 @cli.verb("Define", "show mini_home_field --set ball.mass=0.2")
 def show(
-    file: Annotated[Path, cli.argument("A YAML file of any kind, or a name.", "FILE", *_KINDS)],
-    plot: Annotated[
-        Path | None,
-        cli.option("Draw a task's sampling regions from above instead (.png, .svg).", metavar="FILE"),
-    ] = None,
-    fields: Annotated[
-        Path | None,
-        cli.option(
-            "Print how a task's observations and actions mirror, by this method, instead.", metavar="METHOD"
-        ),
-    ] = None,
+    file: Path = cli.argument("A YAML file of any kind, or a name.", "FILE", *_KINDS),
+    plot: Path | None = cli.option(
+        "Draw a task's sampling regions from above instead (.png, .svg).", metavar="FILE"
+    ),
+    fields: Path | None = cli.option(
+        "Print how a task's observations and actions mirror, by this method, instead.", metavar="METHOD"
+    ),
     overrides: cli.Set = cli.NONE,
 ) -> int:
     """Print a resolved spec and where each value came from."""
     cli.exclude("--fields", fields, "--plot", plot)
     path = find(file, *_KINDS)
     if plot is not None:
-        from kickbench.cli.view import plot as draw
-
-        return draw(path, plot, overrides)
+        return _plot(path, plot, overrides)
     if fields is not None:
         return _show_fields(path, find_method(fields, path, overrides), overrides)
     from kickbench.config.explain import explain
@@ -123,11 +117,10 @@ def show(
 
 @cli.verb("Define", "terms rewards")
 def terms(
-    kind: Annotated[Terms | None, cli.argument("Of this kind only.", "[KIND]")] = None,
-    own: Annotated[
-        Path | None,
-        cli.option("With those of a Python file (a task's key `terms`).", "--own", metavar="FILE"),
-    ] = None,
+    kind: Terms | None = cli.argument("Of this kind only.", "[KIND]", default=None),
+    own: Path | None = cli.option(
+        "With those of a Python file (a task's key `terms`).", "--own", metavar="FILE"
+    ),
 ) -> int:
     """List all terms with parameters, units and source."""
     if own is not None and not own.is_file():
@@ -148,7 +141,7 @@ def terms(
 
 
 @cli.verb("Define", "schema task")
-def schema(kind: Annotated[Kind, cli.argument("Kind of file.", "KIND")]) -> int:
+def schema(kind: Kind = cli.argument("Kind of file.", "KIND")) -> int:
     """Print the JSON Schema of a kind of file."""
     from kickbench.config.json_schema import json_schema
     from kickbench.trials.validate import model_of
@@ -159,11 +152,10 @@ def schema(kind: Annotated[Kind, cli.argument("Kind of file.", "KIND")]) -> int:
 
 @cli.verb("Define", "symmetry derive my_robot.xml", of=cli.symmetry)
 def derive(
-    model: Annotated[Path, cli.argument("MJCF file.", "MODEL")],
-    plane: Annotated[
-        Literal["xz", "yz", "xy"],
-        cli.option("Mirror plane of the first body's frame (default: xz, which every task uses)."),
-    ] = "xz",
+    model: Path = cli.argument("MJCF file.", "MODEL"),
+    plane: Literal["xz", "yz", "xy"] = cli.option(
+        "Mirror plane of the first body's frame (default: xz, which every task uses).", default="xz"
+    ),
 ) -> int:
     """Print the `symmetry:` block of a robot file, derived from the geometry of its MJCF."""
     if not model.is_file():
@@ -174,6 +166,21 @@ def derive(
     derivation = derive(compile_skeleton(model), plane)
     print(symmetry_block(derivation, model.name))
     return 1 if derivation.unclear else 0
+
+
+def _plot(file: Path, out: Path, overrides: list[str]) -> int:
+    """Draws a task's sampling regions from above."""
+    from kickbench.config.yamlio import load_document
+    from kickbench.envs.compile import read_task
+    from kickbench.trials.validate import kind_of
+    from kickbench.view.regions import plot_regions
+
+    kind = kind_of(load_document(file))
+    if kind != "task":
+        raise KickbenchError(f"--plot draws the sampling regions of a task; {file} is a {kind} file")
+    plot_regions(read_task(file, overrides), out)
+    print(shown(out))
+    return 0
 
 
 def _show_fields(task: Path, method: Path, overrides: list[str]) -> int:

@@ -1,9 +1,10 @@
-"""Verbs that look at results: `table`, `compare`, `claims`, `report`, `render` and `export`."""
+"""Verbs that look at results: `table`, `compare`, `claims` and `report`."""
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Literal
 
 import typer
 
@@ -14,13 +15,15 @@ from kickbench.errors import KickbenchError, shown
 if TYPE_CHECKING:
     import pandas as pd
 
+    from kickbench.trials.experiment import LoadedExperiment
+
 
 @cli.verb("Look at results", "table runs --columns kick")
 def table(
     roots: cli.Roots,
-    columns: Annotated[
-        Literal["success", "kick"], cli.option("Figures to print (default: success).")
-    ] = "success",
+    columns: Literal["success", "kick"] = cli.option(
+        "Figures to print (default: success).", default="success"
+    ),
 ) -> int:
     """Print the table of finished runs."""
     from kickbench.results.kick_table import render_kicks
@@ -45,43 +48,66 @@ def compare(roots: cli.Roots) -> int:
 @cli.verb("Look at results", "claims mini_home_field runs/mini_home_field")
 def claims(
     experiment: cli.Experiment,
-    folder: Annotated[
-        Path | None,
-        cli.argument(
-            "Folder of its runs (default: measured/<experiment> beside the YAML file's folder).", "DIR"
-        ),
-    ] = None,
-    strict: Annotated[bool, cli.option("Exit code 1 unless every claim is met.", "--strict")] = False,
-    power: Annotated[
-        bool,
-        cli.option(
-            "Simulate instead how often claims are met by an exact replication, and though they are wrong.",
-            "--power",
-        ),
-    ] = False,
+    folder: Path | None = cli.argument(
+        "Folder of its runs (default: measured/<experiment> beside the YAML file's folder).",
+        "DIR",
+        default=None,
+    ),
+    strict: bool = cli.flag("Exit code 1 unless every claim is met.", "--strict"),
+    power: bool = cli.flag(
+        "Simulate instead how often claims are met by an exact replication, and though they are wrong.",
+        "--power",
+    ),
     json: cli.Json = False,
 ) -> int:
     """Judge the claims of an experiment by its measured runs."""
     file = find(experiment, "reported")
-    from kickbench.cli.claims import claims
+    from kickbench.results.frame import load_runs
+    from kickbench.results.notes import refuse_contradictions, unplanned_lines
+    from kickbench.results.power import rates_table
+    from kickbench.results.verdict_file import verdicts_json
+    from kickbench.results.verdicts import judge, verdict_lines
+    from kickbench.trials.experiment import load_experiment
 
-    return claims(file, folder, strict=strict, power=power, json=json)
+    loaded = load_experiment(file)
+    if power:
+        print(rates_table(loaded))
+        return 0
+    # Without a folder nothing was measured yet, which is a result; a folder that was typed should be there.
+    if folder and not folder.is_dir():
+        raise KickbenchError(f"{folder}: no such folder")
+    measured = load_runs(folder or loaded.document.file.parent.parent / "measured" / loaded.name, loaded)
+    refuse_contradictions(measured, shown)
+    verdicts = judge(loaded, measured)
+    print(verdicts_json(verdicts) if json else "\n".join(verdict_lines(loaded, verdicts)))
+    for line in [*_when_fixed(loaded, measured), *unplanned_lines(measured, shown)]:
+        print(line, file=sys.stderr if json else sys.stdout)
+    return int(strict and any(verdict.outcome != "met" for verdict in verdicts))
+
+
+def _when_fixed(experiment: LoadedExperiment, measured: pd.DataFrame) -> list[str]:
+    """How many of the runs that count were begun with the claims that they are judged by."""
+    from kickbench.results.frame import runs_of
+
+    runs = runs_of(measured)
+    records = [origin.experiment for origin in runs.provenance[runs.counted]]
+    these = sum(record is not None and record.claims == experiment.claims_hash for record in records)
+    unknown = sum(record is None for record in records)
+    counts = {"with these claims": these, "with other claims": len(records) - these - unknown}
+    counts["without a record of claims"] = unknown
+    said = ", ".join(f"{count} {words}" for words, count in counts.items() if count)
+    return [f"{len(records)} runs, begun {said}"] if records else []
 
 
 @cli.verb("Look at results", "report runs/mini_home_field --experiment mini_home_field")
 def report(
-    folder: Annotated[Path | None, cli.argument("A run directory, or a folder of them.", "DIR")] = None,
-    out: Annotated[
-        Path | None, cli.option("Page to write (default: DIR/report.html).", "-o", "--out", metavar="FILE")
-    ] = None,
+    folder: Path | None = cli.argument("A run directory, or a folder of them.", "DIR", default=None),
+    out: Path | None = cli.option("Page to write (default: DIR/report.html).", "-o", "--out", metavar="FILE"),
     experiment: cli.For = None,
-    readme: Annotated[
-        bool,
-        cli.option(
-            "Write README.md's results and results/pictures from results/measured instead.", "--readme"
-        ),
-    ] = False,
-    root: Annotated[Path, typer.Option(hidden=True)] = Path(),
+    readme: bool = cli.flag(
+        "Write README.md's results and results/pictures from results/measured instead.", "--readme"
+    ),
+    root: Path = typer.Option(Path(), hidden=True),
 ) -> int:
     """Write one self-contained page about a folder of runs, or the README's results."""
     if readme:
@@ -100,84 +126,6 @@ def report(
     out = out or folder / "report.html"
     write_report(folder, out, load_experiment(file) if file else None)
     print(shown(out))
-    return 0
-
-
-@cli.verb("Look at results", "render mini_home_field --out starts.png")
-def render(
-    task: cli.Task,
-    policy: Annotated[
-        list[Path],
-        cli.option("Run directory (default: zero action); several are shown side by side.", metavar="RUN"),
-    ] = cli.NONE,
-    out: Annotated[
-        Path | None,
-        cli.option(
-            ".png: a sheet of initial states; .webp or .mp4: episodes (default: <task>.png).", metavar="FILE"
-        ),
-    ] = None,
-    starts: Annotated[int | None, cli.count("Initial states on a sheet (default: 9).")] = None,
-    episodes: Annotated[int | None, cli.count("Episodes of a film (default: 3).")] = None,
-    seed: cli.TaskSeed = None,
-    size: cli.Size = None,
-    mirrored: Annotated[
-        bool, cli.option("Film the mirror images of the initial states.", "--mirrored")
-    ] = False,
-    overrides: cli.Set = cli.NONE,
-) -> int:
-    """Draw initial states of a task, or film episodes."""
-    file = find(task, "task")
-    from kickbench.cli.view import Picture, render
-
-    return render(
-        file, out, overrides, Picture(policy or None, starts, episodes, seed, size, mirrored or None)
-    )
-
-
-@cli.verb("Look at results", "play runs/mini_home_field/equivariant/seed0")
-def play(
-    path: Annotated[
-        Path, cli.argument("Run directory; or a task, whose robot stands on zero action.", "RUN|TASK", "task")
-    ],
-    task: Annotated[Path | None, cli.option("Another task for the run's policy.", metavar="TASK")] = None,
-    seed: cli.TaskSeed = None,
-    port: Annotated[int, cli.count("Port, or the next that is free (default: 8080).", least=0)] = 8080,
-    host: Annotated[
-        str,
-        cli.option("Interface; on another than the default everyone who reaches the port controls the page."),
-    ] = "127.0.0.1",
-    browser: Annotated[
-        bool | None,
-        typer.Option("--browser/--no-browser", help="Open a browser (default: where there is one)."),
-    ] = None,
-    trust_code: cli.Trust = False,
-    overrides: cli.Set = cli.NONE,
-) -> int:
-    """Show a policy live in a browser."""
-    if port >= 2**16:
-        raise typer.BadParameter(f"--port: expected a port below 65536, found {port}")
-    file = path if path.is_dir() else find(path, "task")
-    from kickbench.cli.view import play as show
-
-    return show(file, find(task, "task") if task else None, overrides, seed, host, port, browser, trust_code)
-
-
-@cli.verb("Look at results", "export runs/mini_home_field/equivariant/seed0")
-def export(
-    run: cli.Run,
-    out: Annotated[
-        Path | None,
-        cli.option(
-            "Folder to write (default: exported/<task>/<method>/seed<k>).", "-o", "--out", metavar="DIR"
-        ),
-    ] = None,
-    states: Annotated[int, cli.count("Write so many initial states of the evaluation, too.", least=0)] = 0,
-    force: Annotated[bool, cli.option("Overwrite a policy that is there.", "--force")] = False,
-) -> int:
-    """Write a run's policy as ONNX, with a contract of inputs, outputs, gains and limits."""
-    from kickbench.deploy.export import export as write
-
-    print(shown(write(run, out, states=states, force=force)))
     return 0
 
 

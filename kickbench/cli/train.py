@@ -1,14 +1,32 @@
-"""Verbs that train and evaluate: `run`, `reproduce`, `status` and `eval`."""
+"""Verbs that train: `run` for one run; `reproduce`, `demo` and `status` for whole experiments."""
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING
 
 from kickbench.cli import app as cli
 from kickbench.config.shipped import find, find_method
 from kickbench.errors import KickbenchError, shown
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from kickbench.launch.jobs import Jobs
+    from kickbench.launch.plan import Plan
+    from kickbench.launch.record import PlanRecord
+    from kickbench.launch.state import RunState
+
+DEMO = "mini_home_field"
+CONDITIONS = ("baseline", "augmentation", "equivariant")
+_FILM = ("baseline", "equivariant")
+_FILM_SIZE, _EPISODES = (320, 240), 2
+_NOTHING = 0.01
+"""Success that may be lost and still count as nothing lost."""
+_LEARNED = 0.05
+"""Success below which nothing is said of the other side."""
 
 
 @cli.verb("Train", "run mini_home_field equivariant --seed 1")
@@ -16,174 +34,269 @@ def run(
     task: cli.Task,
     method: cli.Method,
     seed: cli.Seed = 0,
-    iterations: Annotated[int | None, cli.count("Iterations (default: the method's).")] = None,
+    iterations: int | None = cli.count("Iterations (default: the method's)."),
     scale: cli.Scale = None,
-    num_envs: Annotated[int | None, cli.count("Parallel envs (default: the method's).")] = None,
-    out: Annotated[
-        Path | None, cli.option("Run directory (default: runs/<task>/<method>/seed<k>).", metavar="DIR")
-    ] = None,
+    num_envs: int | None = cli.count("Parallel envs (default: the method's)."),
+    out: Path | None = cli.option("Run directory (default: runs/<task>/<method>/seed<k>).", metavar="DIR"),
     overrides: cli.Set = cli.NONE,
     device: cli.Device = "cpu",
-    no_graph: Annotated[bool, cli.option("No CUDA graphs: slow, for finding faults.", "--no-graph")] = False,
+    no_graph: bool = cli.flag("No CUDA graphs: slow, for finding faults.", "--no-graph"),
     threads: cli.Threads = None,
     experiment: cli.For = None,
-    init_from: Annotated[
-        Path | None,
-        cli.option(
-            "Begin with the policy of this run: network, observation statistics, action noise.", metavar="RUN"
-        ),
-    ] = None,
-    init_std: Annotated[
-        float | None,
-        cli.option(
-            "Standard deviation to begin with (default: that policy's).",
-            metavar="STD",
-            parser=cli.number(1e-3, 10),
-        ),
-    ] = None,
-    force: Annotated[bool, cli.option("Overwrite a run that is there.", "--force")] = False,
-    resume: Annotated[
-        bool, cli.option("Go on with the run that is there; --iterations may extend it.", "--resume")
-    ] = False,
+    init_from: Path | None = cli.option(
+        "Begin with the policy of this run: network, observation statistics, action noise.", metavar="RUN"
+    ),
+    init_std: float | None = cli.option(
+        "Standard deviation to begin with (default: that policy's).",
+        metavar="STD",
+        parser=cli.number(1e-3, 10),
+    ),
+    force: bool = cli.flag("Overwrite a run that is there.", "--force"),
+    resume: bool = cli.flag("Go on with the run that is there; --iterations may extend it.", "--resume"),
 ) -> int:
     """Train a method on a task and evaluate it."""
+    options = dict(locals())  # as `RunRequest` names them
     cli.exclude("--resume", resume, "--force", force)
     if init_std is not None and init_from is None:
         raise KickbenchError("--init-std replaces the standard deviation of a policy: it needs --init-from")
-    task = find(task, "task")
-    method = find_method(method, task, overrides)
-    from kickbench.cli.overrides import refuse_contradiction
+    options["task"] = find(task, "task")
+    options["method"] = find_method(method, options["task"], overrides)
+    options["experiment"] = find(experiment, "reported") if experiment else None
+    for flag, value in (("iterations", iterations), ("num_envs", num_envs)):
+        values = [] if value is None else [value]
+        cli.refuse_contradiction(overrides, f"algorithm.{flag}", f"--{flag.replace('_', '-')}", values)
     from kickbench.launch.run import RunRequest
-    from kickbench.launch.run import run as run_experiment
+    from kickbench.launch.run import run as train
     from kickbench.results.frame import frame_of
     from kickbench.results.table import render_table
 
-    for flag, value in (("iterations", iterations), ("num_envs", num_envs)):
-        values = None if value is None else [value]
-        refuse_contradiction(overrides, f"algorithm.{flag}", f"--{flag.replace('_', '-')}", values)
-    request = RunRequest(
-        task=task,
-        method=method,
-        seed=seed,
-        overrides=tuple(overrides),
-        iterations=iterations,
-        scale=scale,
-        num_envs=num_envs,
-        out=out,
-        device=device,
-        graph=not no_graph,
-        threads=threads,
-        force=force,
-        resume=resume,
-        command=tuple(sys.argv),
-        init_from=init_from,
-        init_std=init_std,
-        experiment=find(experiment, "reported") if experiment else None,
-    )
-    outcome = run_experiment(request)
-    where, training = outcome.directory.path, outcome.training
+    outcome = train(RunRequest(**options, command=sys.argv))
+    where, training = shown(outcome.directory.path), outcome.training
     if not outcome.is_main:
         return 130 if training is not None and training.interrupted else 0
     if outcome.metrics is None:
         done = f"after {training.iterations} iterations" if training else ""
-        print(
-            f"interrupted {done}; the same command with --resume goes on from {shown(where)}", file=sys.stderr
-        )
+        print(f"interrupted {done}; the same command with --resume goes on from {where}", file=sys.stderr)
         return 130
     effort = f"trained {training.seconds:.0f} s" if training else "nothing left to do"
-    print(f"\n{render_table(frame_of([outcome.metrics]))}\n\n{effort}; results: {shown(where)}")
+    print(f"\n{render_table(frame_of([outcome.metrics]))}\n\n{effort}; results: {where}")
     return 0
 
 
 @cli.verb("Train", "reproduce mini_home_field --seeds 0 1 --jobs 2")
 def reproduce(
     experiment: cli.Experiment,
-    only: Annotated[list[str], cli.option("This condition only; may be repeated.", metavar="ARM")] = cli.NONE,
-    seeds: Annotated[
-        list[int],
-        cli.count("Seeds: one or more numbers (default: the experiment's).", least=0, metavar="K..."),
-    ] = cli.NONE,
+    only: list[str] = cli.option("This condition only; may be repeated.", metavar="ARM", default=[]),
+    seeds: list[int] = cli.count(
+        "Seeds: one or more numbers (default: the experiment's).", least=0, metavar="K...", default=[]
+    ),
     scale: cli.Scale = None,
     overrides: cli.Set = cli.NONE,
-    jobs: Annotated[int, cli.count("Runs at a time (default: 1).")] = 1,
+    jobs: int = cli.count("Runs at a time (default: 1).", default=1),
     device: cli.Device = "cpu",
     threads: cli.Threads = None,
-    out: Annotated[
-        Path | None,
-        cli.option(
-            "Folder of the runs (default: runs/<experiment>; with --scale or --set one of its own).",
-            metavar="DIR",
-        ),
-    ] = None,
-    dry_run: Annotated[bool, cli.option("Show the plan, write nothing.", "--dry-run")] = False,
+    out: Path | None = cli.option(
+        "Folder of the runs (default: runs/<experiment>; with --scale or --set one of its own).",
+        metavar="DIR",
+    ),
+    dry_run: bool = cli.flag("Show the plan, write nothing.", "--dry-run"),
 ) -> int:
     """Run a whole experiment, or what is left of it."""
     file = find(experiment, "reported")
-    from kickbench.cli.reproduce import reproduce
-    from kickbench.launch.plan import Selection
+    if len(set(seeds)) < len(seeds):
+        raise KickbenchError("--seeds: a seed is there twice")
+    from kickbench.launch.jobs import carry_out
+    from kickbench.launch.plan import Selection, make_plan
+    from kickbench.sim.cpu import usable_cores
+    from kickbench.sim.devices import check_device
+    from kickbench.trials.experiment import load_experiment
 
-    selection = Selection(
-        only=tuple(only), seeds=tuple(seeds), scale=scale, overrides=tuple(overrides), out=out
-    )
-    return reproduce(file, selection, jobs, threads, device, dry_run)
+    check_device(device)
+    selection = Selection(tuple(only), tuple(seeds), scale, tuple(overrides), out)
+    plan = make_plan(load_experiment(file), selection)
+    threads = threads or max(1, usable_cores() // jobs)
+    _print_plan(plan, jobs, threads)
+    if dry_run:
+        return 0
+    carried_out = carry_out(plan, jobs, threads, device)
+    _print_results(plan)
+    return _exit_code(carried_out)
+
+
+def _print_plan(plan: Plan, at_a_time: int, threads: int) -> None:
+    from kickbench.launch.state import counts, run_table, time_left
+
+    rows, states = [], []
+    for run in plan.runs:
+        missing, state = ", ".join(run.missing_evaluations), run.read_state()
+        rows.append((run.name, state, f"to be evaluated on {missing}" if missing else ""))
+        states.append((run.record.arm, state))
+    print(run_table(plan.record.title(shown(plan.folder)), rows))
+    how = f"{at_a_time} at a time, {threads} thread{'s' * (threads > 1)} each"
+    print(f"\n{counts([state for _, state in states])}; {how}")
+    print(f"time left: {time_left(states, at_a_time)}\n", flush=True)
+
+
+def _print_results(plan: Plan) -> None:
+    from kickbench.results.frame import load_runs
+    from kickbench.results.table import render_table
+    from kickbench.results.verdicts import judge, verdict_lines
+
+    runs = load_runs(plan.folder)
+    asked = runs[runs.path.isin([run.directory.path for run in plan.runs])]
+    if (asked.state == "finished").any():
+        print(f"\n{render_table(asked)}\n")
+        try:
+            verdicts = judge(plan.experiment, load_runs(plan.folder, plan.experiment))
+            print("\n".join(verdict_lines(plan.experiment, verdicts)).rstrip(), end="\n\n")
+        except KickbenchError as error:  # the runs that failed are still to be named
+            print(f"no verdicts: {error}\n")
+    print(f"runs: {shown(plan.folder)}")
+
+
+def _exit_code(jobs: Jobs) -> int:
+    """0, or another number if a run has failed or not ended; which is printed."""
+    failed = [job for job in jobs.jobs if job.outcome.value == "failed"]
+    for job in failed:
+        print(f"{job.run.name} failed: {job.reason} ({shown(job.run.directory.log)})", file=sys.stderr)
+    if jobs.interrupted:
+        print("stopped; the same command goes on", file=sys.stderr)
+        return 130
+    return 1 if failed else 0
 
 
 @cli.verb("Train", "demo")
 def demo(
-    out: Annotated[Path, cli.option("Folder of the runs (default: runs/demo).", metavar="DIR")] = Path(
-        "runs/demo"
+    out: Path = cli.option(
+        "Folder of the runs (default: runs/demo).", metavar="DIR", default=Path("runs/demo")
     ),
     scale: cli.Scale = None,
 ) -> int:
     """Train three methods on the mini home-field task and show what came of them."""
-    from kickbench.cli.demo import demo
+    from kickbench.launch.jobs import carry_out
+    from kickbench.launch.plan import Selection, make_plan
+    from kickbench.results.frame import load_runs
+    from kickbench.results.table import render_table
+    from kickbench.sim.cpu import usable_cores
+    from kickbench.trials.experiment import load_experiment
 
-    return demo(out, scale)
+    selection = Selection(CONDITIONS, seeds=(0,), scale=scale, out=out)
+    plan = make_plan(load_experiment(find(DEMO, "reported")), selection)
+    at_a_time = min(len(plan.runs), usable_cores())
+    print(f"""\
+The mini kicker trains with ball and target on its left only. Which method kicks as well on its right?
+Three methods, one seed each, {at_a_time} at a time; Ctrl-C stops, the same command goes on.
+""")
+    sys.stdout.flush()
+    if code := _exit_code(carry_out(plan, at_a_time, max(1, usable_cores() // at_a_time))):
+        return code
+    runs = load_runs(plan.folder)
+    print(f"\n{render_table(runs)}\n\n{sentence(runs)}\n", flush=True)
+    for line in _pictures(plan.folder):
+        print(line, flush=True)
+    print(f"""
+Next:
+  kickbench play {shown(plan.folder / "equivariant/seed0")}     # watch the policy in a browser
+  kickbench new task my_task --from mini_general     # a task of your own
+  kickbench reproduce {DEMO} --jobs {at_a_time}          # five seeds, and a verdict on every claim""")
+    return 0
+
+
+def sentence(runs: pd.DataFrame) -> str:
+    """What the policies of one seed lose on the side that they have never seen, in words.
+
+    Args:
+        runs: Evaluated runs, one a method, as `load_runs` reads them.
+    """
+    rates = {(run.method, run.side): float(run.success_rate) for _, run in runs.iterrows()}
+    parts = [
+        _part(method, rates[method, "in_distribution"], rates[method, "mirrored"]) for method in CONDITIONS
+    ]
+    text = f"{'; '.join(parts)}."
+    return f"{text[0].upper()}{text[1:]}\n(One seed: another one gives other figures of the same kind.)"
+
+
+def _part(method: str, home: float, away: float) -> str:
+    name = method if method == "augmentation" else f"the {method} policy"
+    rates = f"{100 * home:.0f} -> {100 * away:.0f} %"
+    if home < _LEARNED:
+        return f"{name} has not learned the task: {rates}"
+    if away < home / 2.0:
+        return f"{name} fails on the side that it never saw: {rates}"
+    if home - away <= _NOTHING:
+        return f"{name} loses nothing there: {rates}"
+    return f"{name} loses {100 * (home - away):.0f} points there: {rates}"
+
+
+def _pictures(folder: Path) -> Iterator[str]:
+    """Writes the page and a film of the mirrored side, where this machine can; what has been written."""
+    from kickbench.report.write import write_report
+    from kickbench.training.trained import load_run
+    from kickbench.view.pictures import film_runs
+
+    paths, film = [folder / name / "seed0" for name in _FILM], folder / "film.webp"
+    try:
+        write_report(folder, folder / "report.html")
+        yield f"report: {shown(folder / 'report.html')}"
+        task = load_run(paths[0]).trial.task
+        film_runs(task, paths, film, _EPISODES, task.spec.evaluation.seed, _FILM_SIZE, mirrored=True)
+        yield f"film:   {shown(film)} (the side that the baseline never saw)"
+    except KickbenchError as error:
+        yield f"not drawn: {error}"
 
 
 @cli.verb("Train", "status runs/mini_home_field")
-def status(root: Annotated[Path, cli.argument("Folder of runs.", "DIR")]) -> int:
+def status(root: Path = cli.argument("Folder of runs.", "DIR")) -> int:
     """Print how far the runs of a folder are."""
-    from kickbench.cli.status import status
+    if not root.is_dir():
+        raise KickbenchError(f"{root}: no such folder")
+    from kickbench.launch.record import read_record
+    from kickbench.launch.state import State, counts, run_table, time_left
 
-    return status(root)
-
-
-@cli.verb("Train", "eval runs/mini_home_field/equivariant/seed1 --episodes 500", name="eval")
-def evaluate(
-    run: cli.Run,
-    task: Annotated[
-        Path | None, cli.option("Another task: a YAML file or a name (default: the run's).", metavar="TASK")
-    ] = None,
-    save: Annotated[
-        bool, cli.option("Keep the figures on another task in RUN/also/<task>.json.", "--save")
-    ] = False,
-    episodes: Annotated[int | None, cli.count("Episodes a side (default: the task's).")] = None,
-    seed: cli.TaskSeed = None,
-    json: cli.Json = False,
-    threads: cli.Threads = None,
-    trust_code: cli.Trust = False,
-) -> int:
-    """Evaluate the policy of a finished run again."""
-    if save and not task:
-        raise KickbenchError("--save keeps the figures on another task beside the run: it needs --task")
-    task = find(task, "task") if task else None
-    from kickbench.launch.run import evaluate as measure
-    from kickbench.results.frame import frame_of
-    from kickbench.results.integrity import write_also
-    from kickbench.results.metrics import metrics_bytes
-    from kickbench.results.store import RunDirectory
-    from kickbench.results.table import render_table
-    from kickbench.training.trained import load_run
-
-    loaded = load_run(run, task, trust_code=trust_code)
-    figures = measure(loaded, episodes=episodes, seed=seed, threads=threads)
-    # Where a run keeps its task, the file's name is not the task's.
-    name = loaded.trial.task.name if task else loaded.metrics.task
-    metrics = loaded.metrics.model_copy(update={"task": name, "evaluation": figures})
-    if save:
-        directory = RunDirectory(run)
-        with directory.occupied():
-            write_also(directory, f"also/{metrics.task}.json", metrics_bytes(metrics))
-    print(metrics.model_dump_json(indent=2) if json else render_table(frame_of([metrics])))
+    record = read_record(root)
+    runs = list(_states(root, record))
+    if not runs:
+        raise KickbenchError(f"{root}: holds no runs and no plan")
+    print(run_table(record.title(shown(root)) if record else shown(root), runs))
+    states = [state for _, state, _ in runs]
+    print(f"\n{counts(states)}")
+    if any(state.state is not State.FINISHED for state in states):
+        running = sum(state.state is State.RUNNING for state in states)
+        # Without a plan the folder above a seed's is the nearest thing to a condition.
+        conditions = [(str(Path(name).parent), state) for name, state, _ in runs]
+        print(f"time left: {time_left(conditions, max(1, running))}")
     return 0
+
+
+def _states(root: Path, record: PlanRecord | None) -> Iterator[tuple[str, RunState, str]]:
+    """Name, state and remark: first the runs of the plan, then others that are there."""
+    from kickbench.launch.state import RunState, State, state_of
+    from kickbench.results.frame import load_runs, runs_of
+    from kickbench.results.store import RunDirectory
+
+    frame = load_runs(root)
+    found = {run.path.relative_to(root): run for _, run in runs_of(frame).iterrows()}
+    planned = {run.folder: run for run in record.runs} if record else {}
+    for folder, run in planned.items():
+        there = folder in found
+        state = state_of(found[folder], run.iterations) if there else RunState(State.NEW, 0, run.iterations)
+        missing = [task for task in run.also if not RunDirectory(root / folder).also(task).is_file()]
+        is_due = missing and there and found[folder].state == "finished"
+        remarks = [f"not evaluated on {', '.join(missing)}"] if is_due else []
+        yield folder.as_posix(), state, "; ".join([*remarks, *_remarks(frame, root / folder)])
+    for folder, run in found.items():
+        if folder not in planned:
+            remarks = ["not in the plan"] if planned else []
+            remarks += [f"scaled down to {run.scale:g}"] if run.scale > 0 else []
+            yield folder.as_posix(), state_of(run), "; ".join([*remarks, *_remarks(frame, run.path)])
+
+
+def _remarks(frame: pd.DataFrame, path: Path) -> list[str]:
+    """Damage of a run's results on transfer tasks, episodes that became non-finite, and what the run repeats."""
+    from kickbench.results.columns import non_finite_note
+    from kickbench.results.notes import repeat_lines
+
+    rows = frame[frame.path == path]
+    damage = rows[(rows.state == "damaged") & (rows.evaluated_on != rows.task)].damage
+    notes = [non_finite_note(rows.non_finite.max()).strip(" ()")] if rows.non_finite.max() > 0 else []
+    return [*damage, *notes, *repeat_lines(rows, shown)]

@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 import signal
+import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from types import FrameType
-from typing import Any, Protocol
+from typing import Any, TextIO
 
-from kickbench.evaluation.progress import EVALUATING
-from kickbench.launch.plan import PlannedRun
+from kickbench.errors import shown
+from kickbench.evaluation.progress import EVALUATING, duration, percent
+from kickbench.launch.plan import Plan, PlannedRun
 from kickbench.launch.process import Process
-from kickbench.launch.state import RunState, State
+from kickbench.launch.record import write_record
+from kickbench.launch.state import RunState, State, run_table, time_left
+from kickbench.results.store import RunDirectory
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _POLL_SECONDS = 0.25
+_DRAW_SECONDS, _PRINT_SECONDS = 0.5, 60.0
 
 
 class Outcome(Enum):
@@ -39,6 +44,8 @@ class Job:
         outcome: What has become of it.
         reason: Why it failed, or what it waits for.
         seconds: How long its processes have run, s.
+        process: Its process, or the last one; None: none has been started.
+        command: What that process runs.
     """
 
     run: PlannedRun
@@ -56,20 +63,96 @@ class Job:
         return self.outcome not in (Outcome.WAITING, Outcome.RUNNING)
 
 
-class Display(Protocol):
-    """Where a person sees how the jobs do."""
+class Display:
+    """How the jobs do, for people: on a terminal a table that is redrawn in place, elsewhere a line for what is new.
+
+    Args:
+        at_a_time: Runs at a time, for the time left.
+        stream: Where it is shown; default: standard output.
+    """
+
+    def __init__(self, at_a_time: int = 1, stream: TextIO | None = None) -> None:
+        from rich.console import Console
+        from rich.live import Live
+
+        self._at_a_time, self._console = at_a_time, Console(file=stream or sys.stdout)
+        # Drawn by `update` alone: no thread may run while processes are started.
+        self._live = Live(console=self._console, auto_refresh=False)
+        self._known: dict[str, object] = {}
+        self._shown_at = time.monotonic()
 
     def update(self, jobs: Sequence[Job]) -> None:
-        """Told several times a second."""
-        ...
+        """Shows what is new; called several times a second."""
+        if self._console.is_terminal:
+            self._draw(jobs)
+        else:
+            self._print(jobs)
 
     def say(self, text: str) -> None:
-        """Tells something that concerns all of them."""
-        ...
+        """Prints a line that concerns all of them."""
+        self._console.print(text, highlight=False, markup=False, soft_wrap=True)
 
     def close(self) -> None:
-        """Told once, at the end, whatever the end was."""
-        ...
+        """Gives the terminal back; the table stays on the screen as it last was."""
+        self._live.stop()
+
+    def _draw(self, jobs: Sequence[Job]) -> None:
+        from rich.text import Text
+
+        if self._is_due(_DRAW_SECONDS) or all(job.has_ended for job in jobs):
+            rows = [(job.run.name, job.state, job.reason) for job in jobs]
+            table = run_table("", rows, [job.outcome.value for job in jobs])
+            text = Text(f"{table}\n{self._summary(jobs)}", no_wrap=True, overflow="ellipsis")
+            self._live.start()
+            self._live.update(text, refresh=True)
+
+    def _print(self, jobs: Sequence[Job]) -> None:
+        for number, job in enumerate(jobs, start=1):
+            now = (job.outcome, job.reason, job.command)
+            if self._known.get(job.run.name) != now:
+                self._known[job.run.name] = now
+                if news := _news(job):
+                    self.say(f"[{number}/{len(jobs)}] {job.run.name}: {news}")
+        if self._is_due(_PRINT_SECONDS):
+            self.say(self._summary(jobs))
+
+    def _is_due(self, seconds: float) -> bool:
+        due = time.monotonic() - self._shown_at >= seconds
+        self._shown_at = time.monotonic() if due else self._shown_at
+        return due
+
+    def _summary(self, jobs: Sequence[Job]) -> str:
+        done = sum(job.outcome is Outcome.DONE for job in jobs)
+        left = time_left([(job.run.record.arm, job.state) for job in jobs], self._at_a_time)
+        return f"{done} of {len(jobs)} runs done" + ("" if done == len(jobs) else f"; time left: {left}")
+
+
+def _news(job: Job) -> str:
+    """What has happened to a job; nothing of one that was done before anything was started."""
+    match job.outcome:
+        case Outcome.RUNNING if job.command[0] == "eval":
+            return f"is evaluated on {job.command[3]}"
+        case Outcome.RUNNING:
+            return f"goes on at iteration {job.state.iteration}" if job.state.done else "begins"
+        case Outcome.DONE if job.process:
+            return f"done after {duration(job.seconds)}, success {percent(job.state.success)}"
+        case Outcome.FAILED:
+            return f"failed: {job.reason}; its output: {shown(job.run.directory.log)}"
+        case Outcome.STOPPED if job.process:
+            return f"stopped at iteration {job.state.iteration}"
+        case Outcome.WAITING:
+            return job.reason
+    return ""
+
+
+def carry_out(plan: Plan, at_a_time: int, threads: int, device: str = "cpu") -> Jobs:
+    """Runs what is left of a plan, in its folder, and shows how far it is."""
+    with RunDirectory(plan.folder).occupied():
+        write_record(plan.folder, plan.record)
+        jobs = Jobs(plan.runs, at_a_time, threads, device)
+        if not all(job.has_ended for job in jobs.jobs):
+            jobs.carry_out(Display(at_a_time))
+    return jobs
 
 
 def next_command(run: PlannedRun, threads: int, device: str = "cpu") -> tuple[str, ...] | None:
@@ -98,12 +181,12 @@ class Jobs:
             threads: Threads of each.
             device: Where they train.
         """
-        self.jobs = [Job(run, run.read_state()) for run in runs]
-        for job in self.jobs:
-            if next_command(job.run, threads, device) is None:
-                job.outcome = Outcome.DONE
         self._at_a_time, self._threads, self._device = at_a_time, threads, device
         self._requests = self._heeded = 0
+        self.jobs = [Job(run, run.read_state()) for run in runs]
+        for job in self.jobs:
+            if self._next_command(job) is None:
+                job.outcome = Outcome.DONE
 
     @property
     def interrupted(self) -> bool:
@@ -128,6 +211,9 @@ class Jobs:
             for number, handler in before.items():
                 signal.signal(number, handler)
 
+    def _next_command(self, job: Job) -> tuple[str, ...] | None:
+        return next_command(job.run, self._threads, self._device)
+
     def _hear(self, number: int, frame: FrameType | None) -> None:
         self._requests += 1
 
@@ -137,12 +223,11 @@ class Jobs:
     def _heed(self, display: Display) -> None:
         if self._requests == self._heeded:
             return
-        at_once = self._requests > 1
-        if not at_once:
+        if self._requests == 1:
             display.say("stopping: every run ends after its present iteration; once more: at once")
         for job in self._running():
             assert job.process is not None
-            job.process.stop(at_once)
+            job.process.stop(self._requests > 1)
         for job in self.jobs:
             if job.outcome is Outcome.WAITING:
                 job.outcome, job.reason = Outcome.STOPPED, ""
@@ -150,15 +235,13 @@ class Jobs:
 
     def _look_at(self, job: Job) -> None:
         assert job.process is not None
-        code = job.process.poll()
+        code, job.state = job.process.poll(), job.run.read_state()
         if code is None:
-            job.state = job.run.read_state()
             if job.state.note == EVALUATING and (words := job.process.last_words()).startswith(EVALUATING):
                 job.state = replace(job.state, note=words)
             return
         job.seconds += time.monotonic() - job.started
-        job.state = job.run.read_state()
-        following = next_command(job.run, self._threads, self._device)
+        following = self._next_command(job)
         if following is None:
             job.outcome = Outcome.DONE
         elif self.interrupted:
@@ -168,8 +251,7 @@ class Jobs:
         else:
             job.outcome = Outcome.FAILED
             how = f"killed by {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
-            words = job.process.last_words()
-            job.reason = how if code < 0 or not words else words
+            job.reason = how if code < 0 else job.process.last_words() or how
 
     def _begin(self) -> None:
         for job in self.jobs:
@@ -180,7 +262,7 @@ class Jobs:
             if job.run.directory.is_occupied:
                 job.reason = "another process runs in it"
                 continue
-            command = next_command(job.run, self._threads, self._device)
+            command = self._next_command(job)
             if command is None:  # the other process has finished it
                 job.outcome, job.state = Outcome.DONE, job.run.read_state()
             else:

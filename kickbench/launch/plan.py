@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,7 +11,7 @@ from kickbench.launch.record import PlanRecord, RunRecord
 from kickbench.launch.state import RunState, State, read_state
 from kickbench.results.metrics import load_metrics
 from kickbench.results.store import RunDirectory
-from kickbench.training.resume import run_differences
+from kickbench.training.resume import check_same
 from kickbench.trials.experiment import Arm, LoadedExperiment
 from kickbench.trials.trial import Trial, load_trial
 
@@ -21,8 +21,8 @@ class Selection:
     """Which runs are asked for, and how they differ from the experiment's file.
 
     Attributes:
-        only: Arms; empty: all.
-        seeds: Seeds; empty: each arm's.
+        only: Conditions; empty: all.
+        seeds: Seeds; empty: each condition's.
         scale: Factor in (0, 1) on iterations and episodes; None: full size.
         overrides: `key.path=value` texts for every run.
         out: Folder of the runs; None: `default_folder`.
@@ -33,6 +33,11 @@ class Selection:
     scale: float | None = None
     overrides: tuple[str, ...] = ()
     out: Path | None = None
+
+    def default_folder(self, experiment: str) -> Path:
+        """`runs/<experiment>`; for runs that are not those of the experiment's file, a folder of their own."""
+        scaled = f"-scale{self.scale:g}" if self.scale else ""
+        return Path("runs", f"{experiment}{scaled}{'-changed' if self.overrides else ''}")
 
 
 @dataclass(frozen=True)
@@ -68,7 +73,7 @@ class PlannedRun:
 
 @dataclass(frozen=True)
 class Plan:
-    """The runs that are asked for, seed by seed, so that all arms can soon be compared.
+    """The runs that are asked for, seed by seed, so that all conditions can soon be compared.
 
     Attributes:
         experiment: What they belong to.
@@ -83,103 +88,81 @@ class Plan:
     folder: Path
 
 
-def default_folder(experiment: str, selection: Selection) -> Path:
-    """`runs/<experiment>`; for runs that are not those of the experiment's file, a folder of their own."""
-    scaled = f"-scale{selection.scale:g}" if selection.scale else ""
-    return Path("runs", f"{experiment}{scaled}{'-changed' if selection.overrides else ''}")
-
-
 def make_plan(experiment: LoadedExperiment, selection: Selection) -> Plan:
     """Plans the runs that are asked for, and checks what is there of them.
 
     Raises:
-        SpecError: An arm does not exist, an override does not fit, or a folder holds another run; all runs that
+        SpecError: A condition does not exist, an override does not fit, or a folder holds another run; all runs that
             do are named with every key that differs. Nothing has been written.
     """
-    unknown = [arm for arm in selection.only if arm not in experiment.arms]
-    if unknown:
-        known = ", ".join(experiment.arms)
-        raise SpecError.of(
-            f"--only {unknown[0]}",
-            f"{experiment.name} has no such arm; it has: {known}",
-            did_you_mean(unknown[0], experiment.arms),
-        )
-    folder = selection.out or default_folder(experiment.name, selection)
-    runs, all_records, problems = [], [], []
+    for name in selection.only:
+        if name not in experiment.arms:
+            what = f"{experiment.name} has no such arm; it has: {', '.join(experiment.arms)}"
+            raise SpecError.of(f"--only {name}", what, did_you_mean(name, experiment.arms))
+    folder = selection.out or selection.default_folder(experiment.name)
+    columns, records, problems = list[list[PlannedRun]](), list[RunRecord](), list[Problem]()
     for arm in experiment.arms.values():
         overrides = (*arm.overrides, *selection.overrides)
-        compiled = load_trial(arm.task.document.file, arm.method.document.file, overrides, selection.scale)
-        asked = selection.seeds or arm.seeds
-        chosen = not selection.only or arm.name in selection.only
-        records = {seed: _record(arm, compiled, seed) for seed in dict.fromkeys((*arm.seeds, *asked))}
-        all_records += [record for seed, record in records.items() if chosen or seed in arm.seeds]
-        if chosen:
-            planned = [
-                _planned(arm, records[seed], folder, overrides, selection, experiment) for seed in asked
-            ]
-            for run in planned:
-                problems += _differences(run.directory, compiled, run.record.seed, selection.scale)
-            runs += enumerate(planned)
+        trial = load_trial(arm.task.document.file, arm.method.document.file, overrides, selection.scale)
+        is_chosen = not selection.only or arm.name in selection.only
+        asked = (selection.seeds or arm.seeds) if is_chosen else ()
+        own = {seed: _record(arm, trial, seed) for seed in dict.fromkeys((*arm.seeds, *asked))}
+        records += own.values()
+        columns.append([_planned(experiment, selection, arm, folder, own[seed]) for seed in asked])
+        for run in columns[-1]:
+            problems += _differences(run.directory, trial, run.record.seed, selection.scale)
     if problems:
-        raise SpecError(problems)
+        raise SpecError([*problems, Problem(None, (), "--out takes another folder")])
     record = PlanRecord(
-        experiment=experiment.name,
-        scale=selection.scale,
-        overrides=selection.overrides,
-        runs=tuple(all_records),
+        experiment=experiment.name, scale=selection.scale, overrides=selection.overrides, runs=tuple(records)
     )
-    in_order = tuple(run for _, run in sorted(runs, key=lambda numbered: numbered[0]))
-    return Plan(experiment, record, in_order, folder)
+    return Plan(experiment, record, tuple(_in_turn(columns)), folder)
 
 
-def _record(arm: Arm, compiled: Trial, seed: int) -> RunRecord:
+def _in_turn(columns: list[list[PlannedRun]]) -> Iterator[PlannedRun]:
+    for index in range(max(map(len, columns), default=0)):
+        yield from (column[index] for column in columns if index < len(column))
+
+
+def _record(arm: Arm, trial: Trial, seed: int) -> RunRecord:
     return RunRecord(
         arm=arm.name,
         seed=seed,
-        task=compiled.task.name,
-        method=compiled.method.name,
-        iterations=compiled.method.spec.algorithm.iterations,
-        episodes=compiled.task.spec.evaluation.episodes,
+        task=trial.task.name,
+        method=trial.method.name,
+        iterations=trial.method.spec.algorithm.iterations,
+        episodes=trial.task.spec.evaluation.episodes,
         also=tuple(arm.also),
     )
 
 
 def _planned(
-    arm: Arm,
-    record: RunRecord,
-    folder: Path,
-    overrides: Sequence[str],
-    selection: Selection,
-    experiment: LoadedExperiment,
+    experiment: LoadedExperiment, selection: Selection, arm: Arm, folder: Path, record: RunRecord
 ) -> PlannedRun:
-    out = folder / record.folder
-    files = (shown(arm.task.document.file), shown(arm.method.document.file))
-    scale = () if selection.scale is None else ("--scale", f"{selection.scale!r}")
-    settings = (part for text in overrides for part in ("--set", text))
-    its = ("--experiment", shown(experiment.document.file))
-    return PlannedRun(
-        record=record,
-        directory=RunDirectory(out),
-        arguments=(*files, "--seed", str(record.seed), *settings, *scale, *its, "--out", str(out)),
-        also={name: task.document.file for name, task in arm.also.items()},
-    )
+    files = [shown(loaded.document.file) for loaded in (arm.task, arm.method)]
+    options = [("--seed", str(record.seed))]
+    options += [("--set", text) for text in (*arm.overrides, *selection.overrides)]
+    options += [] if selection.scale is None else [("--scale", f"{selection.scale!r}")]
+    options += [("--experiment", shown(experiment.document.file)), ("--out", str(folder / record.folder))]
+    arguments = (*files, *(part for option in options for part in option))
+    also = {name: task.document.file for name, task in arm.also.items()}
+    return PlannedRun(record, RunDirectory(folder / record.folder), arguments, also)
 
 
-def _differences(directory: RunDirectory, compiled: Trial, seed: int, scale: float | None) -> list[Problem]:
+def _differences(directory: RunDirectory, trial: Trial, seed: int, scale: float | None) -> Iterable[Problem]:
     """In what a run that has been begun is another one. Its checkpoint is compared when it is taken up."""
-    state = read_state(directory, compiled.method.spec.algorithm.iterations).state
-    if state in (State.NEW, State.DAMAGED):  # a damaged one fails by itself, and keeps no other from running
+    state = read_state(directory, trial.method.spec.algorithm.iterations).state
+    # What is new or damaged fails by itself, and keeps no other from running; a running one may just write its specs.
+    if state in (State.NEW, State.DAMAGED, State.RUNNING):
         return []
     recorded = load_metrics(directory.metrics).model_dump() if directory.is_finished else None
     try:
-        problems = run_differences(directory, compiled, seed, scale, recorded)
+        check_same(directory, trial, seed, scale, recorded)
+    except SpecError as error:
+        return error.problems
     except KickbenchError as error:
-        # One that has just begun writes its specs at this moment.
-        running, own = state is State.RUNNING, [Problem(None, (), str(error))]
-        problems = [] if running else error.problems if isinstance(error, SpecError) else own
-    hint = "--out takes another folder"
-    found = Problem(None, (), f"{shown(directory.path)} holds another run", hint)
-    return [found, *problems] if problems else []
+        return [Problem(None, (), str(error))]
+    return []
 
 
 def _is_valid(path: Path) -> bool:

@@ -1,7 +1,12 @@
-"""A run's command in a process of its own, its output in the run's log."""
+"""A run's command in a process of its own: its output goes to the run's log, and it does not outlive its starter.
+
+If the starter is killed by SIGKILL, the kernel sends the process a SIGTERM: a training then ends after its present
+iteration, with a checkpoint, and its folder is free for whoever goes on.
+"""
 
 from __future__ import annotations
 
+import ctypes
 import os
 import shlex
 import signal
@@ -11,9 +16,10 @@ from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
-from kickbench.launch.child import PARENT
-
-_LAST_LINES = 4_096
+_PARENT = "KICKBENCH_PARENT"
+"""Environment variable with the starter's process id."""
+_PR_SET_PDEATHSIG = 1
+_LAST_BYTES = 4_096
 
 
 class Process:
@@ -28,7 +34,6 @@ class Process:
             threads: Threads that torch and numpy may use where the command does not say.
         """
         log.parent.mkdir(parents=True, exist_ok=True)
-        environment = {**os.environ, PARENT: str(os.getpid()), "OMP_NUM_THREADS": str(threads)}
         self._log = log
         with open(log, "ab") as file:
             started = datetime.now(UTC).isoformat(timespec="seconds")
@@ -39,7 +44,7 @@ class Process:
                 stdin=subprocess.DEVNULL,
                 stdout=file,
                 stderr=subprocess.STDOUT,
-                env=environment,
+                env={**os.environ, _PARENT: str(os.getpid()), "OMP_NUM_THREADS": str(threads)},
                 start_new_session=True,
             )
 
@@ -63,6 +68,20 @@ class Process:
     def last_words(self) -> str:
         """The last line of its log."""
         with open(self._log, "rb") as file:
-            file.seek(max(0, file.seek(0, os.SEEK_END) - _LAST_LINES))
+            file.seek(max(0, file.seek(0, os.SEEK_END) - _LAST_BYTES))
             lines = file.read().decode("utf-8", errors="replace").split("\n")
         return next((line.strip() for line in reversed(lines) if line.strip()), "")
+
+
+def die_with_parent() -> None:
+    """Asks the kernel for a SIGTERM when the starter dies, and ends at once if it is dead already.
+
+    Does nothing in a process that `Process` has not started.
+    """
+    parent = os.environ.pop(_PARENT, None)
+    if parent is None:
+        return
+    if sys.platform == "linux":
+        ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, int(signal.SIGTERM), 0, 0, 0)
+    if os.getppid() != int(parent):
+        sys.exit(f"process {parent}, which has started this one, is gone")

@@ -38,25 +38,21 @@ class PlanRecord(Record):
     schema_version: Literal[1] = 1
     experiment: str
     scale: float | None = Field(default=None, gt=0, lt=1, description="as in metrics.json")
-    overrides: tuple[str, ...] = Field(
-        default=(),
-        description="`--set` texts by which the runs differ from the experiment as its file has it",
-    )
+    overrides: tuple[str, ...] = Field(default=(), description="`--set` texts beyond the experiment's file")
     runs: tuple[RunRecord, ...]
-    sha256: str | None = Field(
-        default=None, description="of the other fields; a plan of an older version has none"
-    )
+    sha256: str | None = Field(default=None, description="of the other fields")
 
     def signed(self) -> PlanRecord:
         """The record with its own SHA-256."""
         text = self.model_dump_json(exclude={"sha256"})
         return self.model_copy(update={"sha256": hashlib.sha256(text.encode()).hexdigest()})
 
-    @property
-    def deviation(self) -> str:
-        """In what the runs differ from the experiment; empty if they do not."""
+    def title(self, folder: str) -> str:
+        """The experiment, in what the runs differ from it, and where they are."""
         scaled = [f"scaled down to {self.scale:g}"] if self.scale else []
-        return ", ".join([*scaled, *(f"with --set {text}" for text in self.overrides)])
+        return (
+            f"{', '.join([self.experiment, *scaled, *(f'with --set {o}' for o in self.overrides)])}: {folder}"
+        )
 
 
 def write_record(folder: Path, record: PlanRecord) -> None:

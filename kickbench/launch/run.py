@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
-from itertools import chain
 from pathlib import Path
 
 import torch
@@ -29,31 +28,30 @@ from kickbench.results.store import RunDirectory
 from kickbench.sim.cpu import usable_cores
 from kickbench.sim.devices import check_device
 from kickbench.training.checkpoint import Checkpoints, save_policy
-from kickbench.training.initial import Initial, begin_from
-from kickbench.training.progress import ProgressGroup, standard_progress
-from kickbench.training.ranks import ALONE, Ranks, joined, read_ranks
-from kickbench.training.resume import Resume, begin, take_up
+from kickbench.training.progress import Progress, RunProgress
+from kickbench.training.ranks import Ranks, joined, read_ranks
+from kickbench.training.resume import Initial, Resume, begin, begin_from, take_up
 from kickbench.training.trained import Run, load_run
 from kickbench.training.trainer import Trainer, TrainingResult
 from kickbench.trials.experiment import load_experiment
 from kickbench.trials.trial import Trial, load_trial
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class RunRequest:
-    """What to run.
+    """What to run: the arguments of `kickbench run` by the same names, with the same defaults.
 
     Attributes:
         task: Path of the task.
         method: Path of the method.
-        seed: Seed of networks, exploration and starts.
+        seed: Seed of networks, exploration and initial states.
         overrides: `key.path=value` texts.
         iterations: Iterations; default: the method's.
         scale: Factor in (0, 1) on iterations and evaluation episodes; the result says so. None: full size.
         num_envs: Parallel environments; default: the method's.
         out: Run directory; default: `runs/<task>/<method>/seed<k>`.
         device: Where to train.
-        graph: Whether steps are recorded as CUDA graphs, on devices that have them.
+        no_graph: Whether no steps are recorded as CUDA graphs, on devices that have them.
         threads: Threads of physics and torch; default: the cores this process may use.
         force: Overwrite a run that is there.
         resume: Go on with a run that is there; begin it if there is none.
@@ -66,26 +64,30 @@ class RunRequest:
     task: Path
     method: Path
     seed: int = 0
-    overrides: tuple[str, ...] = ()
+    overrides: Sequence[str] = ()
     iterations: int | None = None
     scale: float | None = None
     num_envs: int | None = None
     out: Path | None = None
     device: str = "cpu"
-    graph: bool = True
+    no_graph: bool = False
     threads: int | None = None
     force: bool = False
     resume: bool = False
-    command: tuple[str, ...] = ()
+    command: Sequence[str] = ()
     init_from: Path | None = None
     init_std: float | None = None
     experiment: Path | None = None
 
-    def all_overrides(self) -> list[str]:
-        """The overrides, those with flags of their own included."""
+    def load(self) -> Trial:
+        """The trial, with the overrides that have flags of their own.
+
+        Raises:
+            SpecError: A specification is wrong.
+        """
         flags = {"iterations": self.iterations, "num_envs": self.num_envs}
-        extra = [f"algorithm.{key}={value}" for key, value in flags.items() if value is not None]
-        return [*self.overrides, *extra]
+        own = [f"algorithm.{key}={value}" for key, value in flags.items() if value is not None]
+        return load_trial(self.task, self.method, [*self.overrides, *own], self.scale)
 
 
 @dataclass(frozen=True)
@@ -96,7 +98,7 @@ class RunOutcome:
         directory: Where it is.
         training: How its training ended; None: there was nothing left to do.
         metrics: Its result; None: it was interrupted, or another process evaluates it.
-        is_main: Whether this process tells of it.
+        is_main: Whether this process reports it.
     """
 
     directory: RunDirectory
@@ -113,126 +115,61 @@ def run(request: RunRequest) -> RunOutcome:
         KickbenchError: A run is in the way, or cannot be gone on with, or training diverged.
     """
     check_device(request.device)
-    ranks = read_ranks(request.device)
-    experiment = load_trial(request.task, request.method, request.all_overrides(), request.scale)
-    settings = experiment.method.spec.algorithm
-    if ranks.share(settings.num_envs) * settings.steps_per_env < 2:
-        raise KickbenchError(
-            "one sample an iteration and process: advantages are standardised in each of them"
-        )
-    _check_matmul(experiment, ranks.device.type)
-    threads = request.threads or max(1, usable_cores() // ranks.local_size)
-    _check_text(request.out)
-    default = Path("runs", experiment.task.name, experiment.method.name, f"seed{request.seed}")
-    directory = RunDirectory(request.out or default)
-    initial = None
+    ranks, trial = read_ranks(request.device), request.load()
+    _check_feasible(request, trial, ranks)
+    default = Path("runs", trial.task.name, trial.method.name, f"seed{request.seed}")
+    directory, initial = RunDirectory(request.out or default), None
     if request.init_from is not None:
-        experiment, initial = begin_from(experiment, load_run(request.init_from), request.init_std)
+        trial, initial = begin_from(trial, load_run(request.init_from), request.init_std)
     with joined(ranks), directory.occupied() if ranks.is_main else nullcontext():
-        return _run_in(directory, experiment, request, threads, ranks, initial)
+        taken = _open_together(request, directory, trial, ranks, initial)
+        if taken.finished:
+            metrics = load_metrics(directory.metrics) if ranks.is_main else None
+            return RunOutcome(directory, None, metrics, ranks.is_main)
+        threads = request.threads or max(1, usable_cores() // ranks.local_size)
+        history = _history(request, trial, ranks, threads, initial, taken)
+        trainer = _make_trainer(request, trial, taken.directory or directory, ranks, threads, history)
+        _start(trainer, taken, initial)
+        training = trainer.train(trial.method.spec.algorithm.iterations)
+        if training.interrupted or not ranks.is_main:
+            return RunOutcome(directory, training, None, ranks.is_main)
+        metrics = _evaluate(trainer, training, taken.directory or directory, history, threads)
+        directory.take_over()
+        return RunOutcome(directory, training, metrics)
 
 
-def _experiment_ref(path: Path | None) -> ExperimentRef | None:
-    if path is None:
-        return None
-    experiment = load_experiment(path)
-    return ExperimentRef(name=experiment.name, claims=experiment.claims_hash)
-
-
-def _check_text(out: Path | None) -> None:
+def _check_feasible(request: RunRequest, trial: Trial, ranks: Ranks) -> None:
+    """Refuses what would fail later."""
+    settings, document = trial.method.spec.algorithm, trial.method.document
+    if ranks.share(settings.num_envs) * settings.steps_per_env < 2:
+        what = "one sample an iteration and process: advantages are standardised in each of them"
+        raise KickbenchError(what)
+    if settings.matmul == "tf32" and ranks.device.type != "cuda":
+        what = f"tf32 needs a GPU, and the device is {ranks.device.type}"
+        raise SpecError([document.problem(("algorithm", "matmul"), what, "use float32")])
     try:
-        str(out).encode()
+        str(request.out).encode()
     except UnicodeEncodeError:
-        raise KickbenchError(
-            f"{shown(str(out))}: the path is not UTF-8, and MuJoCo could not read the run"
-        ) from None
+        what = "the path is not UTF-8, and MuJoCo could not read the run"
+        raise KickbenchError(f"{shown(str(request.out))}: {what}") from None
 
 
-def _check_matmul(experiment: Trial, device: str) -> None:
-    method = experiment.method
-    if method.spec.algorithm.matmul == "tf32" and device != "cuda":
-        what = f"tf32 needs a GPU, and the device is {device}"
-        raise SpecError([method.document.problem(("algorithm", "matmul"), what, "use float32")])
-
-
-def _run_in(
-    directory: RunDirectory,
-    experiment: Trial,
-    request: RunRequest,
-    threads: int,
-    ranks: Ranks,
-    initial: Initial | None,
-) -> RunOutcome:
-    taken = _open_together(request, directory, experiment, ranks, initial)
-    made = taken.directory or directory
-    if taken.finished:
-        metrics = load_metrics(directory.metrics) if ranks.is_main else None
-        return RunOutcome(directory, None, metrics, ranks.is_main)
-    history = RunHistory(
-        experiment.task.name,
-        experiment.method.name,
-        request.seed,
-        scale=request.scale,
-        num_threads=threads,
-        num_processes=ranks.size,
-        device=request.device,
-        argv=request.command,
-        experiment=_experiment_ref(request.experiment),
-        initial=initial.ref if initial else None,
-        earlier=earlier_parts(taken.state["run"]) if taken.state else (),
-    )
-    device = str(ranks.device)
-    trainer = make_trainer(
-        experiment, made, request.seed, threads, history, ranks, device=device, graph=request.graph
-    )
-    if initial is not None:
-        trainer.ppo.get_policy().load_state_dict(initial.policy.state_dict())
-    if taken.state:
-        trainer.load_state_dict(taken.state)
-        if ranks.is_main:
-            made.reopen()
-            update_specs(made, experiment)
-    training = trainer.train(experiment.method.spec.algorithm.iterations)
-    if training.interrupted or not ranks.is_main:
-        return RunOutcome(directory, training, None, ranks.is_main)
-    # Wherever a policy was trained, the CPU's engine evaluates it: figures compare, and `eval` gives them again.
-    policy = trainer.ppo.get_policy().eval().cpu()
-    save_policy(made.policy, policy)
-    try:
-        sides, equivariance = run_sides(experiment.task, policy, experiment.symmetry, num_threads=threads)
-    except KeyboardInterrupt:
-        return RunOutcome(directory, training, None)
-    write_episodes(made.episodes, sides)
-    metrics = _metrics(experiment, history, training, sides, equivariance)
-    made.finish(metrics)
-    directory.take_over()
-    return RunOutcome(directory, training, metrics)
-
-
-def _open(request: RunRequest, directory: RunDirectory, experiment: Trial, initial: Initial | None) -> Resume:
+def _open(request: RunRequest, directory: RunDirectory, trial: Trial, initial: Initial | None) -> Resume:
     directory.take_over()  # in case the process that was to do it has been killed
-    if request.resume:
-        extend = request.iterations is not None
-        return take_up(
-            directory, experiment, request.seed, scale=request.scale, extend=extend, initial=initial
-        )
-    return begin(directory.prepare(request.force), experiment, initial)
+    if not request.resume:
+        return begin(directory.prepare(request.force), trial, initial)
+    extend = request.iterations is not None
+    return take_up(directory, trial, request.seed, scale=request.scale, extend=extend, initial=initial)
 
 
 def _open_together(
-    request: RunRequest,
-    directory: RunDirectory,
-    experiment: Trial,
-    ranks: Ranks,
-    initial: Initial | None,
+    request: RunRequest, directory: RunDirectory, trial: Trial, ranks: Ranks, initial: Initial | None
 ) -> Resume:
-    """Rank 0 looks into the directory, and tells the others what it has found."""
-    if ranks.size == 1:
-        return _open(request, directory, experiment, initial)
+    """Rank 0 looks into the directory, and sends the others what it has found."""
     taken, refusal = Resume(), None
     if ranks.is_main:
         try:
-            taken = _open(request, directory, experiment, initial)
+            taken = _open(request, directory, trial, initial)
         except KickbenchError as error:
             refusal = error
     if ranks.any(refusal is not None):
@@ -241,65 +178,98 @@ def _open_together(
     return Resume(found["state"], found["finished"], taken.directory)
 
 
-def _metrics(
-    experiment: Trial,
+def _history(
+    request: RunRequest, trial: Trial, ranks: Ranks, threads: int, initial: Initial | None, taken: Resume
+) -> RunHistory:
+    experiment = load_experiment(request.experiment) if request.experiment else None
+    return RunHistory(
+        trial.task.name,
+        trial.method.name,
+        request.seed,
+        scale=request.scale,
+        num_threads=threads,
+        num_processes=ranks.size,
+        device=request.device,
+        argv=request.command,
+        experiment=ExperimentRef(name=experiment.name, claims=experiment.claims_hash) if experiment else None,
+        initial=initial.ref if initial else None,
+        earlier=earlier_parts(taken.state["run"]) if taken.state else (),
+    )
+
+
+def _make_trainer(
+    request: RunRequest,
+    trial: Trial,
+    directory: RunDirectory,
+    ranks: Ranks,
+    threads: int,
     history: RunHistory,
-    training: TrainingResult,
-    sides: EpisodeSides,
-    equivariance: EquivarianceError | None,
-) -> Metrics:
-    extended = training.iterations > training.horizon
-    return Metrics(
+) -> Trainer:
+    """Seeds everything and builds environments, networks and progress displays."""
+    seed, task, method = ranks.seed(request.seed), trial.task, trial.method.spec
+    torch.manual_seed(seed)
+    num_envs = ranks.share(method.algorithm.num_envs)
+    env = KickEnv(task, make_engine(task, num_envs, str(ranks.device), num_threads=threads), seed)
+
+    def success(trained: MLPModel) -> dict[str, float]:
+        """Success of the policy in training; changes nothing of it."""
+        with torch.random.fork_rng(devices=[]):
+            policy = build_actor(method, trial.symmetry.groups["actor"], trial.symmetry.actions).eval()
+        policy.load_state_dict(trained.state_dict())
+        return success_by_side(task, policy, threads)
+
+    return Trainer(
+        trial,
+        env,
+        RunProgress(directory.progress, directory.tensorboard) if ranks.is_main else Progress(),
+        Checkpoints(directory.checkpoints),
+        history,
+        update_threads(method, threads),
+        graph=not request.no_graph,
+        ranks=ranks,
+        evaluate=success,
+    )
+
+
+def _start(trainer: Trainer, taken: Resume, initial: Initial | None) -> None:
+    """Brings a trainer to where the run stands."""
+    if initial is not None:
+        trainer.ppo.get_policy().load_state_dict(initial.policy.state_dict())
+    if taken.state:
+        trainer.load_state_dict(taken.state)
+        if taken.directory is not None:
+            taken.directory.reopen()
+            update_specs(taken.directory, trainer.trial)
+
+
+def _evaluate(
+    trainer: Trainer, training: TrainingResult, made: RunDirectory, history: RunHistory, threads: int
+) -> Metrics | None:
+    """Evaluates a trained policy and writes the result; None if that is interrupted."""
+    # Wherever a policy was trained, the CPU's engine evaluates it: figures compare, and `eval` gives them again.
+    policy, trial = trainer.ppo.get_policy().eval().cpu(), trainer.trial
+    save_policy(made.policy, policy)
+    try:
+        sides, equivariance = run_sides(trial.task, policy, trial.symmetry, num_threads=threads)
+    except KeyboardInterrupt:
+        return None
+    write_episodes(made.episodes, sides)
+    metrics = Metrics(
         **history.labels,
         iterations=training.iterations,
         env_steps=training.env_steps,
         training_seconds=round(training.seconds, 3),
-        schedule_iterations=training.horizon if extended else None,
-        evaluation=_summary(experiment.task, sides, equivariance),
+        schedule_iterations=training.horizon if training.iterations > training.horizon else None,
+        evaluation=_summary(trial.task, sides, equivariance),
         provenance=history.provenance(training.env_steps),
     )
+    made.finish(metrics)
+    return metrics
 
 
 def _summary(task: CompiledTask, sides: EpisodeSides, equivariance: EquivarianceError | None) -> Evaluation:
-    spec = task.spec
-    radius, interval = spec.evaluation.success_radius, spec.simulation.control_interval
+    radius, interval = task.spec.evaluation.success_radius, task.spec.simulation.control_interval
     return summarise_sides(sides, radius, interval, equivariance)
-
-
-def make_trainer(
-    experiment: Trial,
-    directory: RunDirectory,
-    seed: int,
-    threads: int,
-    history: RunHistory,
-    ranks: Ranks = ALONE,
-    *,
-    device: str = "cpu",
-    graph: bool = True,
-) -> Trainer:
-    """Seeds everything and builds environments, networks and progress displays."""
-    own_seed = ranks.seed(seed)
-    torch.manual_seed(own_seed)
-    worlds = ranks.share(experiment.method.spec.algorithm.num_envs)
-    engine = make_engine(experiment.task, worlds, device, num_threads=threads)
-    env = KickEnv(experiment.task, engine, own_seed)
-    title = f"{experiment.task.name} / {experiment.method.name} / seed {seed}"
-    shown = standard_progress(directory.progress, directory.tensorboard, title) if ranks.is_main else None
-    update = update_threads(experiment.method.spec, threads)
-    checkpoints = Checkpoints(directory.checkpoints)
-    progress = shown or ProgressGroup(())
-
-    def success(trained: MLPModel) -> dict[str, float]:
-        """Success of the policy in training; changes nothing of it."""
-        symmetry = experiment.symmetry
-        with torch.random.fork_rng(devices=[]):
-            policy = build_actor(experiment.method.spec, symmetry.groups["actor"], symmetry.actions).eval()
-        policy.load_state_dict(trained.state_dict())
-        return success_by_side(experiment.task, policy, threads)
-
-    return Trainer(
-        experiment, env, progress, checkpoints, history, update, graph=graph, ranks=ranks, evaluate=success
-    )
 
 
 def train(
@@ -336,24 +306,23 @@ def train(
     """
     task = find(task, "task")
     method = find_method(method, task, overrides)
-    flags = {"--iterations": iterations, "--num-envs": num_envs}
+    flags = {"--seed": seed, "--iterations": iterations, "--num-envs": num_envs}
     settings = [(flag, str(value)) for flag, value in flags.items() if value is not None]
     settings += [("--set", override) for override in overrides]
-    outcome = run(
-        RunRequest(
-            task,
-            method,
-            seed,
-            overrides=tuple(overrides),
-            iterations=iterations,
-            num_envs=num_envs,
-            out=None if out is None else Path(out),
-            device=device,
-            force=force,
-            resume=resume,
-            command=("kickbench", "run", str(task), str(method), "--seed", str(seed), *chain(*settings)),
-        )
+    request = RunRequest(
+        task=task,
+        method=method,
+        seed=seed,
+        overrides=overrides,
+        iterations=iterations,
+        num_envs=num_envs,
+        out=None if out is None else Path(out),
+        device=device,
+        force=force,
+        resume=resume,
+        command=["kickbench", "run", str(task), str(method), *(text for pair in settings for text in pair)],
     )
+    outcome = run(request)
     if outcome.training is not None and outcome.training.interrupted:
         raise KeyboardInterrupt
     return load_run(outcome.directory.path)
@@ -391,7 +360,5 @@ def evaluate(
         compiled, symmetry, function = read_task(task), None, policy
     else:
         raise TypeError("evaluate: a policy that is no run needs a `task`")
-    sides, equivariance = run_sides(
-        compiled, function, symmetry, episodes=episodes, seed=seed, num_threads=threads
-    )
-    return _summary(compiled, sides, equivariance)
+    figures = run_sides(compiled, function, symmetry, episodes=episodes, seed=seed, num_threads=threads)
+    return _summary(compiled, *figures)

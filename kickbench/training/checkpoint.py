@@ -1,4 +1,7 @@
-"""Checkpoints and policies as files: tensors and plain values, never unpickled code."""
+"""Checkpoints and policies as files: tensors and plain values, never unpickled code.
+
+Imports torch only where a file is written or loaded: `kickbench status` looks at them without.
+"""
 
 from __future__ import annotations
 
@@ -6,14 +9,14 @@ import io
 import sys
 from pathlib import Path
 from pickle import UnpicklingError
-from typing import Any
-
-import torch
-from rsl_rl.models import MLPModel
+from typing import TYPE_CHECKING, Any
 
 from kickbench.errors import KickbenchError, shown
 from kickbench.results.atomic import atomic_write_bytes, read_regular
 from kickbench.results.integrity import with_digest, without_digest
+
+if TYPE_CHECKING:
+    from rsl_rl.models import MLPModel
 
 FORMAT = 4
 """Version of a checkpoint's layout: from 4 on its SHA-256 stands behind it."""
@@ -40,13 +43,13 @@ class Checkpoints:
         Those of later iterations go too: they were damaged, and the run has been taken up before them.
         """
         _write(self.folder / f"iteration_{iteration:06d}.pt", {"format": FORMAT, **state})
-        older = [file for file in self.files() if _iteration(file) <= iteration]
+        older = [file for file in self.files() if iteration_of(file) <= iteration]
         for file in set(self.files()) - set(older[-self._KEPT :]):
             file.unlink(missing_ok=True)
 
     def files(self) -> list[Path]:
         """The checkpoints, in the order of their iterations."""
-        return sorted(self.folder.glob("iteration_*.pt"), key=_iteration)
+        return sorted(self.folder.glob("iteration_*.pt"), key=iteration_of)
 
     def load(self) -> dict[str, Any] | None:
         """Reads the newest checkpoint that is whole, None if there are no checkpoints; a damaged one is reported.
@@ -83,12 +86,12 @@ def load_policy(path: Path, policy: MLPModel) -> None:
         KickbenchError: The file is missing, damaged or of another network.
     """
     try:
-        policy.load_state_dict(_read(path, digest_from=_POLICY_FORMAT)["actor_state_dict"])
+        weights = _read(path, digest_from=_POLICY_FORMAT)["actor_state_dict"]
     except FileNotFoundError:
         raise KickbenchError(f"{path}: no policy; did the run finish?") from None
     except (RuntimeError, LookupError, TypeError, ValueError, EOFError, OSError, UnpicklingError) as error:
         raise KickbenchError(f"{path}: this policy cannot be loaded: {error}") from None
-    policy.eval()
+    _load(path, policy, weights)
 
 
 def load_unfinished(checkpoints: Checkpoints, policy: MLPModel) -> int:
@@ -97,25 +100,38 @@ def load_unfinished(checkpoints: Checkpoints, policy: MLPModel) -> int:
     Raises:
         KickbenchError: There is no checkpoint that can be read, or it is of another network.
     """
-    state = checkpoints.load()
+    folder, state = checkpoints.folder, checkpoints.load()
     if state is None:
-        raise KickbenchError(
-            f"{shown(checkpoints.folder.parent)}: no policy and no checkpoint; train it first"
-        )
-    try:
-        policy.load_state_dict(state["learner"]["actor_state_dict"])
-    except (RuntimeError, LookupError, TypeError) as error:
-        raise KickbenchError(f"{shown(checkpoints.folder)}: this policy cannot be loaded: {error}") from None
-    policy.eval()
+        raise KickbenchError(f"{shown(folder.parent)}: no policy and no checkpoint; train it first")
+    _load(folder, policy, state["learner"]["actor_state_dict"])
     return state["iteration"]
 
 
-def _iteration(file: Path) -> int:
+def _load(where: Path, policy: MLPModel, weights: dict[str, Any]) -> None:
+    try:
+        policy.load_state_dict(weights)
+    except (RuntimeError, LookupError, TypeError) as error:
+        raise KickbenchError(f"{shown(where)}: this policy cannot be loaded: {error}") from None
+    policy.eval()
+
+
+def iteration_of(file: Path) -> int:
+    """The iteration of a checkpoint, by the file's name."""
     digits = file.stem.removeprefix("iteration_")
     return int(digits) if digits.isdecimal() else -1
 
 
+def is_whole(file: Path) -> bool:
+    """Whether a checkpoint has the SHA-256 of its content behind it."""
+    try:
+        return without_digest(read_regular(file)) is not None
+    except (OSError, ValueError):
+        return False
+
+
 def _write(path: Path, content: dict[str, Any]) -> None:
+    import torch
+
     buffer = io.BytesIO()
     torch.save(content, buffer)
     atomic_write_bytes(path, with_digest(buffer.getvalue()))
@@ -123,6 +139,8 @@ def _write(path: Path, content: dict[str, Any]) -> None:
 
 def _read(path: Path, digest_from: int) -> dict[str, Any]:
     """Reads a file whose digest, if it has one, is right; from a format on it must have one."""
+    import torch
+
     data = read_regular(path)
     body = without_digest(data)
     content = torch.load(io.BytesIO(data if body is None else body), weights_only=True, map_location="cpu")

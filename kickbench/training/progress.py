@@ -1,293 +1,260 @@
-"""What a training tells a person while it runs: one record an iteration, and the places that show it.
+"""What a training reports after every iteration: a bar or lines on the console, `progress.csv` and TensorBoard events.
 
-The trainer knows only `Progress`. `standard_progress` puts together the usual set: the console (a live panel
-or plain lines), `progress.csv` and TensorBoard.
+A record of an iteration is a flat table; its names are the columns of `progress.csv`. Means are over the episodes that
+ended in the iteration, NaN where none has.
+
+| name | content |
+|---|---|
+| `iteration` | index from 0 over the whole run, resumed or not |
+| `env_steps` | control steps so far, summed over envs |
+| `steps_per_second` | control steps of this iteration over its wall-clock time, 1/s |
+| `mean_return`, `mean_episode_steps` | undiscounted sum of weighted rewards, and control steps of an episode |
+| `success_rate`, `termination/<name>` | fractions of the episodes |
+| `reward/<name>`, `reward_raw/<name>` | sum over an episode, with and without the term's weight |
+| `loss/<name>`, `learning_rate`, `action_std` | of the update; mean standard deviation of the action noise |
+| `collect_seconds`, `update_seconds` | wall-clock time, s |
+| `resets_nonfinite` | envs reset because their state was not finite |
+| `residual_share/<network>` | share of the asymmetric residual in the norm of a relaxed network's weights |
+| `load/<name>` | most contacts per env and constraint rows in a substep, and the share of steps short of room (GPU) |
+| `curriculum/<key>` | level of every value that the curriculum moves, from 0 to 1 for the task's own |
+| `evaluation/<side>` | success of the policy in evaluations during the training; NaN in iterations without one |
 """
 
 from __future__ import annotations
 
+import csv
+import io
 import math
+import os
 import sys
-import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from numbers import Integral
 from pathlib import Path
-from typing import Protocol, TextIO
+from typing import IO, Any, TextIO
 
-Clock = Callable[[], float]
+from kickbench.errors import KickbenchError, printable
+from kickbench.evaluation.progress import Steps, percent
+from kickbench.results.atomic import atomic_write_text
+from kickbench.results.progress import CHECK, checked_rows, row_check
 
+Record = Mapping[str, float]
 
-@dataclass(frozen=True)
-class IterationRecord:
-    """What one training iteration did. Means are over the episodes that ended in it, unless said otherwise.
-
-    Attributes:
-        iteration: index of the iteration, from 0 over the whole run, resumed or not.
-        env_steps: control steps so far, summed over worlds.
-        steps_per_second: control steps of this iteration over its wall-clock time [1/s].
-        mean_return: undiscounted sum of weighted rewards of an episode.
-        mean_episode_steps: control steps of an episode.
-        success_rate: fraction in [0, 1]; NaN until the first episode has ended.
-        terminations: fraction of episodes by how they ended.
-        rewards: weighted sum over an episode, by reward term.
-        rewards_raw: the same without the weights.
-        losses: PPO's losses by name.
-        learning_rate: the optimiser's, after this iteration.
-        action_std: mean standard deviation of the action noise.
-        collect_seconds: wall-clock time of collecting [s].
-        update_seconds: wall-clock time of the update [s].
-        resets_nonfinite: worlds reset in this iteration because their state was not finite.
-        residual_shares: share of the asymmetric residual in the norm of a relaxed network's weights, by network.
-        load: most contacts a world and constraint rows in a substep, and the share of the control steps that lacked
-            room for them; empty on a CPU, which makes room.
-        curriculum: level of every value that the task's curriculum moves, from 0 to 1 for the task's own.
-        evaluation: success of the policy in evaluations during the training, by side; NaN in iterations without one.
-    """
-
-    iteration: int
-    env_steps: int
-    steps_per_second: float
-    mean_return: float
-    mean_episode_steps: float
-    success_rate: float
-    terminations: Mapping[str, float]
-    rewards: Mapping[str, float]
-    rewards_raw: Mapping[str, float]
-    losses: Mapping[str, float]
-    learning_rate: float
-    action_std: float
-    collect_seconds: float
-    update_seconds: float
-    resets_nonfinite: int
-    residual_shares: Mapping[str, float] = field(default_factory=dict)
-    load: Mapping[str, float] = field(default_factory=dict)
-    curriculum: Mapping[str, float] = field(default_factory=dict)
-    evaluation: Mapping[str, float] = field(default_factory=dict)
+_START_AGAIN = "the table of the training cannot be completed; --force starts the run again"
 
 
-class Progress(Protocol):
-    """Somewhere a training is shown: `start` once, `update` after each iteration, `close` once, always."""
+class Progress:
+    """Somewhere a training is shown: `start` once, `update` after each iteration, `close` once. This one: nowhere."""
 
     def start(self, total_iterations: int, first_iteration: int) -> None:
         """Training begins, or goes on.
 
         Args:
-            total_iterations: number of iterations of the whole run, what came before a resume included.
-            first_iteration: index of the next iteration; above 0 on a resume.
+            total_iterations: Number of iterations of the whole run, what came before a resume included.
+            first_iteration: Index of the next iteration; above 0 on a resume.
         """
-        ...
 
-    def update(self, record: IterationRecord) -> None:
+    def update(self, record: Record) -> None:
         """One iteration is done."""
-        ...
 
     def close(self) -> None:
         """Training has ended, been interrupted or failed."""
-        ...
 
 
-class ProgressGroup:
-    """Several places at once, told in the order given.
-
-    Args:
-        members: where the training is shown.
-    """
-
-    def __init__(self, members: Sequence[Progress]) -> None:
-        self._members = tuple(members)
-
-    def start(self, total_iterations: int, first_iteration: int) -> None:
-        """Start every member."""
-        for member in self._members:
-            member.start(total_iterations, first_iteration)
-
-    def update(self, record: IterationRecord) -> None:
-        """Pass the record to every member."""
-        for member in self._members:
-            member.update(record)
-
-    def close(self) -> None:
-        """Close every member, even if one of them fails; the first failure is raised at the end."""
-        failures: list[Exception] = []
-        for member in self._members:
-            try:
-                member.close()
-            except Exception as failure:
-                failures.append(failure)
-        if failures:
-            raise failures[0]
-
-
-class Countdown:
-    """Iterations done and the time left, from the mean pace since the start (or the resume).
+class RunProgress(Progress):
+    """What every run uses: `progress.csv`, TensorBoard and the console.
 
     Args:
-        clock: seconds that only grow; another one in tests.
+        csv_path: The run's `progress.csv`.
+        tensorboard: Folder of the event files.
+        stream: The console's output; default: standard output.
     """
 
-    def __init__(self, clock: Clock = time.monotonic) -> None:
-        self._clock = clock
-        self.total = self._first = self.done = 0
-        self._started = self._advanced = clock()
+    def __init__(self, csv_path: Path, tensorboard: Path, stream: TextIO | None = None) -> None:
+        self._files = (CsvProgress(csv_path), TensorBoardProgress(tensorboard))
+        self._stream, self._open = stream or sys.stdout, ExitStack()
 
     def start(self, total_iterations: int, first_iteration: int) -> None:
-        """Start counting at `first_iteration` of `total_iterations`."""
-        self.total, self._first, self.done = total_iterations, first_iteration, first_iteration
-        self._started = self._advanced = self._clock()
-
-    def advance(self, record: IterationRecord) -> None:
-        """Count the iteration of `record` as done."""
-        self.done = record.iteration + 1
-        self._advanced = self._clock()
-
-    @property
-    def fraction(self) -> float:
-        """Share of the whole run that is done, in [0, 1]."""
-        return self.done / self.total if self.total else 1.0
-
-    @property
-    def seconds_left(self) -> float:
-        """Expected wall-clock time to the end [s]; NaN before the first iteration."""
-        here = self.done - self._first
-        if here < 1:
-            return math.nan
-        # The pace is that of the iterations done; the time since the last of them is time gone of what is left.
-        left = (self._advanced - self._started) / here * max(0, self.total - self.done)
-        return max(0.0, left - (self._clock() - self._advanced))
-
-
-class PlainProgress:
-    """Lines for a pipe or a log: the first and the last iteration, and one every 10 s or 5 % in between.
-
-    Args:
-        stream: where the lines go, standard output if left out.
-        clock: seconds that only grow; another one in tests.
-    """
-
-    _EVERY_SECONDS = 10.0
-    _EVERY_FRACTION = 0.05
-
-    def __init__(self, stream: TextIO | None = None, clock: Clock = time.monotonic) -> None:
-        self._stream = stream or sys.stdout
-        self._clock = clock
-        self._countdown = Countdown(clock)
-        self._last: IterationRecord | None = None
-        self._printed: IterationRecord | None = None
-        self._printed_at = self._printed_fraction = 0.0
-
-    def start(self, total_iterations: int, first_iteration: int) -> None:
-        """Say how much there is to do."""
-        self._countdown.start(total_iterations, first_iteration)
+        """See `Progress.start`. The console comes last: once the files are known to be writable."""
+        for file in self._files:
+            file.start(total_iterations, first_iteration)
+            self._open.callback(file.close)
         resumed = f", resumed at {first_iteration}" if first_iteration else ""
-        self._write(f"training: {total_iterations} iterations{resumed}")
+        print(f"training: {total_iterations} iterations{resumed}", file=self._stream, flush=True)
+        steps = Steps("training", "iterations", total_iterations, first_iteration, self._stream)
+        self._steps = self._open.enter_context(steps)
 
-    def update(self, record: IterationRecord) -> None:
-        """Print a line, if it is time for one."""
-        self._countdown.advance(record)
-        self._last = record
-        if self._is_due():
-            self._print(record)
+    def update(self, record: Record) -> None:
+        """See `Progress.update`."""
+        for file in self._files:
+            file.update(record)
+        self._steps.advance(text=describe(record))
 
     def close(self) -> None:
-        """Print the last iteration, unless it was."""
-        if self._last is not None and self._last is not self._printed:
-            self._print(self._last)
-
-    def _is_due(self) -> bool:
-        if self._printed is None or self._countdown.done >= self._countdown.total:
-            return True
-        # A little slack: 0.05 is not a sum of twentieths of anything in binary.
-        due_fraction = self._printed_fraction + self._EVERY_FRACTION - 1e-9
-        return (
-            self._clock() - self._printed_at >= self._EVERY_SECONDS
-            or self._countdown.fraction >= due_fraction
-        )
-
-    def _print(self, record: IterationRecord) -> None:
-        self._printed, self._printed_at = record, self._clock()
-        self._printed_fraction = self._countdown.fraction
-        self._write(plain_line(record, self._countdown))
-
-    def _write(self, line: str) -> None:
-        print(line, file=self._stream, flush=True)
+        """Closes all of them, even if one fails."""
+        self._open.close()
 
 
-def plain_line(record: IterationRecord, countdown: Countdown) -> str:
-    """One line on an iteration, its columns fixed so that a log can be read downwards."""
-    total = countdown.total
-    count = f"{countdown.done:>{len(str(total))}}/{total}"
+def describe(record: Record) -> str:
+    """An iteration in one line: speed, return, success, how episodes ended, and what went wrong."""
+    mean_return = record["mean_return"]
     parts = [
-        f"{count} ({countdown.fraction:4.0%})",
-        f"{record.env_steps:>11,} steps",
-        f"{record.steps_per_second:>8,.0f} steps/s",
-        f"return {figure(record.mean_return, 2):>8}",
-        f"success {percent(record.success_rate):>6}",
-        f"left {duration(countdown.seconds_left):>7}",
-        describe_terminations(record.terminations),
-        ", ".join(f"{side} {percent(rate)}" for side, rate in record.evaluation.items() if rate == rate),
+        f"{record['steps_per_second']:,.0f} steps/s",
+        f"return {'-' if math.isnan(mean_return) else f'{mean_return:,.2f}'}",
+        f"success {percent(record['success_rate'])}",
+        ", ".join(_terminations(record)),
+        ", ".join(f"{side} {percent(rate)}" for side, rate in _group(record, "evaluation") if rate == rate),
     ]
-    if record.resets_nonfinite:
-        parts.append(f"NON-FINITE WORLDS RESET: {record.resets_nonfinite}")
-    if record.load.get("short_share"):
-        parts.append(f"STEPS SHORT OF ROOM FOR CONTACTS: {record.load['short_share']:.3%}")
+    if record["resets_nonfinite"]:
+        parts.append(f"NON-FINITE ENVS RESET: {record['resets_nonfinite']}")
+    if short := record.get("load/short_share"):
+        parts.append(f"STEPS SHORT OF ROOM FOR CONTACTS: {short:.3%}")
     return "  ".join(part for part in parts if part)
 
 
-def percent(fraction: float) -> str:
-    """`71.3 %`, or `-` for a fraction that is not known yet."""
-    return "-" if math.isnan(fraction) else f"{100 * fraction:.1f} %"
+def _terminations(record: Record) -> Iterator[str]:
+    """The shares of the terminations that occurred, most frequent first."""
+    for name, share in sorted(_group(record, "termination"), key=lambda item: (-item[1], item[0])):
+        if share > 0:
+            yield f"{name} {100 * share:.0f} %"
 
 
-def figure(value: float, decimals: int) -> str:
-    """A number with so many decimals, or `-` if no episode has told it yet (NaN)."""
-    return "-" if math.isnan(value) else f"{value:,.{decimals}f}"
+def _group(record: Record, group: str) -> Iterator[tuple[str, float]]:
+    """The figures `group/<name>` by name."""
+    for name, value in record.items():
+        if name.startswith(f"{group}/"):
+            yield name.partition("/")[2], value
 
 
-def duration(seconds: float) -> str:
-    """`1:05:09`, `3:20`, or `-` if not known."""
-    if not math.isfinite(seconds):
-        return "-"
-    minutes, rest = divmod(round(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"
+class CsvProgress(Progress):
+    """`progress.csv`: a header from the first record, then a row an iteration, on the disk before the next begins.
 
-
-def describe_terminations(terminations: Mapping[str, float]) -> str:
-    """The shares of the terminations that occurred, most frequent first: `timeout 71 %, fell 29 %`."""
-    occurred = {name: share for name, share in terminations.items() if share > 0}
-    ordered = sorted(occurred.items(), key=lambda item: (-item[1], item[0]))
-    return ", ".join(f"{name} {100 * share:.0f} %" for name, share in ordered)
-
-
-def console_progress(title: str = "training", stream: TextIO | None = None) -> Progress:
-    """The display that fits the output: a live panel on a terminal, plain lines elsewhere.
+    On a resume the rows of iterations that will be run again, and a row that a kill cut short, are dropped; the others
+    are all there, since a checkpoint is written after the rows of its iterations.
 
     Args:
-        title: heading of the panel.
-        stream: the output, standard output if left out.
+        path: The file.
     """
-    output = stream or sys.stdout
-    if not output.isatty():
-        return PlainProgress(output)
-    from kickbench.training.progress_terminal import TerminalProgress
 
-    return TerminalProgress(title, output)
+    def __init__(self, path: Path) -> None:
+        self._path = Path(path)
+        self._file: IO[str] | None = None
+        self._columns: list[str] | None = None
+
+    def start(self, total_iterations: int, first_iteration: int) -> None:
+        """Keeps the rows before `first_iteration`, and opens the file to append to them.
+
+        Raises:
+            KickbenchError: They are not one row of each iteration, in order.
+        """
+        kept = rows_before(self._path, first_iteration)
+        self._columns = kept[0] if kept else None
+        atomic_write_text(self._path, _to_csv(kept[0], kept[1:], with_header=True) if kept else "")
+        self._file = open(self._path, "a", encoding="utf-8", newline="")  # noqa: SIM115 (open until close())
+
+    def update(self, record: Record) -> None:
+        """Appends a row. A name that the header lacks is an error: columns would lose their meaning."""
+        assert self._file is not None, "start() comes before update()"
+        is_first = self._columns is None
+        if self._columns is None:
+            self._columns = list(record)
+        if unknown := [name for name in record if name not in self._columns]:
+            raise KickbenchError(f"{self._path}: no column for {', '.join(unknown)}")
+        row = [_format(record.get(name)) for name in self._columns]
+        self._file.write(_to_csv(self._columns, [row], with_header=is_first))
+        self._file.flush()
+        os.fsync(self._file.fileno())
+
+    def close(self) -> None:
+        """Closes the file."""
+        if self._file is not None:
+            self._file.close()
 
 
-def standard_progress(
-    csv_path: Path, tensorboard_folder: Path, title: str = "training", stream: TextIO | None = None
-) -> ProgressGroup:
-    """What every run uses: the console, `progress.csv` and TensorBoard.
+def rows_before(path: Path, first_iteration: int) -> list[list[str]]:
+    """Reads header and rows of the iterations below `first_iteration`; nothing if it is the first.
+
+    Raises:
+        KickbenchError: They are not one row of each iteration, in order.
+    """
+    if first_iteration == 0:
+        return []
+    if not path.is_file():
+        raise KickbenchError(f"{path}: missing; {_START_AGAIN}")
+    rows = checked_rows(path)
+    if not rows or rows[0][:1] != ["iteration"]:
+        raise KickbenchError(f"{path}:1: expected a progress table whose first column is iteration")
+    kept = rows[1 : first_iteration + 1]
+    for index in range(first_iteration):
+        if index >= len(kept) or len(kept[index]) != len(rows[0]) or kept[index][0] != str(index):
+            what = f"expected the row of iteration {index}, of {first_iteration} before the checkpoint"
+            raise KickbenchError(f"{path}:{index + 2}: {what}; {_START_AGAIN}")
+    return [rows[0], *kept]
+
+
+def _to_csv(columns: list[str], rows: list[list[str]], *, with_header: bool) -> str:
+    """Rows as text, each with its check behind it."""
+    header, *lines = (_line(cells) for cells in (columns, *rows))
+    body = [f"{line},{row_check(header, line)}\n" for line in lines]
+    return "".join([f"{header},{CHECK}\n"] * with_header + body)
+
+
+def _line(cells: list[str]) -> str:
+    buffer = io.StringIO()
+    csv.writer(buffer, lineterminator="").writerow(cells)
+    return buffer.getvalue()
+
+
+def _format(value: float | None) -> str:
+    """Whole numbers as they are, others with six significant digits, nothing for what is absent."""
+    if value is None:
+        return ""
+    # Integral, not int: a numpy integer must keep all its digits too.
+    return str(value) if isinstance(value, Integral) else f"{value:.6g}"
+
+
+class TensorBoardProgress(Progress):
+    """TensorBoard events, the step being the iteration: a convenience, whose failure is reported once and ends nothing.
 
     Args:
-        csv_path: the run's `progress.csv`.
-        tensorboard_folder: folder of the event files.
-        title: heading of the live panel.
-        stream: the console's output, standard output if left out.
+        folder: Folder of the event files.
     """
-    from kickbench.training.progress_files import CsvProgress, TensorBoardProgress
 
-    # The console comes last: it is up only once the files are known to be writable.
-    return ProgressGroup(
-        [CsvProgress(csv_path), TensorBoardProgress(tensorboard_folder), console_progress(title, stream)]
-    )
+    def __init__(self, folder: Path) -> None:
+        self._folder = Path(folder)
+        self._writer: Any = None
+
+    def start(self, total_iterations: int, first_iteration: int) -> None:
+        """Opens an event file; events from `first_iteration` on that a killed run has left are purged."""
+        with self._or_without():
+            # Slow to import, and not needed by anything else.
+            from torch.utils.tensorboard.writer import SummaryWriter
+
+            self._writer = SummaryWriter(str(self._folder), purge_step=first_iteration)
+
+    def update(self, record: Record) -> None:
+        """Writes one scalar for each figure that is known."""
+        if self._writer is None:
+            return
+        with self._or_without():
+            for name, value in record.items():
+                if name != "iteration" and not math.isnan(value):
+                    tag = name if "/" in name else f"train/{name}"
+                    self._writer.add_scalar(tag, value, record["iteration"])
+            # A process that is killed later leaves what it has written, as in the table.
+            self._writer.flush()
+
+    def close(self) -> None:
+        """Closes the event file."""
+        if self._writer is not None:
+            with self._or_without():
+                self._writer.close()
+
+    @contextmanager
+    def _or_without(self) -> Iterator[None]:
+        """Whatever the writer fails with (a full disk, a missing package), training goes on without it."""
+        try:
+            yield
+        except Exception as error:
+            self._writer = None
+            print(f"no TensorBoard events: {printable(str(error))}", file=sys.stderr)

@@ -2,7 +2,7 @@
 
 Each process has its share of the method's environments, on a GPU of its own if there are GPUs. rsl_rl averages the
 gradients and the KL divergence over the processes, and the normalisers' statistics are those of all samples; so the
-weights stay the same everywhere, and so does the learning rate. Only what is of the process, its worlds and its random
+weights stay the same everywhere, and so does the learning rate. Only what is of the process, its envs and its random
 numbers, differs. The process of rank 0 writes, prints and evaluates.
 """
 
@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import torch
 import torch.distributed
-from torch import Tensor, nn
+from torch import nn
 
 from kickbench.errors import KickbenchError
 
@@ -60,7 +60,7 @@ class Ranks:
         return num_envs // self.size
 
     def seed(self, seed: int) -> int:
-        """The seed of this process' worlds and exploration; rank 0 has the run's own."""
+        """The seed of this process' envs and exploration; rank 0 has the run's own."""
         if self.is_main:
             return seed
         return int(np.random.SeedSequence((seed, self.rank)).generate_state(1, np.uint64)[0] >> 1)
@@ -81,33 +81,25 @@ class Ranks:
 
     def gather(self, state: Mapping[str, Any]) -> list[Mapping[str, Any]]:
         """The states of all processes, tensors and plain values, in the order of their ranks."""
-        if self.size == 1:
-            return [state]
-        own = self._pack(state)
-        lengths = [torch.zeros(1, dtype=torch.int64, device=self.device) for _ in range(self.size)]
-        torch.distributed.all_gather(lengths, torch.tensor([len(own)], device=self.device))
-        longest = int(max(lengths))
-        padded = nn.functional.pad(own, (0, longest - len(own)))
-        parts = [torch.empty_like(padded) for _ in range(self.size)]
-        torch.distributed.all_gather(parts, padded)
-        return [_unpack(part[: int(length)]) for part, length in zip(parts, lengths, strict=True)]
+        return [self._broadcast(state, rank) for rank in range(self.size)]
 
     def from_main(self, state: Mapping[str, Any]) -> Mapping[str, Any]:
         """The state that rank 0 has; what the others pass is not read."""
+        return self._broadcast(state, 0)
+
+    def _broadcast(self, state: Mapping[str, Any], source: int) -> Mapping[str, Any]:
+        """The state that one process has."""
         if self.size == 1:
             return state
-        packed = self._pack(state if self.is_main else {})
-        length = torch.tensor([len(packed)], device=self.device)
-        torch.distributed.broadcast(length, src=0)
-        if not self.is_main:
-            packed = torch.empty(int(length), dtype=torch.uint8, device=self.device)
-        torch.distributed.broadcast(packed, src=0)
-        return _unpack(packed)
-
-    def _pack(self, state: Mapping[str, Any]) -> Tensor:
         buffer = io.BytesIO()
-        torch.save(dict(state), buffer)
-        return torch.frombuffer(bytearray(buffer.getvalue()), dtype=torch.uint8).to(self.device)
+        torch.save(dict(state) if self.rank == source else {}, buffer)
+        packed = torch.frombuffer(bytearray(buffer.getvalue()), dtype=torch.uint8).to(self.device)
+        length = torch.tensor([len(packed)], device=self.device)
+        torch.distributed.broadcast(length, src=source)
+        if self.rank != source:
+            packed = torch.empty(int(length), dtype=torch.uint8, device=self.device)
+        torch.distributed.broadcast(packed, src=source)
+        return torch.load(io.BytesIO(packed.cpu().numpy().tobytes()), weights_only=True, map_location="cpu")
 
 
 ALONE = Ranks()
@@ -165,7 +157,3 @@ def fingerprint(*modules: nn.Module) -> str:
         for tensor in module.state_dict().values():
             digest.update(tensor.detach().cpu().contiguous().view(-1).view(torch.uint8).numpy().tobytes())
     return digest.hexdigest()
-
-
-def _unpack(packed: Tensor) -> Mapping[str, Any]:
-    return torch.load(io.BytesIO(packed.cpu().numpy().tobytes()), weights_only=True, map_location="cpu")

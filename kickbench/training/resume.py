@@ -1,22 +1,28 @@
-"""Taking up a run that was interrupted, killed, or is to be longer."""
+"""How a run begins: anew, with the policy of another one (`--init-from`), or where it was interrupted or killed."""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
+import torch
+from rsl_rl.models import MLPModel
+
 from kickbench.errors import KickbenchError, Problem, SpecError, shown
-from kickbench.results.identity import ITERATIONS
+from kickbench.nets.build import build_actor
+from kickbench.results.identity import ITERATIONS, read_identity
 from kickbench.results.integrity import find_damage, seal
 from kickbench.results.metrics import load_metrics
+from kickbench.results.provenance import InitialRef
 from kickbench.results.specs import spec_differences, stored_method, write_specs
 from kickbench.results.store import RunDirectory
 from kickbench.training.checkpoint import Checkpoints, save_policy
-from kickbench.training.initial import Initial
-from kickbench.training.progress_files import rows_before
+from kickbench.training.progress import rows_before
+from kickbench.training.ranks import fingerprint
+from kickbench.training.trained import Run
 from kickbench.trials.trial import Trial
 
 
@@ -87,7 +93,7 @@ def take_up(
         return begin(directory, trial, initial)
     if _is_intact(directory) and directory.metrics.exists():
         recorded = load_metrics(directory.metrics)
-        _check_same(directory, trial, seed, scale, recorded.model_dump(), extend)
+        check_same(directory, trial, seed, scale, recorded.model_dump(), extend=extend)
         if recorded.iterations >= trial.method.spec.algorithm.iterations:
             return Resume(finished=True, directory=directory)
     state = Checkpoints(directory.checkpoints).load()
@@ -98,12 +104,12 @@ def take_up(
             )
         directory.clear()
         return begin(directory, trial, initial)
-    _check_same(directory, trial, seed, scale, state["run"], extend)
+    check_same(directory, trial, seed, scale, state["run"], extend=extend)
     rows_before(directory.progress, state["iteration"])  # before anything is removed
     return Resume(state, directory=directory)
 
 
-def run_differences(
+def check_same(
     directory: RunDirectory,
     trial: Trial,
     seed: int,
@@ -111,8 +117,8 @@ def run_differences(
     recorded: Mapping[str, Any] | None,
     *,
     extend: bool = False,
-) -> list[Problem]:
-    """Every key in which a run is another one than that which a directory's run was begun with.
+) -> None:
+    """Checks that the run of a directory is this one.
 
     Args:
         directory: The run directory; it holds a run.
@@ -123,7 +129,7 @@ def run_differences(
         extend: Whether the trial may have more iterations than the run.
 
     Raises:
-        SpecError: A stored spec is missing or not valid.
+        SpecError: It is another one, with every key that differs; or a stored spec is missing or not valid.
         KickbenchError: The run has no identity, or a damaged one.
     """
     problems = [
@@ -138,7 +144,8 @@ def run_differences(
         what = f"{wanted}, but the run has {had}"
         hint = f"--iterations {had} finishes it, a larger number extends it"
         problems.append(trial.method.document.problem(ITERATIONS, what, hint))
-    return problems
+    if problems:
+        raise SpecError([Problem(None, (), f"{shown(directory.path)} holds another run"), *problems])
 
 
 def _text(value: Any) -> str:
@@ -159,14 +166,69 @@ def _is_intact(directory: RunDirectory) -> bool:
     return damage is None
 
 
-def _check_same(
-    directory: RunDirectory,
-    trial: Trial,
-    seed: int,
-    scale: float | None,
-    recorded: Mapping[str, Any],
-    extend: bool,
-) -> None:
-    problems = run_differences(directory, trial, seed, scale, recorded, extend=extend)
-    if problems:
-        raise SpecError([Problem(None, (), f"{directory.path} holds another run"), *problems])
+@dataclass(frozen=True)
+class Initial:
+    """The policy that a run begins with: network, observation statistics and action noise. The critic begins anew.
+
+    Attributes:
+        policy: It.
+        ref: Where it comes from.
+    """
+
+    policy: MLPModel
+    ref: InitialRef
+
+
+def begin_from(trial: Trial, run: Run, std: float | None) -> tuple[Trial, Initial]:
+    """Lets a trial begin with the policy of a run.
+
+    Args:
+        trial: The trial.
+        run: The run.
+        std: Standard deviation of all actions to begin with; None: the run's.
+
+    Returns:
+        The trial, whose identity covers the policy, and the policy.
+
+    Raises:
+        KickbenchError: The policy is one of another robot, of other observations or of another network.
+    """
+    if misfits := _misfits(trial, run.trial):
+        raise KickbenchError(
+            f"{shown(run.directory.path)}: its policy cannot begin this run: {', '.join(misfits)}"
+        )
+    symmetry = trial.symmetry
+    own = build_actor(trial.method.spec, symmetry.groups["actor"], symmetry.actions)
+    own.load_state_dict(run.policy.network.state_dict())
+    if std is not None:
+        _set_std(own, std)
+    weights, identity = fingerprint(own), read_identity(run.directory).fingerprint
+    labels = {key: getattr(run.metrics, key) for key in ("task", "method", "seed", "env_steps")}
+    ref = InitialRef(**labels, fingerprint=identity, policy=weights, std=std)
+    return replace(trial, initial_policy=weights), Initial(own, ref)
+
+
+def _misfits(ours: Trial, theirs: Trial) -> list[str]:
+    if list(ours.task.robot.spec.actuators) != list(theirs.task.robot.spec.actuators):
+        return ["it is for another robot, with other actuators"]
+    here, there = _of_the_policy(ours), _of_the_policy(theirs)
+    return [f"{key} {value}, there {there[key]}" for key, value in here.items() if value != there[key]]
+
+
+def _of_the_policy(trial: Trial) -> dict[str, Any]:
+    """What a policy must share with another one to take its weights."""
+    network, symmetry = trial.method.spec.network, trial.method.spec.symmetry
+    of_network = ("type", "actor_hidden", "activation", "normalize_observations", "std_type")
+    of_symmetry = ("symmetric_normalization", "tied_std")
+    return {
+        "actor observations": [(field.name, field.size) for field in trial.task.groups["actor"]],
+        **{f"network.{key}": getattr(network, key) for key in of_network},
+        **{f"symmetry.{key}": getattr(symmetry, key) for key in of_symmetry},
+    }
+
+
+def _set_std(policy: MLPModel, std: float) -> None:
+    for name, parameter in policy.named_parameters():
+        if name.endswith("std_param"):
+            value = torch.tensor(std)
+            parameter.data.fill_(value.log() if name.endswith("log_std_param") else value)

@@ -1,11 +1,15 @@
-"""The training loop: collect, update, tell, keep."""
+"""The training loop: collect, update, report, keep; and how it is stopped between two iterations."""
 
 from __future__ import annotations
 
 import math
+import signal
+import sys
+import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
+from types import FrameType
 from typing import Any
 
 import torch
@@ -22,12 +26,14 @@ from kickbench.nets.threads import torch_threads
 from kickbench.results.frame import SIDES
 from kickbench.results.history import RunHistory
 from kickbench.training.checkpoint import Checkpoints
-from kickbench.training.guard import check_samples, checked_update
-from kickbench.training.ppo import BoundedPPO, build_ppo
-from kickbench.training.progress import IterationRecord, Progress
+from kickbench.training.ppo import BoundedPPO, build_ppo, check_samples, checked_update
+from kickbench.training.progress import Progress, Record
 from kickbench.training.ranks import ALONE, Ranks, fingerprint
-from kickbench.training.stop import StopRequest
 from kickbench.trials.trial import Trial
+
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+_CHECKPOINT_EVERY = (50, 300.0)
+"""Iterations and seconds between two checkpoints, at most (to the end of an iteration)."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +42,7 @@ class TrainingResult:
 
     Attributes:
         iterations: Iterations done and kept, those before a resume included.
-        env_steps: Their control steps, over all worlds.
+        env_steps: Their control steps, over all envs.
         seconds: Their wall-clock time, s.
         horizon: Iterations over which the method's schedules run.
         interrupted: It was stopped by the keyboard.
@@ -65,8 +71,6 @@ class Trainer:
         checkpoints: Checkpoints,
         history: RunHistory,
         update_threads: int = 1,
-        checkpoint_every: int = 50,
-        checkpoint_seconds: float = 300.0,
         graph: bool = True,
         ranks: Ranks = ALONE,
         evaluate: Callable[[MLPModel], Mapping[str, float]] | None = None,
@@ -76,12 +80,10 @@ class Trainer:
         Args:
             trial: What to train.
             env: Environments, already seeded.
-            progress: Told after every iteration.
+            progress: Where every iteration is shown.
             checkpoints: Where everything needed to go on is kept, at the start, now and then, and at the end.
             history: What the run is and how it was made; kept in the checkpoints.
             update_threads: Threads of torch during updates; collecting takes one.
-            checkpoint_every: Iterations between two checkpoints, at most.
-            checkpoint_seconds: Time between two checkpoints, at most (to the end of an iteration), s.
             graph: Whether steps are recorded and replayed on devices that can.
             ranks: The processes that train together; each has its share of the environments.
             evaluate: Success of the policy by side, for the task's evaluations during the training.
@@ -97,7 +99,7 @@ class Trainer:
         self._update_threads = update_threads
         self._horizon, self._seconds = 0, 0.0
         self._checkpoints, self._history = checkpoints, history
-        self._every = (checkpoint_every, checkpoint_seconds)
+        self._every = _CHECKPOINT_EVERY
         self._kept: TrainingResult | None = None
         self._steps_per_iteration = trial.method.spec.algorithm.steps_per_env * env.num_envs * ranks.size
 
@@ -111,21 +113,16 @@ class Trainer:
             self.env.grow(grown(self.trial.task, levels))
             self._steps = fastest_steps(self.env, graph=self._graph)
 
-    def _begin_growth(self) -> None:
-        """The first episodes have the first values, too."""
+    def _grow_after(self, success: float) -> None:
+        """Lets the curriculum know how often exploration succeeded in an iteration, in all processes."""
         if self._growth is not None:
-            self._grow()
-            self.env.reset()
-
-    def _note_success(self, rate: float) -> None:
-        """Lets the curriculum know how often exploration succeeded in this iteration, in all processes."""
-        if self._growth is not None:
-            rates = [float(part["success"]) for part in self._ranks.gather({"success": rate})]
+            rates = [float(part["success"]) for part in self._ranks.gather({"success": success})]
             self._growth.note(sum(rates) / len(rates))
+            self._grow()
 
     @property
     def env_steps(self) -> int:
-        """Control steps done so far, over all worlds."""
+        """Control steps done so far, over all envs."""
         return self.iteration * self._steps_per_iteration
 
     def train(self, iterations: int) -> TrainingResult:
@@ -144,7 +141,9 @@ class Trainer:
         if self._ranks.size > 1:
             self.ppo.broadcast_parameters()
         if self.iteration == 0:
-            self._begin_growth()
+            if self._growth is not None:  # the first episodes have the first values, too
+                self._grow()
+                self.env.reset()
             self.save()
         self.progress.start(iterations, self.iteration)
         self.ppo.train_mode()
@@ -194,17 +193,17 @@ class Trainer:
         """
         trained_by = len(state.get("ranks", ())) or 1
         if trained_by != self._ranks.size:
-            raise KickbenchError(
-                f"the run was trained by {trained_by} processes and goes on with as many, not with {self._ranks.size}"
+            what = (
+                f"was trained by {trained_by} processes and goes on with as many, not with {self._ranks.size}"
             )
+            raise KickbenchError(f"the run {what}")
         own = state["ranks"][self._ranks.rank] if "ranks" in state else state
         try:
             learner = dict(state["learner"])
             self.ppo.load(learner, None, strict=True)
             self.ppo.learning_rate = learner["learning_rate"]
-            self.iteration, self._horizon, self._seconds = (
-                state[key] for key in ("iteration", "horizon", "seconds")
-            )
+            self.iteration, self._horizon = state["iteration"], state["horizon"]
+            self._seconds = state["seconds"]
             if self._growth is not None:
                 self._growth.load_state_dict(state["curriculum"])
                 self._grow()
@@ -215,7 +214,7 @@ class Trainer:
         self._kept, self._kept_at = self._result(), time.monotonic()
 
     def _gather_ranks(self, own: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-        """What differs between the processes, by rank: worlds and random numbers."""
+        """What differs between the processes, by rank: envs and random numbers."""
         weights = fingerprint(self.ppo.get_policy(), self.ppo.critic)
         parts = self._ranks.gather({"rng": own["rng"], "env": own["env"], "weights": weights})
         if any(part["weights"] != weights for part in parts):
@@ -251,10 +250,9 @@ class Trainer:
         self.iteration += 1
         record = self._record(losses, collected - start, updated - collected)
         if not all(torch.isfinite(torch.tensor(list(losses.values())))):
-            raise KickbenchError(f"iteration {record.iteration}: the loss is not finite ({losses})")
+            raise KickbenchError(f"iteration {record['iteration']}: the loss is not finite ({losses})")
         self.progress.update(record)
-        self._note_success(record.success_rate)
-        self._grow()
+        self._grow_after(record["success_rate"])
 
     def _now(self) -> float:
         """The time by which everything asked of the device is done, s."""
@@ -272,37 +270,39 @@ class Trainer:
                 self.ppo.process_env_step(observations, rewards, dones, extras)
             self.ppo.compute_returns(observations)
 
-    def _record(self, losses: dict[str, float], collect: float, update: float) -> IterationRecord:
+    def _record(self, losses: dict[str, float], collect: float, update: float) -> Record:
+        """The iteration that has just ended, as a row of `progress.csv`."""
         finished, task = self.env.totals.take(), self.env.task
 
-        def per_episode(sums: Tensor) -> list[float]:
-            return (sums / finished.episodes).reshape(-1).tolist()
+        def mean(sums: Tensor) -> float:
+            return float(sums / finished.episodes)
 
-        endings = dict(
-            zip([t.name for t in task.terminations], per_episode(finished.terminations), strict=True)
-        )
+        def means(group: str, names: Iterable[str], sums: Tensor) -> dict[str, float]:
+            values = (sums / finished.episodes).reshape(-1).tolist()
+            return {f"{group}/{name}": value for name, value in zip(names, values, strict=True)}
+
         rewards = [bound.name for bound, _ in task.rewards]
-        return IterationRecord(
-            iteration=self.iteration - 1,
-            env_steps=self.env_steps,
-            steps_per_second=self._steps_per_iteration / (collect + update),
-            mean_return=per_episode(finished.rewards.sum())[0],
-            mean_episode_steps=per_episode(finished.steps)[0],
-            success_rate=per_episode(finished.successes)[0],
-            terminations=endings,
-            rewards=dict(zip(rewards, per_episode(finished.rewards), strict=True)),
-            rewards_raw=dict(zip(rewards, per_episode(finished.raw_rewards), strict=True)),
-            losses=losses,
-            learning_rate=self.ppo.learning_rate,
-            action_std=float(self.ppo.get_policy().output_std.detach().mean()),
-            collect_seconds=collect,
-            update_seconds=update,
-            resets_nonfinite=int(finished.failures),
-            residual_shares=self._residual_shares(),
-            load=self._load(),
-            curriculum=self._levels,
-            evaluation=self._evaluation(),
-        )
+        return {
+            "iteration": self.iteration - 1,
+            "env_steps": self.env_steps,
+            "steps_per_second": self._steps_per_iteration / (collect + update),
+            "mean_return": mean(finished.rewards.sum()),
+            "mean_episode_steps": mean(finished.steps),
+            "success_rate": mean(finished.successes),
+            "learning_rate": self.ppo.learning_rate,
+            "action_std": float(self.ppo.get_policy().output_std.detach().mean()),
+            "collect_seconds": collect,
+            "update_seconds": update,
+            "resets_nonfinite": int(finished.failures),
+            **means("termination", [bound.name for bound in task.terminations], finished.terminations),
+            **means("reward", rewards, finished.rewards),
+            **means("reward_raw", rewards, finished.raw_rewards),
+            **{f"loss/{name}": loss for name, loss in losses.items()},
+            **self._residual_shares(),
+            **self._load(),
+            **{f"curriculum/{key}": level for key, level in self._levels.items()},
+            **{f"evaluation/{side}": rate for side, rate in self._evaluation().items()},
+        }
 
     def _evaluation(self) -> Mapping[str, float]:
         """Success by side, NaN between evaluations; nothing if there are none."""
@@ -316,14 +316,13 @@ class Trainer:
 
     def _load(self) -> dict[str, float]:
         load = self.env.engine.take_load()
-        if load is None:
-            return {}
-        return {name: getattr(load, name) for name in ("contacts", "constraints", "short_share")}
+        names = ("contacts", "constraints", "short_share") if load is not None else ()
+        return {f"load/{name}": getattr(load, name) for name in names}
 
     def _residual_shares(self) -> dict[str, float]:
         networks = {"actor": self.ppo.get_policy(), "critic": self.ppo.critic}
         shares = {name: residual_share(network) for name, network in networks.items()}
-        return {name: float(share) for name, share in shares.items() if share is not None}
+        return {f"residual_share/{name}": float(s) for name, s in shares.items() if s is not None}
 
 
 def _rng_states(device: torch.device) -> dict[str, Tensor]:
@@ -336,3 +335,37 @@ def _set_rng_states(states: Mapping[str, Tensor], device: torch.device) -> None:
     torch.set_rng_state(states["cpu"])
     if device.type == "cuda":
         torch.cuda.set_rng_state(states["cuda"], device)
+
+
+class StopRequest:
+    """While it is entered, the first Ctrl-C (or SIGTERM) is a request; the second is a `KeyboardInterrupt`.
+
+    Outside of the main thread, where Python does not hear signals, it is never requested.
+
+    Args:
+        patient: Whether all further ones are only that same request. `torchrun` passes on to its processes what the
+            terminal has sent them already, and kills them itself if they take too long.
+        quiet: Whether nothing is printed.
+    """
+
+    def __init__(self, patient: bool = False, quiet: bool = False) -> None:
+        self.requested = False
+        self._patient, self._quiet = patient, quiet
+        self._before: dict[signal.Signals, Any] = {}
+
+    def __enter__(self) -> StopRequest:
+        if threading.current_thread() is threading.main_thread():
+            self._before = {number: signal.signal(number, self._heard) for number in _SIGNALS}
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def _heard(self, number: int, frame: FrameType | None) -> None:
+        if self.requested and not self._patient:
+            raise KeyboardInterrupt
+        if not self.requested and not self._quiet:
+            once_more = "" if self._patient else "; once more: at once, without keeping it"
+            print(f"stopping after this iteration{once_more}", file=sys.stderr)
+        self.requested = True

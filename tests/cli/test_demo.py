@@ -4,7 +4,7 @@ import pandas as pd
 import pytest
 
 from kickbench.cli import main
-from kickbench.cli.demo import sentence
+from kickbench.cli.train import sentence
 from kickbench.results.frame import load_runs
 
 

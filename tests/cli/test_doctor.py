@@ -3,103 +3,107 @@
 from __future__ import annotations
 
 import subprocess
-from dataclasses import replace
 
 import pytest
 import torch
 
-from kickbench.cli import doctor, main
-from kickbench.cli.doctor import Machine, examine, rows, verdict
-
-SERVER = Machine(
-    versions={"python": "3.12.1", "torch": "2.9.0", "mujoco": "4.0.0", "mujoco-warp": "4.0.0"},
-    broken={},
-    processor="Some Processor",
-    cores=16,
-    gpus=("NVIDIA H200, 143771 MiB, driver 570.10",),
-    devices=("cuda:0 NVIDIA H200",),
-    cuda_obstacle=None,
-    graph_obstacle=None,
-    drawing="egl",
-)
-NO_GRAPHS = replace(SERVER, graph_obstacle="the driver knows CUDA 12.2")
-NO_CUDA = replace(SERVER, cuda_obstacle="torch 2.9.0+cpu is built without CUDA", graph_obstacle="the same")
-BROKEN = replace(SERVER, broken={"mujoco": "no OpenGL"}, cuda_obstacle="mujoco", graph_obstacle="mujoco")
+from kickbench.cli import check, main
+from kickbench.errors import KickbenchError
 
 
-@pytest.mark.parametrize(
-    ("machine", "line", "code"),
-    [
-        (SERVER, "ready on the CPU (16 cores) and on CUDA (1 device), with graphs", 0),
-        (
-            NO_GRAPHS,
-            "ready on the CPU (16 cores); CUDA WORKS WITHOUT GRAPHS, several times slower: the driver knows CUDA 12.2",
-            0,
-        ),
-        (NO_CUDA, "ready on the CPU (16 cores); not on CUDA: torch 2.9.0+cpu is built without CUDA", 0),
-        (BROKEN, "nothing can run: mujoco cannot be imported", 1),
-    ],
-)
-def test_the_last_line_is_the_verdict_and_the_exit_code_tells_whether_anything_runs(
-    machine, line, code, monkeypatch, capsys
-):
-    monkeypatch.setattr(doctor, "examine", lambda: machine)
-    assert main(["doctor"]) == code
-    assert capsys.readouterr().out.splitlines()[-1] == line == verdict(machine)
+@pytest.fixture
+def printed(monkeypatch, capsys):
+    """Runs `kickbench doctor` on a machine with two cores; its exit code and its rows by name, the verdict last."""
+    monkeypatch.setattr("kickbench.sim.cpu.usable_cores", lambda: 2)
+    monkeypatch.setattr(check, "_drawing", lambda: "egl")
+
+    def printed() -> tuple[int, dict[str, str], str]:
+        code = main(["doctor"])
+        lines = capsys.readouterr().out.splitlines()
+        rows = dict(line.split("  ", 1) for line in lines[2:-2])
+        return code, {name.strip(): text.strip() for name, text in rows.items()}, lines[-1]
+
+    return printed
 
 
-def test_every_fact_has_a_row():
-    table = dict(rows(BROKEN))
-    assert table["torch"] == "2.9.0"
-    assert table["mujoco"] == "cannot be imported: no OpenGL"
-    assert table["warp-lang"] == "not installed"
-    assert table["processor"] == "Some Processor, 16 cores usable"
-    assert table["graphics card"] == "NVIDIA H200, 143771 MiB, driver 570.10"
-    assert dict(rows(SERVER))["CUDA graphs"] == "on"
-    assert "12.2" in dict(rows(NO_GRAPHS))["CUDA graphs"]
-    assert dict(rows(replace(SERVER, drawing=None, drawing_obstacle="no EGL")))["pictures"].endswith("no EGL")
+@pytest.fixture
+def gpu(monkeypatch):
+    """A machine with a GPU that works, as far as `doctor` looks."""
+    monkeypatch.setattr("kickbench.sim.devices.check_device", lambda name: None)
+    monkeypatch.setattr("kickbench.envs.graph.graph_obstacle", lambda device: None)
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 1)
+    monkeypatch.setattr(torch.cuda, "get_device_name", lambda number: "NVIDIA H200")
+    monkeypatch.setattr(check, "_gpus", lambda: ["NVIDIA H200, 143771 MiB, driver 570.10"])
 
 
-def test_it_knows_this_machine():
-    machine = examine()
-    assert machine.usable
-    assert machine.versions["torch"] == torch.__version__
-    assert machine.cores >= 1
-    assert (machine.cuda_obstacle is None) <= torch.cuda.is_available()
-    assert (machine.graph_obstacle is None) <= (machine.cuda_obstacle is None)
-    assert bool(machine.drawing) != bool(machine.drawing_obstacle)
+def test_a_gpu_that_works_is_named(gpu, printed):
+    code, rows, verdict = printed()
+    assert (code, verdict) == (0, "ready on the CPU (2 cores) and on CUDA (1 device), with graphs")
+    assert rows["graphics card"] == "NVIDIA H200, 143771 MiB, driver 570.10"
+    assert rows["CUDA device"] == "cuda:0 NVIDIA H200"
+    assert rows["CUDA graphs"] == "on"
+    assert rows["processor"].endswith(", 2 cores usable")
+    assert rows["pictures"] == "egl"
 
 
-def test_a_driver_that_torch_cannot_use_is_told_apart_from_none(monkeypatch):
-    monkeypatch.setattr(torch.version, "cuda", None)
-    versions = {name: "1" for name in ("mujoco-warp", "warp-lang")}
-    card, device = SERVER.gpus, SERVER.devices
-    assert "no NVIDIA graphics card" in (doctor._cuda_obstacle(versions, {}, (), ()) or "")
-    assert "built without CUDA" in (doctor._cuda_obstacle(versions, {}, card, ()) or "")
-    monkeypatch.setattr(torch.version, "cuda", "13.0")
-    assert "driver too old" in (doctor._cuda_obstacle(versions, {}, card, ()) or "")
-    assert "pip install 'kickbench[gpu]'" in (doctor._cuda_obstacle({}, {}, card, device) or "")
-    assert doctor._cuda_obstacle(versions, {}, card, device) is None
+def test_a_gpu_without_graphs_is_said_to_be_slow(gpu, printed, monkeypatch):
+    monkeypatch.setattr("kickbench.envs.graph.graph_obstacle", lambda device: "the driver knows CUDA 12.2")
+    code, rows, verdict = printed()
+    assert code == 0
+    assert verdict.endswith("CUDA WORKS WITHOUT GRAPHS, several times slower: the driver knows CUDA 12.2")
+    assert rows["CUDA graphs"] == "off: the driver knows CUDA 12.2"
+
+
+def test_without_cuda_the_cpu_is_ready(printed, monkeypatch):
+    def refuse(name: str) -> None:
+        raise KickbenchError(f"--device {name}: torch 2.9.0 is built without CUDA; use --device cpu")
+
+    monkeypatch.setattr("kickbench.sim.devices.check_device", refuse)
+    code, rows, verdict = printed()
+    assert (code, verdict) == (
+        0,
+        "ready on the CPU (2 cores); not on CUDA: torch 2.9.0 is built without CUDA",
+    )
+    assert rows["CUDA graphs"] == "off: torch 2.9.0 is built without CUDA"
+    assert rows["torch"] == torch.__version__
+
+
+def test_a_library_that_does_not_load_is_reported(printed, monkeypatch):
+    def fail(module: str):
+        raise OSError(f"lib{module}.so:\n cannot open")
+
+    monkeypatch.setattr(check, "import_module", fail)
+    code, rows, verdict = printed()
+    assert code == 1
+    assert verdict == "nothing can run: torch and mujoco and rsl-rl-lib and tensordict cannot be imported"
+    assert rows["torch"] == "cannot be imported: libtorch.so: cannot open"
 
 
 def test_the_drivers_table_of_cards_is_read(monkeypatch):
     table = "NVIDIA H200, 143771 MiB, 570.10\nNVIDIA H100, 81559 MiB, 570.10\n"
     done = subprocess.CompletedProcess([], 0, table, "")
-    monkeypatch.setattr(doctor.subprocess, "run", lambda *args, **kwargs: done)
-    assert doctor._gpus() == (
+    monkeypatch.setattr(check.subprocess, "run", lambda *args, **kwargs: done)
+    assert check._gpus() == [
         "NVIDIA H200, 143771 MiB, driver 570.10",
         "NVIDIA H100, 81559 MiB, driver 570.10",
-    )
+    ]
 
 
-def test_a_library_that_does_not_load_and_a_missing_picture_driver_are_reported(monkeypatch):
-    def fail(module: str):
-        raise OSError(f"lib{module}.so:\n cannot open")
-
-    monkeypatch.setattr(doctor, "import_module", fail)
-    assert doctor._broken()["torch"] == "libtorch.so: cannot open"
+def test_a_missing_picture_driver_is_reported(monkeypatch):
     monkeypatch.setenv("MUJOCO_GL", "osmesa")
     monkeypatch.setenv("PYOPENGL_PLATFORM", "nonsense")
-    drawing, reason = doctor._drawing()
-    assert drawing is None
-    assert "MUJOCO_GL" in reason
+    assert "MUJOCO_GL" in check._drawing()
+    assert check._drawing().startswith("cannot be drawn: ")
+
+
+@pytest.mark.parametrize(
+    ("environment", "said"),
+    [
+        ({"OMP_WAIT_POLICY": "passive"}, "sleep"),
+        ({}, "spin (OMP_WAIT_POLICY=not set)"),
+        ({"GOMP_SPINCOUNT": "10"}, "spin: GOMP_SPINCOUNT=10"),
+    ],
+)
+def test_idle_threads_sleep_or_spin(environment, said):
+    assert check._waiting(environment).startswith(said)

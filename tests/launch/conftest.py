@@ -9,6 +9,7 @@ import pytest
 from kickbench.results.episodes import EpisodeSides, EpisodeTable
 from kickbench.results.integrity import with_digest
 from kickbench.results.metrics import Metrics, summarise_sides
+from kickbench.results.progress import row_check
 from kickbench.results.provenance import Provenance
 from kickbench.results.store import RunDirectory, atomic_write_bytes, atomic_write_text
 
@@ -82,7 +83,8 @@ def make_run(tmp_path):
         directory = RunDirectory(Path(tmp_path, name))
         if rows:
             lines = [f"{i},{100 + i},{i / 1000},1.5,0.5" for i in range(rows)]
-            atomic_write_text(directory.progress, "\n".join([HEADER, *lines]) + "\n")
+            checked = [f"{line},{row_check(HEADER, line)}" for line in lines]
+            atomic_write_text(directory.progress, "\n".join([f"{HEADER},crc32", *checked]) + "\n")
         for iteration in checkpoints:
             atomic_write_bytes(directory.checkpoints / f"iteration_{iteration:06d}.pt", checkpoint())
         if finished is not None:

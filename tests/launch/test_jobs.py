@@ -14,8 +14,7 @@ from pathlib import Path
 import pytest
 
 from kickbench.launch import jobs as module
-from kickbench.launch.display import PlainDisplay, TerminalDisplay
-from kickbench.launch.jobs import Jobs, Outcome, next_command
+from kickbench.launch.jobs import Display, Jobs, Outcome, next_command
 from kickbench.launch.plan import PlannedRun
 from kickbench.launch.process import Process
 from kickbench.launch.record import RunRecord
@@ -104,7 +103,7 @@ def outcomes(jobs: Jobs) -> list[Outcome]:
 @pytest.mark.parametrize("at_a_time", [1, 2, 3])
 def test_so_many_run_at_a_time_in_the_order_of_the_plan(runs, played, at_a_time):
     jobs, out = Jobs(runs, at_a_time, 1), io.StringIO()
-    jobs.carry_out(PlainDisplay(1, out), no_sleep)
+    jobs.carry_out(Display(1, out), no_sleep)
     assert outcomes(jobs) == [Outcome.DONE] * 4
     assert played.most == at_a_time
     assert [command[4].rpartition("/")[2] for command in played.started] == [f"seed{k}" for k in range(4)]
@@ -113,7 +112,7 @@ def test_so_many_run_at_a_time_in_the_order_of_the_plan(runs, played, at_a_time)
 
 def test_what_is_finished_is_not_run_again(runs, played):
     write_result(runs[1].directory.path, make_metrics(5))
-    Jobs(runs, 1, 1).carry_out(PlainDisplay(1, io.StringIO()), no_sleep)
+    Jobs(runs, 1, 1).carry_out(Display(1, io.StringIO()), no_sleep)
     assert len(played.started) == 3
     again = Jobs(runs, 1, 1)
     assert outcomes(again) == [Outcome.DONE] * 4
@@ -122,7 +121,7 @@ def test_what_is_finished_is_not_run_again(runs, played):
 def test_a_run_that_fails_does_not_stop_the_others(runs, played):
     played.codes = {"seed1": 2, "seed2": -signal.SIGKILL}
     jobs, out = Jobs(runs, 2, 1), io.StringIO()
-    jobs.carry_out(PlainDisplay(1, out), no_sleep)
+    jobs.carry_out(Display(1, out), no_sleep)
     assert outcomes(jobs) == [Outcome.DONE, Outcome.FAILED, Outcome.FAILED, Outcome.DONE]
     assert [job.reason for job in jobs.jobs[1:3]] == ["the last line", "killed by SIGKILL"]
     assert "a/seed1: failed: the last line; its output:" in out.getvalue()
@@ -131,7 +130,7 @@ def test_a_run_that_fails_does_not_stop_the_others(runs, played):
 def test_a_command_that_leaves_nothing_has_failed_and_is_not_repeated_for_ever(runs, played, monkeypatch):
     monkeypatch.setattr(module, "next_command", lambda run, *how: ("run", "x"))
     jobs = Jobs(runs[:1], 1, 1)
-    jobs.carry_out(PlainDisplay(1, io.StringIO()), no_sleep)
+    jobs.carry_out(Display(1, io.StringIO()), no_sleep)
     assert outcomes(jobs) == [Outcome.FAILED]
     assert len(played.started) == 1
 
@@ -139,7 +138,7 @@ def test_a_command_that_leaves_nothing_has_failed_and_is_not_repeated_for_ever(r
 def test_a_finished_run_is_evaluated_on_the_further_tasks(runs, played):
     run = replace(runs[0], also={"near": Path("near.yaml"), "far": Path("far.yaml")})
     jobs, out = Jobs([run], 1, 3), io.StringIO()
-    jobs.carry_out(PlainDisplay(1, out), no_sleep)
+    jobs.carry_out(Display(1, out), no_sleep)
     assert outcomes(jobs) == [Outcome.DONE]
     where = str(run.directory.path)
     rest = ("--save", "--episodes", "100", "--threads", "3")
@@ -152,7 +151,7 @@ def test_a_finished_run_is_evaluated_on_the_further_tasks(runs, played):
 
 def test_runs_train_on_the_device_that_is_asked_for(runs, played):
     jobs = Jobs(runs[:1], 1, 1, "cuda")
-    jobs.carry_out(PlainDisplay(1, io.StringIO()), no_sleep)
+    jobs.carry_out(Display(1, io.StringIO()), no_sleep)
     command = played.started[0]
     assert command[command.index("--device") + 1] == "cuda"
 
@@ -167,10 +166,10 @@ def test_a_run_that_another_process_is_at_is_waited_for(runs, played):
                 raise Interrupted
 
         with pytest.raises(Interrupted):
-            jobs.carry_out(PlainDisplay(1, out), sleep)
+            jobs.carry_out(Display(1, out), sleep)
     assert set(naps) == {"another process runs in it"}
     assert outcomes(jobs) == [Outcome.WAITING, Outcome.DONE]
-    jobs.carry_out(PlainDisplay(1, out), no_sleep)
+    jobs.carry_out(Display(1, out), no_sleep)
     assert outcomes(jobs) == [Outcome.DONE, Outcome.DONE]
 
 
@@ -187,7 +186,7 @@ def test_one_signal_stops_every_run_and_starts_no_other(runs, played, number):
         if not jobs.interrupted:
             signal.raise_signal(number)
 
-    jobs.carry_out(PlainDisplay(1, out), sleep)
+    jobs.carry_out(Display(1, out), sleep)
     assert outcomes(jobs) == [Outcome.STOPPED] * 4
     assert (len(played.started), played.stops) == (2, [False, False])
     assert jobs.interrupted
@@ -196,7 +195,7 @@ def test_one_signal_stops_every_run_and_starts_no_other(runs, played, number):
 
 
 def test_an_error_of_the_display_leaves_no_process_behind(runs, played):
-    class Broken(PlainDisplay):
+    class Broken(Display):
         def update(self, jobs) -> None:
             raise BrokenPipeError
 
@@ -205,13 +204,29 @@ def test_an_error_of_the_display_leaves_no_process_behind(runs, played):
     assert played.alive == 0
 
 
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_a_long_run_is_seen_to_be_alive(runs, played, monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr(module.time, "monotonic", lambda: now[0])
+    out = io.StringIO()
+
+    def sleep(_: float) -> None:
+        now[0] += 50.0
+
+    Jobs(runs[:2], 1, 1).carry_out(Display(1, out), sleep)
+    assert "0 of 2 runs done; time left: unknown until the first iterations have been timed" in out.getvalue()
+    assert "1 of 2 runs done; time left: about " in out.getvalue()
+
+
 def test_a_terminal_shows_one_line_a_run(runs, played):
     played.codes = {"seed1": 2}
-    jobs, out = Jobs(runs, 2, 1), io.StringIO()
-    jobs.carry_out(TerminalDisplay(2, out, force_terminal=True), no_sleep)
-    last = out.getvalue().rpartition("time left\x1b")[
-        2
-    ]  # the header's last column; what comes before is overdrawn
+    jobs, out = Jobs(runs, 2, 1), Terminal()
+    jobs.carry_out(Display(2, out), no_sleep)
+    last = out.getvalue().rpartition("steps/s")[2]  # the last header; what comes before is overdrawn
     assert [last.count(f"a/seed{k}") for k in range(4)] == [1, 1, 1, 1]
     assert "3 of 4 runs done" in last
     assert "failed" in last

@@ -8,7 +8,7 @@ import pytest
 
 from kickbench.cli import main
 from kickbench.errors import SpecError
-from kickbench.launch.plan import Plan, Selection, default_folder, make_plan
+from kickbench.launch.plan import Plan, Selection, make_plan
 from kickbench.launch.record import read_record, write_record
 from kickbench.results.identity import identity_of
 from kickbench.results.metrics import load_metrics, write_metrics
@@ -79,9 +79,9 @@ def test_the_runs_are_the_experiment_s_not_the_method_s(tmp_path):
 
 def test_a_scaled_plan_has_a_folder_of_its_own(experiment, tmp_path):
     selection = Selection(scale=0.1, overrides=TINY)
-    assert default_folder("x", Selection()) == Path("runs/x")
-    assert default_folder("x", Selection(scale=0.001)) == Path("runs/x-scale0.001")
-    assert default_folder("x", selection) == Path("runs/x-scale0.1-changed")
+    assert Selection().default_folder("x") == Path("runs/x")
+    assert Selection(scale=0.001).default_folder("x") == Path("runs/x-scale0.001")
+    assert selection.default_folder("x") == Path("runs/x-scale0.1-changed")
     (run,) = plan(experiment, tmp_path, seeds=(0,), scale=0.1, overrides=TINY).runs
     assert (run.record.iterations, run.record.episodes) == (39, 200)
     assert run.arguments[run.arguments.index("--scale") + 1] == "0.1"

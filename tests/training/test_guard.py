@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from kickbench.bench.training import Iterations
+from kickbench.bench.measure import Iterations
 from kickbench.errors import KickbenchError
 
 SMALL = ("algorithm.num_envs=8", "algorithm.steps_per_env=4", "algorithm.mini_batches=2")

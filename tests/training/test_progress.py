@@ -1,4 +1,6 @@
-"""What a training shows: lines and panel for a person, progress.csv and TensorBoard for machines."""
+"""What a training shows: lines or a bar for a person, progress.csv and TensorBoard for machines."""
+
+from __future__ import annotations
 
 import csv
 import io
@@ -7,75 +9,55 @@ import random
 import subprocess
 import sys
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from kickbench.errors import KickbenchError
+from kickbench.evaluation import progress as console
+from kickbench.evaluation.progress import Steps, duration, percent, tracked
 from kickbench.results.progress import checked_rows
-from kickbench.training.progress import (
-    Countdown,
-    IterationRecord,
-    PlainProgress,
-    ProgressGroup,
-    console_progress,
-    describe_terminations,
-    duration,
-    percent,
-    standard_progress,
-)
-from kickbench.training.progress_files import CsvProgress, TensorBoardProgress
-from kickbench.training.progress_terminal import TerminalProgress
+from kickbench.training.progress import CsvProgress, Record, RunProgress, TensorBoardProgress, describe
 
-FIRST = IterationRecord(
-    iteration=0,
-    env_steps=12_288,
-    steps_per_second=20_345.6,
-    mean_return=1.5,
-    mean_episode_steps=80.0,
-    success_rate=math.nan,
-    terminations={"fell": 0.25, "timeout": 0.75, "target_reached": 0.0},
-    rewards={"target_distance": 1.0, "fall": -0.5},
-    rewards_raw={"target_distance": 0.004, "fall": 1.0},
-    losses={"value": 0.1, "surrogate": -0.01},
-    learning_rate=3e-3,
-    action_std=0.6,
-    collect_seconds=0.5,
-    update_seconds=0.25,
-    resets_nonfinite=0,
-)
+FIRST = {
+    "iteration": 0,
+    "env_steps": 12_288,
+    "steps_per_second": 20_345.6,
+    "mean_return": 1.5,
+    "mean_episode_steps": 80.0,
+    "success_rate": math.nan,
+    "resets_nonfinite": 0,
+    "termination/fell": 0.25,
+    "termination/timeout": 0.75,
+    "termination/target_reached": 0.0,
+    "reward/target_distance": 1.0,
+    "reward_raw/target_distance": 0.004,
+    "loss/value": 0.1,
+    "loss/surrogate": -0.01,
+}
 
 
-def record(iteration: int, **changes: object) -> IterationRecord:
-    values: dict = {
-        "iteration": iteration,
-        "env_steps": 12_288 * (iteration + 1),
-        "success_rate": 0.713,
-        **changes,
-    }
-    return replace(FIRST, **values)
+def record(iteration: int, **changes: float) -> Record:
+    own = {"iteration": iteration, "env_steps": 12_288 * (iteration + 1), "success_rate": 0.713}
+    return FIRST | own | changes
 
 
-class Clock:
-    """A clock that only moves when it is told to."""
+@pytest.fixture
+def clock(monkeypatch):
+    """A clock that the test moves."""
+    now = [100.0]
+    monkeypatch.setattr(console.time, "monotonic", lambda: now[0])
 
-    now = 100.0
+    def wait(seconds: float) -> None:
+        now[0] += seconds
 
-    def __call__(self) -> float:
-        return self.now
+    return wait
 
 
-def plain_lines(seconds_each: float, total: int, iterations: Sequence[int], first: int = 0) -> list[str]:
-    stream, clock = io.StringIO(), Clock()
-    progress = PlainProgress(stream, clock)
-    progress.start(total, first)
-    for iteration in iterations:
-        clock.now += seconds_each
-        progress.update(record(iteration))
-    progress.close()
-    return stream.getvalue().splitlines()
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
 
 
 def rows_of(path: Path) -> list[dict[str, str]]:
@@ -91,129 +73,90 @@ def write_rows(path: Path, iterations: Sequence[int], first: int = 0) -> None:
     progress.close()
 
 
-def test_a_fast_training_prints_a_line_every_five_percent() -> None:
-    lines = plain_lines(0.01, 200, range(200))
-    assert lines[0] == "training: 200 iterations"
-    counts = [int(line.split("/")[0]) for line in lines[1:]]
-    assert counts == [*range(1, 200, 10), 200]
-
-
-def test_a_slow_training_prints_a_line_every_ten_seconds() -> None:
-    counts = [int(line.split("/")[0]) for line in plain_lines(4.0, 10_000, range(9))[1:]]
-    assert counts == [1, 4, 7, 9]
-
-
-def test_the_time_left_falls_while_an_iteration_runs() -> None:
-    clock = Clock()
-    countdown = Countdown(clock)
-    countdown.start(100, 0)
-    clock.now += 60.0
-    countdown.advance(record(0))
-    assert countdown.seconds_left == 99 * 60.0
-    clock.now += 59.0
-    assert countdown.seconds_left == 98 * 60.0 + 1.0
-    clock.now += 1e6
-    assert countdown.seconds_left == 0.0
-
-
-def test_an_interrupted_training_prints_its_last_iteration_once() -> None:
-    lines = plain_lines(0.01, 100, range(3))
-    assert [line.split("/")[0].strip() for line in lines[1:]] == ["1", "3"]
-
-
-def test_a_line_has_speed_return_success_terminations_and_time_left() -> None:
-    line = plain_lines(2.0, 100, [0])[1]
-    for part in ("1/100", "20,346 steps/s", "1.50", "71.3 %", "left    3:18", "timeout 75 %, fell 25 %"):
-        assert part in line
-    assert "target_reached" not in line
-
-
-def test_time_left_counts_from_the_resume() -> None:
-    lines = plain_lines(2.0, 100, [80, 81], first=80)
-    assert lines[0] == "training: 100 iterations, resumed at 80"
-    assert "left    0:38" in lines[1]
-
-
-def test_worlds_that_diverged_are_shouted_about() -> None:
+def test_a_line_every_ten_seconds_and_the_last_one(clock):
     stream = io.StringIO()
-    progress = PlainProgress(stream)
-    progress.start(10, 0)
-    progress.update(record(0, resets_nonfinite=3))
-    assert "NON-FINITE WORLDS RESET: 3" in stream.getvalue()
+    with Steps("training", "iterations", 1_000, stream=stream) as steps:
+        for _ in range(9):
+            clock(4.0)
+            steps.advance(text="fine")
+    assert stream.getvalue().splitlines() == [
+        "training: 3 of 1,000 iterations, 1:06:28 left  fine",
+        "training: 6 of 1,000 iterations, 1:06:16 left  fine",
+        "training: 9 of 1,000 iterations, 1:06:04 left  fine",
+    ]
 
 
-@pytest.mark.parametrize("terminal", [False, True])
-def test_before_the_first_episode_ends_nothing_reads_nan(terminal: bool) -> None:
+def test_what_is_done_at_once_prints_nothing_unless_there_is_something_to_say(clock):
     stream = io.StringIO()
-    progress = TerminalProgress("title", stream, force_terminal=True) if terminal else PlainProgress(stream)
-    progress.start(10, 0)
-    unknown = dict.fromkeys(FIRST.terminations, math.nan)
-    progress.update(
-        record(
-            0, success_rate=math.nan, mean_return=math.nan, mean_episode_steps=math.nan, terminations=unknown
-        )
-    )
-    progress.close()
-    assert "1/10" in stream.getvalue()
-    assert "nan" not in stream.getvalue()
+    with Steps("evaluating", "episodes", 10, stream=stream) as steps:
+        steps.advance(10)
+    assert stream.getvalue() == ""
+    with Steps("training", "iterations", 10, stream=stream) as steps:
+        steps.advance(text="fine")
+    assert stream.getvalue().splitlines() == ["training: 1 of 10 iterations, 0:00 left  fine"]
+
+
+def test_time_left_counts_from_the_resume(clock):
+    stream = io.StringIO()
+    with Steps("training", "iterations", 100, done=80, stream=stream) as steps:
+        clock(20.0)
+        steps.advance(2)
+    assert stream.getvalue() == "training: 82 of 100 iterations, 3:00 left\n"
+
+
+def test_items_are_counted_where_their_number_is_not_known(clock, capsys):
+    for _ in tracked(range(3), "drawing", "frames"):
+        clock(6.0)
+    assert capsys.readouterr().err == "drawing: 2 frames\n"
+
+
+def test_a_terminal_gets_a_bar():
+    stream = Terminal()
+    with Steps("training", "iterations", 10, stream=stream) as steps:
+        steps.advance(4, text="[success] 71.3 %")
+    last = stream.getvalue().rpartition("training")[2]
+    assert "4/10" in last
+    assert "[success] 71.3 %" in last
+
+
+def test_a_record_is_one_line_with_speed_return_success_and_terminations():
+    text = describe(record(0, **{"evaluation/mirrored": 0.5, "evaluation/in_distribution": math.nan}))
+    assert text == "20,346 steps/s  return 1.50  success 71.3 %  timeout 75 %, fell 25 %  mirrored 50.0 %"
+
+
+def test_envs_that_diverged_and_missing_room_are_shouted_about():
+    text = describe(record(0, resets_nonfinite=3, **{"load/short_share": 0.01}))
+    assert "NON-FINITE ENVS RESET: 3" in text
+    assert "STEPS SHORT OF ROOM FOR CONTACTS: 1.000%" in text
+
+
+def test_before_the_first_episode_ends_nothing_reads_nan():
+    unknown = {name: math.nan for name in FIRST if name.startswith(("mean", "success", "termination"))}
+    assert describe(FIRST | unknown) == "20,346 steps/s  return -  success -"
 
 
 @pytest.mark.parametrize(
     ("seconds", "text"), [(0.4, "0:00"), (59.6, "1:00"), (200, "3:20"), (3909, "1:05:09"), (math.nan, "-")]
 )
-def test_durations_read_like_a_clock(seconds: float, text: str) -> None:
+def test_durations_read_like_a_clock(seconds, text):
     assert duration(seconds) == text
 
 
-def test_a_rate_that_is_not_known_yet_is_a_dash() -> None:
+def test_a_rate_that_is_not_known_yet_is_a_dash():
     assert percent(math.nan) == "-"
     assert percent(1.0) == "100.0 %"
-    assert describe_terminations({}) == ""
 
 
-def test_a_stream_that_is_no_terminal_gets_plain_lines() -> None:
-    assert isinstance(console_progress(stream=io.StringIO()), PlainProgress)
-
-
-def test_a_terminal_gets_one_panel_that_ends_with_the_last_iteration() -> None:
-    stream, clock = io.StringIO(), Clock()
-    progress = TerminalProgress("mini / baseline", stream, clock, force_terminal=True)
-    progress.start(10, 0)
-    for iteration in range(4):
-        clock.now += 2.0
-        progress.update(record(iteration, resets_nonfinite=iteration % 2))
-    progress.close()
-    progress.close()
-    last = stream.getvalue().rsplit("mini / baseline", 1)[1]
-    for part in (
-        "iteration 4/10",
-        "40%, 0:12 left",
-        "71.3 %",
-        "49,152",
-        "timeout 75 %",
-        "non-finite state: 2",
-    ):
-        assert part in last
-
-
-def test_a_terminal_that_is_closed_before_it_starts_says_nothing() -> None:
-    stream = io.StringIO()
-    TerminalProgress("title", stream, force_terminal=True).close()
-    assert stream.getvalue() == ""
-
-
-def test_the_table_has_a_column_for_each_figure(tmp_path: Path) -> None:
+def test_the_table_has_a_column_for_each_figure(tmp_path):
     write_rows(tmp_path / "progress.csv", range(3))
     rows = rows_of(tmp_path / "progress.csv")
     assert [row["iteration"] for row in rows] == ["0", "1", "2"]
     assert rows[2]["env_steps"] == "36864"
-    assert float(rows[2]["termination/fell"]) == 0.25
-    assert float(rows[2]["reward/target_distance"]) == 1.0
+    assert [*rows[2]] == [*FIRST, "crc32"]
     assert float(rows[2]["reward_raw/target_distance"]) == 0.004
-    assert float(rows[2]["loss/surrogate"]) == -0.01
 
 
-def test_rows_are_on_disk_before_the_training_ends(tmp_path: Path) -> None:
+def test_rows_are_on_disk_before_the_training_ends(tmp_path):
     progress = CsvProgress(tmp_path / "progress.csv")
     progress.start(10, 0)
     progress.update(FIRST)
@@ -221,7 +164,7 @@ def test_rows_are_on_disk_before_the_training_ends(tmp_path: Path) -> None:
     progress.close()
 
 
-def test_numpy_integers_keep_every_digit(tmp_path: Path) -> None:
+def test_numpy_integers_keep_every_digit(tmp_path):
     progress = CsvProgress(tmp_path / "progress.csv")
     progress.start(10, 0)
     progress.update(record(0, env_steps=np.int64(123_456_789)))
@@ -229,7 +172,7 @@ def test_numpy_integers_keep_every_digit(tmp_path: Path) -> None:
     assert rows_of(tmp_path / "progress.csv")[0]["env_steps"] == "123456789"
 
 
-def test_a_resumed_table_is_the_table_of_a_run_that_was_never_stopped(tmp_path: Path) -> None:
+def test_a_resumed_table_is_the_table_of_a_run_that_was_never_stopped(tmp_path):
     write_rows(tmp_path / "whole.csv", range(10))
     write_rows(tmp_path / "resumed.csv", range(7))
     with open(tmp_path / "resumed.csv", "a") as file:
@@ -238,32 +181,25 @@ def test_a_resumed_table_is_the_table_of_a_run_that_was_never_stopped(tmp_path: 
     assert (tmp_path / "resumed.csv").read_bytes() == (tmp_path / "whole.csv").read_bytes()
 
 
-def test_a_run_that_starts_anew_drops_the_old_rows(tmp_path: Path) -> None:
+def test_a_run_that_starts_anew_drops_the_old_rows(tmp_path):
     write_rows(tmp_path / "progress.csv", range(7))
     write_rows(tmp_path / "progress.csv", range(2))
     assert [row["iteration"] for row in rows_of(tmp_path / "progress.csv")] == ["0", "1"]
 
 
-def test_a_figure_that_is_absent_once_leaves_its_cell_empty(tmp_path: Path) -> None:
+def test_a_figure_that_is_absent_once_leaves_its_cell_empty_and_a_new_one_is_an_error(tmp_path):
     progress = CsvProgress(tmp_path / "progress.csv")
     progress.start(10, 0)
     progress.update(FIRST)
-    progress.update(record(1, losses={"value": 0.1}))
+    progress.update({name: value for name, value in record(1).items() if name != "loss/surrogate"})
+    with pytest.raises(KickbenchError, match="no column for loss/entropy"):
+        progress.update(record(2, **{"loss/entropy": 0.1}))
     progress.close()
     assert rows_of(tmp_path / "progress.csv")[1]["loss/surrogate"] == ""
 
 
-def test_a_figure_without_a_column_is_an_error(tmp_path: Path) -> None:
-    progress = CsvProgress(tmp_path / "progress.csv")
-    progress.start(10, 0)
-    progress.update(FIRST)
-    with pytest.raises(KickbenchError, match="no column for loss/entropy"):
-        progress.update(record(1, losses={"entropy": 0.1}))
-    progress.close()
-
-
 @pytest.mark.parametrize("text", ["some other file\n", "iteration,env_steps\n1\n", "iteration\nx\n"])
-def test_a_table_that_is_none_of_ours_is_not_touched(tmp_path: Path, text: str) -> None:
+def test_a_table_that_is_none_of_ours_is_not_touched(tmp_path, text):
     path = tmp_path / "progress.csv"
     path.write_text(text)
     with pytest.raises(KickbenchError, match=r"progress\.csv"):
@@ -271,7 +207,7 @@ def test_a_table_that_is_none_of_ours_is_not_touched(tmp_path: Path, text: str) 
     assert path.read_text() == text
 
 
-def test_tensorboard_gets_every_figure_but_not_what_is_unknown(tmp_path: Path) -> None:
+def test_tensorboard_gets_every_figure_but_not_what_is_unknown(tmp_path):
     accumulator = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
     progress = TensorBoardProgress(tmp_path)
     progress.start(10, 0)
@@ -281,62 +217,63 @@ def test_tensorboard_gets_every_figure_but_not_what_is_unknown(tmp_path: Path) -
     events = accumulator.EventAccumulator(str(tmp_path)).Reload()
     success = events.Scalars("train/success_rate")
     assert [(event.step, event.value) for event in success] == [(1, pytest.approx(0.713))]
-    assert [event.step for event in events.Scalars("reward/fall")] == [0, 1]
+    assert [event.step for event in events.Scalars("reward/target_distance")] == [0, 1]
 
 
-def test_without_tensorboard_the_training_goes_on(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_without_tensorboard_the_training_goes_on(tmp_path, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "torch.utils.tensorboard.writer", None)
     progress = TensorBoardProgress(tmp_path)
     progress.start(10, 0)
     progress.update(FIRST)
     progress.close()
-    assert capsys.readouterr().err.count("tensorboard is not installed") == 1
+    assert capsys.readouterr().err.count("no TensorBoard events: ") == 1
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_group_closes_every_member_even_when_one_fails() -> None:
-    class Member:
-        closed = False
-
-        def __init__(self, fails: bool) -> None:
-            self.fails = fails
-
-        def start(self, total_iterations: int, first_iteration: int) -> None: ...
-
-        def update(self, record: IterationRecord) -> None: ...
-
-        def close(self) -> None:
-            self.closed = True
-            if self.fails:
-                raise OSError("disk full")
-
-    members = [Member(True), Member(False)]
-    with pytest.raises(OSError, match="disk full"):
-        ProgressGroup(members).close()
-    assert all(member.closed for member in members)
-
-
-def test_the_usual_set_writes_lines_rows_and_events(tmp_path: Path) -> None:
+def test_a_run_writes_lines_rows_and_events(tmp_path):
     stream = io.StringIO()
-    progress = standard_progress(tmp_path / "progress.csv", tmp_path / "tensorboard", stream=stream)
+    progress = RunProgress(tmp_path / "progress.csv", tmp_path / "tensorboard", stream)
     progress.start(2, 0)
     progress.update(FIRST)
     progress.update(record(1))
     progress.close()
-    assert "2/2 (100%)" in stream.getvalue()
+    progress.close()
+    first, last = stream.getvalue().splitlines()
+    assert first == "training: 2 iterations"
+    assert last.startswith("training: 2 of 2 iterations, 0:00 left  20,346 steps/s")
     assert len(rows_of(tmp_path / "progress.csv")) == 2
+    assert list((tmp_path / "tensorboard").iterdir())
 
 
-def test_importing_progress_loads_nothing_heavy() -> None:
+def test_a_resumed_run_says_where_it_goes_on(tmp_path):
+    write_rows(tmp_path / "progress.csv", range(7))
+    stream = io.StringIO()
+    progress = RunProgress(tmp_path / "progress.csv", tmp_path / "tensorboard", stream)
+    progress.start(9, 7)
+    progress.close()
+    assert stream.getvalue() == "training: 9 iterations, resumed at 7\n"
+
+
+def test_everything_is_closed_even_when_one_place_fails(tmp_path, monkeypatch):
+    def fail(self) -> None:
+        raise OSError("disk full")
+
+    progress = RunProgress(tmp_path / "progress.csv", tmp_path / "tensorboard", io.StringIO())
+    monkeypatch.setattr(TensorBoardProgress, "close", fail)
+    progress.start(2, 0)
+    with pytest.raises(OSError, match="disk full"):
+        progress.close()
+    assert progress._files[0]._file.closed
+
+
+def test_importing_the_console_s_progress_loads_nothing_heavy():
     heavy = ("torch", "rich", "tensorboard", "numpy", "mujoco")
-    code = f"import sys, kickbench.training.progress; print([m for m in {heavy!r} if m in sys.modules])"
+    code = f"import sys, kickbench.evaluation.progress; print([m for m in {heavy!r} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
 
 
-def test_any_flipped_bit_of_a_row_or_of_a_column_name_is_found(tmp_path: Path) -> None:
+def test_any_flipped_bit_of_a_row_or_of_a_column_name_is_found(tmp_path):
     path = tmp_path / "progress.csv"
     write_rows(path, range(3))
     whole = path.read_bytes()
@@ -350,7 +287,7 @@ def test_any_flipped_bit_of_a_row_or_of_a_column_name_is_found(tmp_path: Path) -
                 checked_rows(path)
 
 
-def test_rows_of_an_older_table_get_their_checks_on_a_resume(tmp_path: Path) -> None:
+def test_rows_of_an_older_table_get_their_checks_on_a_resume(tmp_path):
     path = tmp_path / "progress.csv"
     write_rows(path, range(2))
     whole = path.read_text()

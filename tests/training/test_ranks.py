@@ -14,13 +14,13 @@ import pytest
 import torch
 from torch import nn
 
-from kickbench.bench.training import Iterations
+from kickbench.bench.measure import Iterations
 from kickbench.cli import main
 from kickbench.errors import KickbenchError
 from kickbench.results.metrics import load_metrics
 from kickbench.training.checkpoint import Checkpoints
 from kickbench.training.ranks import ALONE, Ranks, fingerprint, read_ranks
-from kickbench.training.stop import StopRequest
+from kickbench.training.trainer import StopRequest
 
 ROOT = Path(__file__).parents[2]
 SECOND_OF_TWO = {

@@ -27,7 +27,7 @@ from kickbench.results.identity import read_identity
 from kickbench.results.integrity import check
 from kickbench.results.metrics import load_metrics
 from kickbench.training.checkpoint import FORMAT, Checkpoints
-from kickbench.training.progress_files import CsvProgress
+from kickbench.training.progress import CsvProgress
 from kickbench.training.trainer import Trainer
 from kickbench.trials.trial import load_trial
 
@@ -323,7 +323,7 @@ def run_and_kill(where: str, count: int, arguments: list[str]) -> None:
     ("where", "count", "iterations_kept"),
     [
         # Two rows beyond the checkpoint of iteration 50 are there.
-        ("kickbench.training.progress_files:CsvProgress.update", 53, 50),
+        ("kickbench.training.progress:CsvProgress.update", 53, 50),
         # The next one after that of the start is to be written.
         ("kickbench.training.checkpoint:atomic_write_bytes", 2, 0),
         ("kickbench.evaluation.episodes:_ended", 3, 53),
@@ -482,7 +482,7 @@ def test_a_killed_forced_run_leaves_the_old_one_whole_and_goes_on(copy, undistur
     (copy / "notes.txt").write_text("mine")
     before = snapshot(copy)
     forced = command(copy, "--set", "algorithm.gamma=0.9")
-    run_and_kill("kickbench.training.progress_files:CsvProgress.update", 53, [*forced, "--force"])
+    run_and_kill("kickbench.training.progress:CsvProgress.update", 53, [*forced, "--force"])
     assert snapshot(copy) == before
     for verb in ("table", "list"):
         assert main([verb, str(copy.parent)]) == 0

@@ -18,8 +18,7 @@ from kickbench.results.history import RunHistory
 from kickbench.symmetry.torch_ops import Mirror
 from kickbench.training.checkpoint import Checkpoints, load_policy, save_policy
 from kickbench.training.ppo import build_ppo
-from kickbench.training.progress import IterationRecord, ProgressGroup
-from kickbench.training.progress_files import CsvProgress
+from kickbench.training.progress import CsvProgress, Progress, Record
 from kickbench.training.trainer import Trainer
 
 SMALL = (
@@ -30,20 +29,17 @@ SMALL = (
 )
 
 
-class Recorder:
+class Recorder(Progress):
     """Keeps what it is told; may interrupt the training."""
 
     def __init__(self, interrupt_at: int | None = None) -> None:
-        self.records: list[IterationRecord] = []
+        self.records: list[Record] = []
         self.closed = False
         self._interrupt_at = interrupt_at
 
-    def start(self, total_iterations: int, first_iteration: int) -> None:
-        pass
-
-    def update(self, record: IterationRecord) -> None:
+    def update(self, record: Record) -> None:
         self.records.append(record)
-        if record.iteration == self._interrupt_at:
+        if record["iteration"] == self._interrupt_at:
             signal.raise_signal(signal.SIGINT)
 
     def close(self) -> None:
@@ -55,6 +51,13 @@ def make_trainer(chosen, folder, progress, seed: int = 0) -> Trainer:
     env = KickEnv(chosen.task, make_engine(chosen.task, chosen.method.spec.algorithm.num_envs), seed)
     history = RunHistory(chosen.task.name, chosen.method.name, seed, num_threads=1)
     return Trainer(chosen, env, progress, Checkpoints(folder), history)
+
+
+def group(record: Record, name: str) -> dict[str, float]:
+    """The figures `name/...`."""
+    return {
+        key.removeprefix(f"{name}/"): value for key, value in record.items() if key.startswith(f"{name}/")
+    }
 
 
 def weights(trainer: Trainer) -> torch.Tensor:
@@ -81,21 +84,20 @@ def test_a_record_tells_counts_shares_and_sums_of_the_iteration(experiment, tmp_
     recorder = Recorder()
     result = make_trainer(chosen, tmp_path, recorder).train(4)
     assert (result.iterations, result.env_steps, result.interrupted) == (4, 4 * 32 * 8, False)
-    assert [r.iteration for r in recorder.records] == [0, 1, 2, 3]
+    assert [r["iteration"] for r in recorder.records] == [0, 1, 2, 3]
     first, last = recorder.records[0], recorder.records[-1]
-    assert math.isnan(first.success_rate), "no episode has ended yet"
-    assert last.env_steps == 4 * 32 * 8
-    assert last.terminations["time_out"] > 0
-    assert (
-        set(last.rewards) == set(last.rewards_raw) == set(chosen.task.spec.rewards._order) - {"scale_by_dt"}
-    )
-    assert last.mean_return == pytest.approx(sum(last.rewards.values()), abs=1e-4)
+    assert math.isnan(first["success_rate"]), "no episode has ended yet"
+    assert last["env_steps"] == 4 * 32 * 8
+    assert last["termination/time_out"] > 0
+    names = set(chosen.task.spec.rewards._order) - {"scale_by_dt"}
+    assert set(group(last, "reward")) == set(group(last, "reward_raw")) == names
+    assert last["mean_return"] == pytest.approx(sum(group(last, "reward").values()), abs=1e-4)
     assert recorder.closed
 
 
 def test_the_progress_file_has_a_row_an_iteration(experiment, tmp_path):
     chosen = experiment("mini_home_field", "baseline", *SMALL)
-    make_trainer(chosen, tmp_path, ProgressGroup([CsvProgress(tmp_path / "progress.csv")])).train(3)
+    make_trainer(chosen, tmp_path, CsvProgress(tmp_path / "progress.csv")).train(3)
     with open(tmp_path / "progress.csv", encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
     assert [int(row["iteration"]) for row in rows] == [0, 1, 2]
@@ -179,7 +181,7 @@ def test_the_adaptive_learning_rate_stays_in_its_range(experiment, tmp_path):
     overrides = (*SMALL, "algorithm.learning_rate=1e-3", "algorithm.learning_rate_range=[9e-4, 1.1e-3]")
     recorder = Recorder()
     make_trainer(experiment("mini_home_field", "baseline", *overrides), tmp_path, recorder).train(5)
-    rates = [record.learning_rate for record in recorder.records]
+    rates = [record["learning_rate"] for record in recorder.records]
     assert all(9e-4 <= rate <= 1.1e-3 for rate in rates)
 
 
@@ -188,7 +190,7 @@ def test_the_desired_kl_is_annealed_linearly_over_the_run(experiment, tmp_path):
     seen: list[float] = []
 
     class Watcher(Recorder):
-        def update(self, record: IterationRecord) -> None:
+        def update(self, record: Record) -> None:
             seen.append(trainer.ppo.desired_kl)
 
     trainer = make_trainer(experiment("mini_home_field", "baseline", *overrides), tmp_path, Watcher())
@@ -225,7 +227,7 @@ def test_the_mirror_loss_makes_the_policy_more_equivariant(experiment, tmp_path)
         chosen, recorder = experiment("mini_home_field", "mirror_loss", *overrides), Recorder()
         trainer = make_trainer(chosen, tmp_path, recorder)
         trainer.train(6)
-        assert ("symmetry" in recorder.records[-1].losses) == (coefficient > 0)
+        assert ("loss/symmetry" in recorder.records[-1]) == (coefficient > 0)
         losses[coefficient] = mirror_loss(chosen, trainer)
     assert losses[10.0] < 0.5 * losses[0.0]
 
@@ -253,17 +255,13 @@ def test_the_mirror_loss_weighs_on_the_loss_and_goes_with_augmentation(experimen
 
 def test_a_relaxed_training_logs_the_share_of_its_residuals_and_others_have_none(experiment, tmp_path):
     recorder = Recorder()
-    group = ProgressGroup([recorder, CsvProgress(tmp_path / "progress.csv")])
-    make_trainer(experiment("mini_home_field", "relaxed_equivariant", *SMALL), tmp_path, group).train(3)
-    shares = [record.residual_shares for record in recorder.records]
+    make_trainer(experiment("mini_home_field", "relaxed_equivariant", *SMALL), tmp_path, recorder).train(3)
+    shares = [group(record, "residual_share") for record in recorder.records]
     assert all(set(share) == {"actor", "critic"} for share in shares)
     assert all(0 < value < 0.5 for share in shares for value in share.values())
-    with open(tmp_path / "progress.csv") as file:
-        rows = list(csv.DictReader(file))
-    assert float(rows[-1]["residual_share/actor"]) == pytest.approx(shares[-1]["actor"], rel=1e-5)
     recorder = Recorder()
     make_trainer(experiment("mini_home_field", "equivariant", *SMALL), tmp_path, recorder).train(1)
-    assert recorder.records[0].residual_shares == {}
+    assert group(recorder.records[0], "residual_share") == {}
 
 
 def test_a_short_training_improves(experiment, tmp_path):
@@ -278,6 +276,7 @@ def test_a_short_training_improves(experiment, tmp_path):
     )
     recorder = Recorder()
     make_trainer(experiment("mini_home_field", "equivariant", *overrides), tmp_path, recorder).train(40)
-    approach = [r.rewards["agent_approach_ball"] for r in recorder.records if not math.isnan(r.mean_return)]
+    ended = [record for record in recorder.records if not math.isnan(record["mean_return"])]
+    approach = [record["reward/agent_approach_ball"] for record in ended]
     early, late = sum(approach[:5]) / 5, sum(approach[-5:]) / 5
     assert late > early + 0.3, (early, late)

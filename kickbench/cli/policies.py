@@ -1,0 +1,173 @@
+"""Verbs for policies: `eval`, `render`, `play` and `export`."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import typer
+
+from kickbench.cli import app as cli
+from kickbench.config.shipped import find
+from kickbench.errors import KickbenchError, shown
+
+_STARTS, _EPISODES = 9, 3
+_SHEET_SIZE, _FILM_SIZE = (400, 300), (640, 480)
+
+
+@cli.verb("Train", "eval runs/mini_home_field/equivariant/seed1 --episodes 500", name="eval")
+def evaluate(
+    run: cli.Run,
+    task: Path | None = cli.option(
+        "Another task: a YAML file or a name (default: the run's).", metavar="TASK"
+    ),
+    save: bool = cli.flag("Keep the figures on another task in RUN/also/<task>.json.", "--save"),
+    episodes: int | None = cli.count("Episodes a side (default: the task's)."),
+    seed: cli.TaskSeed = None,
+    json: cli.Json = False,
+    threads: cli.Threads = None,
+    trust_code: cli.Trust = False,
+) -> int:
+    """Evaluate the policy of a finished run again."""
+    if save and not task:
+        raise KickbenchError("--save keeps the figures on another task beside the run: it needs --task")
+    task = find(task, "task") if task else None
+    from kickbench.launch.run import evaluate as measure
+    from kickbench.results.frame import frame_of
+    from kickbench.results.integrity import write_also
+    from kickbench.results.metrics import metrics_bytes
+    from kickbench.results.store import RunDirectory
+    from kickbench.results.table import render_table
+    from kickbench.training.trained import load_run
+
+    loaded = load_run(run, task, trust_code=trust_code)
+    figures = measure(loaded, episodes=episodes, seed=seed, threads=threads)
+    # Where a run keeps its task, the file's name is not the task's.
+    name = loaded.trial.task.name if task else loaded.metrics.task
+    metrics = loaded.metrics.model_copy(update={"task": name, "evaluation": figures})
+    if save:
+        directory = RunDirectory(run)
+        with directory.occupied():
+            write_also(directory, f"also/{metrics.task}.json", metrics_bytes(metrics))
+    print(metrics.model_dump_json(indent=2) if json else render_table(frame_of([metrics])))
+    return 0
+
+
+@cli.verb("Look at results", "render mini_home_field --out starts.png")
+def render(
+    task: cli.Task,
+    policy: list[Path] = cli.option(
+        "Run directory (default: zero action); several are shown side by side.", metavar="RUN", default=[]
+    ),
+    out: Path | None = cli.option(
+        ".png: a sheet of initial states; .webp or .mp4: episodes (default: <task>.png).", metavar="FILE"
+    ),
+    starts: int | None = cli.count("Initial states on a sheet (default: 9)."),
+    episodes: int | None = cli.count("Episodes of a film (default: 3)."),
+    seed: cli.TaskSeed = None,
+    size: cli.Size = None,
+    mirrored: bool = cli.flag("Film the mirror images of the initial states.", "--mirrored"),
+    overrides: cli.Set = cli.NONE,
+) -> int:
+    """Draw initial states of a task, or film episodes."""
+    file = find(task, "task")
+    from kickbench.view.backend import check_mujoco
+
+    check_mujoco()
+    suffix = out.suffix.lower() if out else ".png"
+    if suffix == ".png":
+        _refuse("a .png shows starts", policy=policy, episodes=episodes, mirrored=mirrored)
+    elif suffix in (".webp", ".mp4"):
+        _refuse(f"a {suffix} shows episodes", starts=starts)
+    else:
+        raise KickbenchError(f"{out}: pictures are .png, .webp or .mp4")
+    from kickbench.envs.compile import read_task
+    from kickbench.results.atomic import atomic_file
+    from kickbench.view.pictures import contact_sheet
+    from kickbench.view.pictures import film_runs
+
+    compiled = read_task(file, overrides)
+    out = out or Path(f"{compiled.name}.png")
+    seed = compiled.spec.evaluation.seed if seed is None else seed
+    if suffix == ".png":
+        sheet = contact_sheet(compiled, starts or _STARTS, seed, *(size or _SHEET_SIZE))
+        with atomic_file(out) as picture:
+            sheet.save(picture, "PNG")
+    else:
+        film_runs(compiled, policy, out, episodes or _EPISODES, seed, size or _FILM_SIZE, mirrored=mirrored)
+    print(shown(out))
+    return 0
+
+
+def _refuse(reason: str, **options: object) -> None:
+    """Refuses options that the kind of picture has no use for."""
+    for name, value in options.items():
+        if value:
+            raise KickbenchError(f"--{name}: {reason}")
+
+
+@cli.verb("Look at results", "play runs/mini_home_field/equivariant/seed0")
+def play(
+    path: Path = cli.argument(
+        "Run directory; or a task, whose robot stands on zero action.", "RUN|TASK", "task"
+    ),
+    task: Path | None = cli.option("Another task for the run's policy.", metavar="TASK"),
+    seed: cli.TaskSeed = None,
+    port: int = cli.count("Port, or the next that is free (default: 8080).", least=0, default=8080),
+    host: str = cli.option(
+        "Interface; on another than the default everyone who reaches the port controls the page.",
+        default="127.0.0.1",
+    ),
+    browser: bool | None = typer.Option(
+        None, "--browser/--no-browser", help="Open a browser (default: where there is one)."
+    ),
+    trust_code: cli.Trust = False,
+    overrides: cli.Set = cli.NONE,
+) -> int:
+    """Show a policy live in a browser."""
+    if port >= 2**16:
+        raise typer.BadParameter(f"--port: expected a port below 65536, found {port}")
+    path = path if path.is_dir() else find(path, "task")
+    task = find(task, "task") if task else None
+    from kickbench.view.backend import check_mujoco
+
+    check_mujoco()
+    from kickbench.envs.compile import read_task
+    from kickbench.training.trained import load_run
+    from kickbench.view.play import play as show
+    from kickbench.view.session import fitting
+
+    run = load_run(path, trust_code=trust_code, unfinished=True) if path.is_dir() else None
+    if run is None and task is not None:
+        raise KickbenchError(f"--task is for a run's policy, and {shown(path)} is not a run directory")
+    if run is not None and task is None and not overrides:
+        compiled = run.trial.task
+    else:
+        compiled = read_task(task or (run.directory.task_spec if run else path), overrides)
+        compiled = replace(compiled, is_trusted=run is None or task is not None or trust_code)
+    show(
+        compiled,
+        fitting(compiled, run) if run else None,
+        f"kickbench play {shown(path)}",
+        seed=compiled.spec.evaluation.seed if seed is None else seed,
+        host=host,
+        port=port,
+        browser=browser,
+    )
+    return 0
+
+
+@cli.verb("Look at results", "export runs/mini_home_field/equivariant/seed0")
+def export(
+    run: cli.Run,
+    out: Path | None = cli.option(
+        "Folder to write (default: exported/<task>/<method>/seed<k>).", "-o", "--out", metavar="DIR"
+    ),
+    states: int = cli.count("Write so many initial states of the evaluation, too.", least=0, default=0),
+    force: bool = cli.flag("Overwrite a policy that is there.", "--force"),
+) -> int:
+    """Write a run's policy as ONNX, with a contract of inputs, outputs, gains and limits."""
+    from kickbench.deploy.export import export as write
+
+    print(shown(write(run, out, states=states, force=force)))
+    return 0
