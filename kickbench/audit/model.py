@@ -9,7 +9,7 @@ import numpy as np
 
 from kickbench.audit.report import Row
 from kickbench.envs.compile import CompiledTask
-from kickbench.sim.read_skeleton import read_skeleton
+from kickbench.sim.read_parts import read_parts
 from kickbench.sim.sensors import ROBOT
 from kickbench.symmetry.block import kind_of_coordinate
 from kickbench.symmetry.derive import Derivation, Match, derive
@@ -22,7 +22,7 @@ _TOLERANCE = 1e-5
 
 def derive_scene(task: CompiledTask) -> Derivation:
     """Derives the reflection of the robot in a task's scene, servos included."""
-    return derive(read_skeleton(task.scene.model, ROBOT))
+    return derive(read_parts(task.scene.model, ROBOT))
 
 
 def true_image(task: CompiledTask, derivation: Derivation) -> Image:

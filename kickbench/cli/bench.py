@@ -20,8 +20,7 @@ from kickbench.config.shipped import find_method
 from kickbench.nets.threads import torch_threads
 from kickbench.results.atomic import check_writable
 from kickbench.results.provenance import Moment, collect_provenance
-from kickbench.sim.cpu import usable_cores
-from kickbench.sim.devices import check_device
+from kickbench.sim.engine import check_device, usable_cores
 from kickbench.trials.trial import Trial, load_trial
 
 _METHODS = ("baseline", "augmentation", "equivariant")

@@ -13,7 +13,7 @@ from kickbench.errors import KickbenchError, shown
 from kickbench.launch.plan import Plan, Selection, make_plan
 from kickbench.results.frame import load_runs
 from kickbench.results.table import render_table
-from kickbench.sim.cpu import usable_cores
+from kickbench.sim.engine import usable_cores
 from kickbench.trials.experiment import load_experiment
 
 EXPERIMENT = "mini_home_field"

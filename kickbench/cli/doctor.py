@@ -129,7 +129,7 @@ def _broken() -> dict[str, str]:
 def _cores(broken: Mapping[str, str]) -> int:
     if broken:
         return os.cpu_count() or 1
-    from kickbench.sim.cpu import usable_cores
+    from kickbench.sim.engine import usable_cores
 
     return usable_cores()
 

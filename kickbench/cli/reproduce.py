@@ -16,8 +16,7 @@ from kickbench.results.frame import load_runs
 from kickbench.results.store import RunDirectory
 from kickbench.results.table import render_table
 from kickbench.results.verdicts import judge, verdict_lines
-from kickbench.sim.cpu import usable_cores
-from kickbench.sim.devices import check_device
+from kickbench.sim.engine import check_device, usable_cores
 from kickbench.trials.experiment import load_experiment
 
 

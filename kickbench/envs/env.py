@@ -28,8 +28,7 @@ from kickbench.envs.state_index import StateIndex
 from kickbench.envs.stateful import Stateful, check_tensors
 from kickbench.envs.variation import ModelVariation
 from kickbench.errors import KickbenchError, shown
-from kickbench.sim.devices import check_device
-from kickbench.sim.engine import Engine
+from kickbench.sim.engine import Engine, check_device
 
 _POOLED = 16
 """Episodes a world whose starts are drawn at a time."""

@@ -7,10 +7,9 @@ from collections.abc import Iterator, Mapping
 import torch
 from torch import Tensor
 
-from kickbench.sim.build import Scene
+from kickbench.sim.build import Scene, servo_law
 from kickbench.sim.engine import ModelField
 from kickbench.sim.layout import NO_SIDE
-from kickbench.sim.servo import servo_law
 
 _SERVO = ("servo_stiffness", "servo_damping", "motor_strength")
 

@@ -5,7 +5,9 @@ It runs on warp's CPU device too, slowly: for tests.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import copy
+import dataclasses
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 # pyright: reportAttributeAccessIssue=false
@@ -16,17 +18,18 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from kickbench.sim.batched import EngineLoad
-from kickbench.sim.engine import HUGE, ModelField
-from kickbench.sim.warp_capacity import Capacity, LoadWatch
-from kickbench.sim.warp_latch import ContactLatch
-from kickbench.sim.warp_model import DeviceModel
+from kickbench.errors import KickbenchError
+from kickbench.sim.engine import HUGE, INERTIAL_FIELDS, Engine, EngineLoad, ModelField, frame_size
+from kickbench.sim.warp_contacts import Capacity, ContactLatch, LoadWatch
 
 wp.config.log_level = wp.LOG_WARNING
+_DERIVED = ("body_subtreemass", "body_invweight0", "dof_invweight0", "actuator_acc0")
+"""What MuJoCo derives from masses and inertias, and mujoco_warp keeps a world."""
+_SPECS = {field.name: field.type for field in dataclasses.fields(mjw.Model)}
 
 
-class WarpEngine:
-    """Steps B worlds with mujoco_warp; implements `physics.engine.Engine` in single precision.
+class WarpEngine(Engine):
+    """Steps B worlds with mujoco_warp, in single precision.
 
     All tensors are fixed views of device memory that warp writes, and neither `step`, `reset`, `push` nor `set_model`
     waits for the host or reads a tensor there. They can therefore be recorded in a CUDA graph, once each of them has
@@ -98,10 +101,7 @@ class WarpEngine:
         self._sensor_array = wp.zeros((worlds, model.nsensordata), dtype=wp.float32)
         self.sensors = wp.to_torch(self._sensor_array)
         self.failed = torch.zeros(worlds, dtype=torch.bool, device=self.device)
-        contact = model.sensor_type == mujoco.mjtSensor.mjSENS_CONTACT
-        self._frames = slice(0, int(model.sensor_dim[~contact].sum()))
-        if (model.sensor_adr[contact] < self._frames.stop).any():
-            raise ValueError("the model's frame sensors must come before its contact sensors")
+        self._frames = slice(0, frame_size(model))
 
     @contextmanager
     def _on_stream(self) -> Iterator[wp.Stream | None]:
@@ -182,11 +182,7 @@ class WarpEngine:
         self._force.copy_(force)
 
     def set_model(self, mask: Tensor, fields: Sequence[ModelField]) -> None:
-        """See `Engine.set_model`.
-
-        Raises:
-            KickbenchError: mujoco_warp shares a field among all worlds.
-        """
+        """See `Engine.set_model`."""
         with self._on_stream():
             self._model.set(mask, fields, self._data)
 
@@ -197,22 +193,8 @@ class WarpEngine:
         self._watch.check(load)
         return load
 
-    def state_dict(self) -> dict[str, Tensor]:
-        """See `Engine.state_dict`."""
-        return {name: tensor.clone() for name, tensor in self._tensors().items()}
-
-    def load_state_dict(self, state: Mapping[str, Tensor]) -> None:
-        """See `Engine.load_state_dict`."""
-        tensors = self._tensors()
-        expected = {name: tuple(tensor.shape) for name, tensor in tensors.items()}
-        found = {name: tuple(values.shape) for name, values in state.items()}
-        if found != expected:
-            raise ValueError(f"WarpEngine: expected {expected}, found {found}")
-        for name, tensor in tensors.items():
-            tensor.copy_(state[name])
-
-    def _tensors(self) -> dict[str, Tensor]:
-        """Everything that the next step depends on, but for the worlds' models."""
+    def live_state(self) -> dict[str, Tensor]:
+        """See `Engine.live_state`."""
         tensors = {name: getattr(self, name) for name in ("qpos", "qvel", "sensors", "failed")}
         push = {} if self._pushed is None else {"push": self._force}
         return {**tensors, "act": self._act, **push}
@@ -222,12 +204,84 @@ class WarpEngine:
         values = self._model.field(name)
         return values.expand(self.num_worlds, *values.shape[1:]).cpu().numpy()
 
-    def close(self) -> None:
-        """See `Engine.close`; device memory is freed with the engine itself."""
-
 
 def _with_number(device: torch.device) -> torch.device:
     """The same device with its number, as tensors on it have it."""
     if device.type == "cuda" and device.index is None:
         return torch.device("cuda", torch.cuda.current_device())
     return device
+
+
+class DeviceModel:
+    """One compiled model for B worlds: a field becomes an array over the worlds when it is first set.
+
+    There are two views of it. `substep` has no sensors: contacts are sensed by `ContactLatch`, and frames are of
+    interest in the final state only. `frames` has the frame sensors alone.
+    """
+
+    def __init__(self, model: mujoco.MjModel, num_worlds: int) -> None:
+        """Copies the model to warp's present device.
+
+        Raises:
+            KickbenchError: mujoco_warp lacks a feature of the model.
+        """
+        self._worlds = num_worlds
+        # mujoco_warp never resets a world by itself, and refuses the flag that asks for just that.
+        plain = copy.copy(model)
+        plain.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+        try:
+            self.substep = mjw.put_model(plain)
+        except NotImplementedError as error:
+            raise KickbenchError(
+                f"mujoco_warp cannot simulate this scene: {error}; use --device cpu"
+            ) from error
+        self.substep.opt.warn_overflow = 0  # counted, not printed by every thread
+        self.frames = copy.copy(self.substep)
+        nothing = wp.zeros(0, dtype=wp.int32)
+        for stage in ("pos", "vel", "acc"):
+            setattr(self.frames, f"sensor_contact_{stage}_adr", nothing)
+        flags = int(self.substep.opt.disableflags) | int(mjw.DisableBit.SENSOR)
+        self.substep.opt = dataclasses.replace(self.substep.opt, disableflags=flags)
+        self._varied: dict[str, Tensor] = {}
+
+    def field(self, name: str) -> Tensor:
+        """A field of the model [1 or B, ...]."""
+        return wp.to_torch(getattr(self.substep, name))
+
+    def set(self, mask: Tensor, fields: Sequence[ModelField], scratch: mjw.Data) -> None:
+        """Sets fields in the worlds in `mask` [B] bool; see `Engine.set_model`.
+
+        Args:
+            mask: Worlds.
+            fields: What to set.
+            scratch: Data of these worlds; everything in it but the state may be overwritten.
+
+        Raises:
+            KickbenchError: mujoco_warp shares a field among all worlds.
+        """
+        for field in fields:
+            target = self._vary(field.name)
+            if field.column is not None:
+                target = target[..., field.column]
+            values = field.values.to(target.dtype)
+            chosen = mask.view(-1, *[1] * (values.dim() - 1))
+            rows = torch.where(chosen, values, target.index_select(1, field.ids))
+            target.index_copy_(1, field.ids, rows)
+        if any(field.name in INERTIAL_FIELDS for field in fields):
+            for name in _DERIVED:
+                self._vary(name)
+            mjw.set_const(self.substep, scratch, restore=False)
+
+    def _vary(self, name: str) -> Tensor:
+        """A field as an array over the worlds [B, ...]; made when it is first asked for."""
+        if name not in self._varied:
+            shape = getattr(_SPECS.get(name), "shape", ())
+            if not shape or shape[0] != "*":
+                raise KickbenchError(f"mujoco_warp has one {name} for all worlds; use --device cpu")
+            shared = getattr(self.substep, name)
+            every = np.repeat(shared.numpy()[:1], self._worlds, axis=0)
+            array = wp.array(every, dtype=shared.dtype)
+            for view in (self.substep, self.frames):
+                setattr(view, name, array)
+            self._varied[name] = wp.to_torch(array)
+        return self._varied[name]

@@ -24,8 +24,7 @@ from kickbench.envs.state_index import StateIndex
 from kickbench.errors import KickbenchError
 from kickbench.sim.cpu import CpuEngine
 from kickbench.sim.engine import ModelField
-from kickbench.sim.warp import WarpEngine
-from kickbench.sim.warp_model import DeviceModel
+from kickbench.sim.warp import DeviceModel, WarpEngine
 from kickbench.symmetry.torch_ops import Mirror
 
 pytestmark = pytest.mark.slow  # kernels are compiled the first time

@@ -1,4 +1,7 @@
-"""Contact sensing on the device: which contacts a sensor counts, and the latch over the substeps.
+"""Contacts on the device: how much room they need, and which sensors count them, latched over the substeps.
+
+mujoco_warp allocates contacts for all worlds together and constraint rows for each world; what does not fit is left
+out of the physics. The room is measured, its use is watched, and a run in which it is short too often ends.
 
 mujoco_warp's own contact sensors search all contacts once a sensor and keep up to 64 of them a world and sensor, in
 every substep. Here every contact finds the sensors that count it in a table of geom pairs and adds itself to them:
@@ -7,22 +10,167 @@ one launch a substep, whatever the number of sensors.
 
 # Kernels read their annotations, so they must not be strings: no `from __future__ import annotations` here.
 
+import math
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 # pyright: reportAttributeAccessIssue=false, reportIndexIssue=false, reportInvalidTypeForm=false
 # pyright: reportOperatorIssue=false, reportAssignmentType=false, reportGeneralTypeIssues=false
 import mujoco
 import numpy as np
 import warp as wp
-from mujoco_warp import Data
+from mujoco_warp import Data, OverflowType
 
 from kickbench.errors import KickbenchError
+from kickbench.sim.engine import FORCE, FOUND, NETFORCE, EngineLoad, frame_size
 
 _Obj = mujoco.mjtObj
-_FOUND = 1 << int(mujoco.mjtConDataField.mjCONDATA_FOUND)
-_FORCE = 1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE)
-_NETFORCE = 3
-"""MuJoCo's `reduce` that adds up all contacts of a sensor, in the world frame."""
+HEADROOM = 1.5
+"""Room over the measured 95th percentile."""
+_STEP_OF_SIZES = 8
+_SHORT = int(
+    OverflowType.NEFC | OverflowType.NJMAX_NNZ | OverflowType.BROADPHASE | OverflowType.NARROWPHASE
+    | OverflowType.CCD | OverflowType.EPA_HORIZON
+)  # fmt: skip
+"""Overflows that leave something out of the physics."""
+
+
+@dataclass(frozen=True)
+class Capacity:
+    """Room of an engine.
+
+    Attributes:
+        contacts: Contacts a world, on average over the worlds, which share them.
+        constraints: Constraint rows of every world.
+        allowed_share: Largest share of the control steps that may run short of either.
+    """
+
+    contacts: int
+    constraints: int
+    allowed_share: float = 1e-3
+
+
+def measure_capacity(
+    model: mujoco.MjModel, qpos: np.ndarray, targets: Sequence[np.ndarray], decimation: int
+) -> Capacity:
+    """Measures with MuJoCo how many contacts and constraints worlds have, and adds head-room.
+
+    A size is `HEADROOM` times the 95th percentile over worlds and substeps, and no less than the largest value seen.
+
+    Args:
+        model: Compiled model.
+        qpos: Where worlds start [N, nq].
+        targets: Control targets of the control steps, each [N, nu].
+        decimation: Substeps of a control step.
+    """
+    data, seen = mujoco.MjData(model), []
+    for world, start in enumerate(qpos):
+        mujoco.mj_resetData(model, data)
+        data.qpos[:] = start
+        for target in targets:
+            data.ctrl[:] = target[world]
+            for _ in range(decimation):
+                mujoco.mj_step(model, data)
+                seen.append((data.ncon, data.nefc))
+    contacts, constraints = (_size(np.array(values)) for values in zip(*seen, strict=True))
+    return Capacity(contacts, constraints)
+
+
+def _size(seen: np.ndarray) -> int:
+    wanted = max(HEADROOM * float(np.quantile(seen, 0.95)), float(seen.max()), 1.0)
+    return _STEP_OF_SIZES * math.ceil(wanted / _STEP_OF_SIZES)
+
+
+@wp.kernel(enable_backward=False)
+def _note(
+    nacon: wp.array(dtype=wp.int32),
+    nefc: wp.array(dtype=wp.int32),
+    most_contacts: wp.array(dtype=wp.int32),
+    most_constraints: wp.array(dtype=wp.int32),
+):
+    world = wp.tid()
+    most_constraints[world] = wp.max(most_constraints[world], nefc[world])
+    if world == 0:
+        most_contacts[0] = wp.max(most_contacts[0], nacon[0])
+
+
+@wp.kernel(enable_backward=False)
+def _count(
+    bits: int,
+    overflow: wp.array(dtype=wp.int32),
+    short_steps: wp.array(dtype=wp.int32),
+    steps: wp.array(dtype=wp.int32),
+):
+    world = wp.tid()
+    if overflow[world] & bits:
+        short_steps[world] += 1
+    overflow[world] = 0
+    if world == 0:
+        steps[0] += 1
+
+
+class LoadWatch:
+    """Watches on the device how much room the worlds use; the host looks at it once in a while."""
+
+    def __init__(self, capacity: Capacity, num_worlds: int) -> None:
+        """Allocates the counters on warp's present device."""
+        self.capacity = capacity
+        self._worlds = num_worlds
+        self._contacts, self._steps = wp.zeros(1, dtype=wp.int32), wp.zeros(1, dtype=wp.int32)
+        self._constraints = wp.zeros(num_worlds, dtype=wp.int32)
+        self._short_steps = wp.zeros(num_worlds, dtype=wp.int32)
+
+    def note(self, data: Data) -> None:
+        """Notes what a substep has used."""
+        wp.launch(
+            _note,
+            dim=self._worlds,
+            inputs=[data.nacon, data.nefc],
+            outputs=[self._contacts, self._constraints],
+        )
+
+    def count(self, data: Data) -> None:
+        """Counts the worlds that ran short in a control step, and clears mujoco_warp's overflow bits."""
+        wp.launch(
+            _count, dim=self._worlds, inputs=[_SHORT], outputs=[data.overflow, self._short_steps, self._steps]
+        )
+
+    def take(self) -> EngineLoad:
+        """What has been seen since the last call; waits for the device."""
+        load = EngineLoad(
+            contacts=float(self._contacts.numpy()[0]) / self._worlds,
+            constraints=int(self._constraints.numpy().max()),
+            contact_room=self.capacity.contacts,
+            constraint_room=self.capacity.constraints,
+            short_share=float(self._short_steps.numpy().mean() / max(self._steps.numpy()[0], 1)),
+        )
+        for counter in (self._contacts, self._constraints, self._steps, self._short_steps):
+            counter.zero_()
+        return load
+
+    def check(self, load: EngineLoad) -> None:
+        """Ends a run that ran short too often.
+
+        Raises:
+            KickbenchError: With the figure to raise.
+        """
+        allowed = self.capacity.allowed_share
+        if load.short_share <= allowed:
+            return
+        use = {
+            "max_contacts": (load.contact_room, math.ceil(load.contacts)),
+            "max_constraints": (load.constraint_room, load.constraints),
+        }
+        short = {name: (room, needed) for name, (room, needed) in use.items() if needed > room}
+        raised = [
+            f"{name} from {room} to {_size(np.array([needed]))}" for name, (room, needed) in short.items()
+        ]
+        buffers = "collisions need more than mujoco_warp's own buffers"
+        advice = f"raise {' and '.join(raised)}" if raised else buffers
+        raise KickbenchError(
+            f"in {load.short_share:.2%} of the control steps a world ran out of room for contacts or constraints, "
+            f"which were left out of its physics ({allowed:.2%} are allowed): {advice}"
+        )
 
 
 @wp.kernel(enable_backward=False)
@@ -113,12 +261,11 @@ class ContactLatch:
         Raises:
             KickbenchError: A contact sensor is of a kind that no scene of kickbench has.
         """
-        sensors = np.flatnonzero(model.sensor_type == mujoco.mjtSensor.mjSENS_CONTACT)
-        self._first = int(model.sensor_adr[sensors[0]]) if len(sensors) else model.nsensordata
+        self._first = frame_size(model)
         width = model.nsensordata - self._first
         self._elliptic = model.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC
         self._ngeom = model.ngeom
-        self._make_table(model, sensors)
+        self._make_table(model)
         averaged = np.zeros(width, dtype=bool)
         averaged[np.asarray(contact_forces, dtype=int) - self._first] = True
         self._is_force = wp.array(averaged, dtype=wp.bool)
@@ -126,9 +273,9 @@ class ContactLatch:
         self._of_substep = [self._sensed[substep] for substep in range(decimation)]
         self._shape = (num_worlds, width)
 
-    def _make_table(self, model: mujoco.MjModel, sensors: np.ndarray) -> None:
+    def _make_table(self, model: mujoco.MjModel) -> None:
         entries: dict[int, list[tuple[int, float, bool]]] = {}
-        for sensor in sensors:
+        for sensor in np.flatnonzero(model.sensor_type == mujoco.mjtSensor.mjSENS_CONTACT):
             place, force = int(model.sensor_adr[sensor]) - self._first, _reports_force(model, sensor)
             for pair, sign in _pairs(model, sensor):
                 entries.setdefault(pair, []).append((place, sign, force))
@@ -168,8 +315,8 @@ class ContactLatch:
 def _reports_force(model: mujoco.MjModel, sensor: int) -> bool:
     """Whether a contact sensor reports the net force; checks that it is one that can be sensed here."""
     data, reduce = (int(value) for value in model.sensor_intprm[sensor, :2])
-    force = data == _FOUND | _FORCE and reduce == _NETFORCE and model.sensor_dim[sensor] == 4
-    if not force and (data != _FOUND or model.sensor_dim[sensor] != 1):
+    force = data == FOUND | FORCE and reduce == NETFORCE and model.sensor_dim[sensor] == 4
+    if not force and (data != FOUND or model.sensor_dim[sensor] != 1):
         name = model.sensor(int(sensor)).name
         raise KickbenchError(
             f"contact sensor '{name}': only `found`, and `found` with the net `force`, are latched"
