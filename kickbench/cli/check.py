@@ -23,7 +23,7 @@ def audit(
         ),
     ] = None,
     policy: cli.Policy = None,
-    states: Annotated[int | None, cli.count("States to visit (default: 4096).")] = None,
+    states: Annotated[int, cli.count("States to visit (default: 4096).")] = 4096,
     seed: cli.Seed = 0,
     json: cli.Json = False,
     overrides: cli.Set = cli.NONE,
@@ -34,11 +34,9 @@ def audit(
     if method is not None:
         is_table = str(method) in names("representations")
         method = find(method, "representations") if is_table else find_method(method, task, ["robot"])
-    from kickbench.audit.run import STATES, AuditRequest
     from kickbench.audit.run import audit as run_audit
 
-    request = AuditRequest(task, method, policy, states or STATES, seed, tuple(overrides), threads)
-    report = run_audit(request)
+    report = run_audit(task, method, policy, states, seed, overrides, threads)
     print(json_text.dumps(report.as_json(), indent=2) if json else "\n".join(report.lines()))
     return 1 if report.failures else 0
 

@@ -348,13 +348,13 @@ def _contradicted_joints(robot: Loaded[RobotSpec], derivation: Derivation) -> It
     for path, joint in _declared_joints(robot.spec):
         # The left joint of a pair stands for both.
         if "right" not in path and joint in derived and declared[joint] != derived[joint]:
-            here, there = (joint_words(joint, *table[joint]) for table in (declared, derived))
+            here, there = (_words(joint, *table[joint]) for table in (declared, derived))
             what = f"the joint '{joint}' is declared {here}, but by its geometry it is {there}"
             yield robot.document.problem(path, what, hint)
             hint = None  # once is enough
 
 
-def joint_words(joint: str, partner: str, sign: int) -> str:
+def _words(joint: str, partner: str, sign: int) -> str:
     """How a joint transforms: "sign", "regular with 'right_knee'"."""
     kind = kind_of_coordinate(partner == joint, sign)
     return kind if partner == joint else f"{kind} with '{partner}'"
