@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -48,10 +48,10 @@ def _bodies(derivation: Derivation) -> Iterator[Row]:
     for match, body in _speakers(derivation.bodies, parts.bodies):
         compared = list(_compare(body, match, parts.bodies))
         for shape in (s for s in parts.shapes if s.body == body.body and s.touches):
-            if images[shape.name].partner is None:
-                compared.append(Comparison(f"shape '{shape.name}'", np.inf))
-            found = _compare(shape, images[shape.name], parts.shapes)
-            compared += [replace(item, name=f"{shape.name}: {item.name}") for item in found]
+            image = images[shape.name]
+            if image.partner is None:
+                compared.append((np.inf, f"shape '{shape.name}' has no mirror image"))
+            compared += _compare(shape, image, parts.shapes, match)
         yield _row(_orbit(match), match, compared)
 
 
@@ -102,29 +102,19 @@ def _speakers(matches: Sequence[Match], elements: Sequence[Element]) -> Iterator
             yield match, element
 
 
-@dataclass(frozen=True)
-class Comparison:
-    """A quantity against its mirror image.
-
-    Attributes:
-        name: The quantity.
-        relative: Relative error.
-        error: Error in its unit.
-        unit: Its unit.
-        on_plane: Whether it is the place of something central, which the plane should hold.
-    """
-
-    name: str
-    relative: float
-    error: float = np.inf
-    unit: str = ""
-    on_plane: bool = False
+Comparison = tuple[float, str]
+"""Relative error of a quantity against its mirror image, and the error in words."""
 
 
-def _compare(element: Element, match: Match, others: Sequence[Element]) -> Iterator[Comparison]:
+def _compare(
+    element: Element, match: Match, others: Sequence[Element], body: Match | None = None
+) -> Iterator[Comparison]:
+    """Compares all quantities of a part; `body`: of a body's shape, in the words of the body."""
     if match.partner is None:
         return
     partner = next(other for other in others if other.name == match.partner)
+    owner, prefix = (match, "") if body is None else (body, f"{element.name}: ")
+    whose = "its mirror image" if owner.partner == owner.name else f"the mirror image of {owner.partner}'s"
     for quantity in element.quantities:
         other = partner.by_name[quantity.name]
         error = quantity.error(other, _REFLECTION, match.sign or 1)
@@ -136,8 +126,14 @@ def _compare(element: Element, match: Match, others: Sequence[Element]) -> Itera
         elif quantity.name == "anchor":
             error = _anchor_error(element, partner)
             relative = error / (quantity.scale or 1.0)
-        on_plane = partner.name == element.name and quantity.law == "point"
-        yield Comparison(quantity.name, relative, error, quantity.unit, on_plane)
+        words = f"{100 * relative:.2g} % from {whose}"
+        if not np.isfinite(relative):
+            words = "has no mirror image"
+        elif quantity.law == "point" and partner.name == element.name:
+            words = f"{1000 * error / 2:.3g} mm off the mirror plane"
+        elif quantity.unit == "m":
+            words = f"{1000 * error:.3g} mm from {whose}"
+        yield relative, f"{prefix}{quantity.name} {words}"
 
 
 def _anchor_error(joint: Element, partner: Element) -> float:
@@ -151,21 +147,10 @@ def _anchor_error(joint: Element, partner: Element) -> float:
 def _row(name: str, match: Match, compared: Sequence[Comparison]) -> Row:
     if match.partner is None:
         return Row("model", name, "FAIL", np.inf, _TOLERANCE, detail=match.reason)
-    worst = max((item.relative for item in compared), default=0.0)
-    bad = [item for item in compared if item.relative > _TOLERANCE]
-    detail = "; ".join(_defect(item, match) for item in bad[:2])
-    detail += f"; {len(bad) - 2} more" if len(bad) > 2 else ""
+    worst = max((relative for relative, _ in compared), default=0.0)
+    bad = [words for relative, words in compared if relative > _TOLERANCE]
+    detail = "; ".join(bad[:2]) + (f"; {len(bad) - 2} more" if len(bad) > 2 else "")
     return Row("model", name, verdict_of(wrong=bool(bad)), worst, _TOLERANCE, detail=detail)
-
-
-def _defect(item: Comparison, match: Match) -> str:
-    if not np.isfinite(item.relative):
-        return f"{item.name} has no mirror image"
-    if item.on_plane:
-        return f"{item.name} {1000 * item.error / 2:.3g} mm off the mirror plane"
-    size = f"{1000 * item.error:.3g} mm" if item.unit == "m" else f"{100 * item.relative:.2g} %"
-    whose = "its mirror image" if match.partner == match.name else f"the mirror image of {match.partner}'s"
-    return f"{item.name} {size} from {whose}"
 
 
 def _orbit(match: Match) -> str:

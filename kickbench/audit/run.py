@@ -82,11 +82,10 @@ def _load_table(
     if table is not None:
         document = load_document(table)
         kind = kind_of(document)
-        if kind == "method":
-            return load_method(table).representations
-        if kind != "representations":
+        if kind not in ("method", "representations"):
             raise document.error((), f"expected a method or a representation table, found a {kind} file")
-        return load(RepresentationSpec, table)
+        is_method = kind == "method"
+        return load_method(table).representations if is_method else load(RepresentationSpec, table)
     if run is not None:
         return load(RepresentationSpec, RunDirectory(run).representations_spec)
     # The robot's own table: `methods/representations/<robot's folder>.yaml` beside or above the task.

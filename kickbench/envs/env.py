@@ -72,7 +72,7 @@ class KickEnv(VecEnv):
         if task.spec.terms and not task.is_trusted:
             raise KickbenchError(f"{shown(task.spec.terms)}: code of a run; --trust-code lets it be imported")
         self.task, self.engine = task, engine
-        self.num_envs, self.num_actions = engine.num_worlds, len(task.scene.layout.actuator_names)
+        self.num_envs, self.num_actions = engine.num_envs, len(task.scene.layout.actuator_names)
         self.max_episode_length = task.spec.episode.max_steps
         self.device: torch.device = engine.device
         self.cfg = task.spec

@@ -21,9 +21,9 @@ _WRENCH = mujoco.mjtState.mjSTATE_XFRC_APPLIED
 
 
 class CpuEngine(Engine):
-    """Steps B worlds with a thread pool.
+    """Steps B envs with a thread pool.
 
-    A control step is one rollout of `decimation` substeps from every world's state, with MuJoCo's warm start
+    A control step is one rollout of `decimation` substeps from every env's state, with MuJoCo's warm start
     cleared at its beginning: the outcome is a function of state and controls alone, which resuming and
     mirroring rely on.
 
@@ -35,17 +35,17 @@ class CpuEngine(Engine):
     def __init__(
         self,
         model: mujoco.MjModel,
-        num_worlds: int,
+        num_envs: int,
         decimation: int,
         contact_forces: Sequence[int] = (),
         pushed_body: int | None = None,
         num_threads: int | None = None,
     ) -> None:
-        """Allocates the worlds in the model's reference pose.
+        """Allocates the envs in the model's reference pose.
 
         Args:
-            model: Compiled model, shared by all worlds until `set_model` makes copies.
-            num_worlds: Number of worlds B.
+            model: Compiled model, shared by all envs until `set_model` makes copies.
+            num_envs: Number of envs B.
             decimation: Physics substeps per control step.
             contact_forces: Places of contact sensors in sensordata that are averaged over the substeps; the others
                 are latched by their maximum.
@@ -54,12 +54,11 @@ class CpuEngine(Engine):
         """
         self.model = model
         self._stepped = _without_frame_sensors(model)
-        self.num_worlds, self.decimation = num_worlds, decimation
+        self.num_envs, self.decimation = num_envs, decimation
         self.num_threads = num_threads or usable_cores()
         self.device = torch.device("cpu")
         self._forces = runs(sorted(contact_forces))
-        self._models = [self._stepped] * num_worlds
-        self._shared = True
+        self._models = [self._stepped] * num_envs
         # External forces travel with the controls; a task without pushes does not pay for them.
         self._spec = int(_CTRL if pushed_body is None else _CTRL | _WRENCH)
         first = model.nu + 6 * (pushed_body or 0)
@@ -70,23 +69,22 @@ class CpuEngine(Engine):
         self._data = [mujoco.MjData(model) for _ in range(self.num_threads)]
         self._pool = mujoco.rollout.Rollout(nthread=self.num_threads if self.num_threads > 1 else 0)
         self._allocate()
-        qpos = torch.from_numpy(np.tile(model.qpos0, (num_worlds, 1)))
-        self.reset(torch.ones(num_worlds, dtype=torch.bool), qpos, torch.zeros(num_worlds, model.nv))
+        qpos = torch.from_numpy(np.tile(model.qpos0, (num_envs, 1)))
+        self.reset(torch.ones(num_envs, dtype=torch.bool), qpos, torch.zeros(num_envs, model.nv))
 
     def _allocate(self) -> None:
-        model, worlds, steps = self.model, self.num_worlds, self.decimation
+        model, envs, steps = self.model, self.num_envs, self.decimation
         nstate = mujoco.mj_stateSize(model, _FULL)
-        self._state = np.zeros((worlds, nstate))
-        self._trajectory = np.zeros((worlds, steps, nstate))
-        width = mujoco.mj_stateSize(model, self._spec)
-        self._control = np.zeros((worlds, steps, width))
-        self._sensed = np.zeros((worlds, steps, model.nsensordata))
-        self._sensors = np.zeros((worlds, model.nsensordata))
+        self._state = np.zeros((envs, nstate))
+        self._trajectory = np.zeros((envs, steps, nstate))
+        self._control = np.zeros((envs, steps, mujoco.mj_stateSize(model, self._spec)))
+        self._sensed = np.zeros((envs, steps, model.nsensordata))
+        self._sensors = np.zeros((envs, model.nsensordata))
         # Full physics state: time, qpos, qvel, act, ...
         self.qpos = torch.from_numpy(self._state)[:, 1 : 1 + model.nq]
         self.qvel = torch.from_numpy(self._state)[:, 1 + model.nq : 1 + model.nq + model.nv]
         self.sensors = torch.from_numpy(self._sensors)
-        self.failed = torch.zeros(worlds, dtype=torch.bool)
+        self.failed = torch.zeros(envs, dtype=torch.bool)
 
     def step(self, targets: Tensor) -> None:
         """See `Engine.step`."""
@@ -120,7 +118,7 @@ class CpuEngine(Engine):
         """Finds rollouts that MuJoCo cut short with a warning (their clock is late) or that are not finite."""
         due = (self.decimation - 0.5) * self.model.opt.timestep
         clock = self._state[:, 0]
-        # One look at all worlds together tells that none has failed, as is nearly always so. NaN compares false.
+        # One look at all envs together tells that none has failed, as is nearly always so. NaN compares false.
         if clock.min() > due and torch.linalg.vector_norm(torch.from_numpy(self._state)) < HUGE:
             self.failed.zero_()
             return
@@ -146,10 +144,9 @@ class CpuEngine(Engine):
         self._control[:, :, self._push] = force.unsqueeze(1).numpy()
 
     def set_model(self, mask: Tensor, fields: Sequence[ModelField]) -> None:
-        """See `Engine.set_model`. The first call gives every world a model of its own."""
-        if self._shared:
-            self._models = [copy.copy(self._stepped) for _ in range(self.num_worlds)]
-            self._shared = False
+        """See `Engine.set_model`. The first call gives every env a model of its own."""
+        if self._models[0] is self._stepped:
+            self._models = [copy.copy(self._stepped) for _ in range(self.num_envs)]
         rows = np.flatnonzero(mask.numpy())
         for field in fields:
             ids, values = field.ids.numpy(), field.values.numpy()

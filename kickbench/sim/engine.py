@@ -1,4 +1,4 @@
-"""The interface of a physics engine, B worlds of one compiled model, and the devices it can run on."""
+"""The interface of a physics engine, B envs of one compiled model, and the devices it can run on."""
 
 from __future__ import annotations
 
@@ -21,15 +21,11 @@ HUGE = 1e6
 """A state whose norm (m, rad, m/s, rad/s) reaches this is an explosion, though finite."""
 INERTIAL_FIELDS = ("body_mass", "body_inertia")
 """Fields that MuJoCo derives others from: the inverse weights that scale its constraints."""
-FOUND = 1 << int(mujoco.mjtConDataField.mjCONDATA_FOUND)
-FORCE = 1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE)
-NETFORCE = 3
-"""MuJoCo's `reduce` that adds up all contacts of a sensor, in the world frame."""
 
 
 @dataclass(frozen=True)
 class ModelField:
-    """Values of a part of the model that differ from world to world.
+    """Values of a part of the model that differ from env to env.
 
     Attributes:
         name: Array of MuJoCo's model: `geom_friction`, `body_mass`, ...
@@ -49,11 +45,11 @@ class EngineLoad:
     """Use of an engine's room for contacts and constraints since it was last asked.
 
     Attributes:
-        contacts: Most contacts in a substep, a world on average.
-        constraints: Most constraint rows of any world in a substep.
-        contact_room: Contacts there is room for, a world on average.
-        constraint_room: Constraint rows there is room for in every world.
-        short_share: Share of the control steps, over all worlds, in which something did not fit.
+        contacts: Most contacts in a substep, an env on average.
+        constraints: Most constraint rows of any env in a substep.
+        contact_room: Contacts there is room for, an env on average.
+        constraint_room: Constraint rows there is room for in every env.
+        short_share: Share of the control steps, over all envs, in which something did not fit.
     """
 
     contacts: float
@@ -64,20 +60,20 @@ class EngineLoad:
 
 
 class Engine(ABC):
-    """Owns the physical state of B worlds and advances it by control steps.
+    """Owns the physical state of B envs and advances it by control steps.
 
     Attributes:
-        num_worlds: Number of worlds B.
+        num_envs: Number of envs B.
         device: Where the tensors live.
         qpos: Generalised positions [B, nq].
         qvel: Generalised velocities [B, nv].
         sensors: Sensor data [B, ns]. Frame sensors describe the current state; contact sensors are latched: the
             largest count, and the mean force, over the substeps of the last control step (0 after a reset).
-        failed: Worlds whose last control step left finite numbers or was cut short by MuJoCo [B] bool. Their state
+        failed: Envs whose last control step left finite numbers or was cut short by MuJoCo [B] bool. Their state
             is meaningless until they are reset.
     """
 
-    num_worlds: int
+    num_envs: int
     device: torch.device
     qpos: Tensor
     qvel: Tensor
@@ -86,7 +82,7 @@ class Engine(ABC):
 
     @abstractmethod
     def step(self, targets: Tensor) -> None:
-        """Advances every world by one control step.
+        """Advances every env by one control step.
 
         Args:
             targets: Control targets of every substep [B, decimation, nu], or one for all [B, nu].
@@ -94,7 +90,7 @@ class Engine(ABC):
 
     @abstractmethod
     def reset(self, mask: Tensor, qpos: Tensor, qvel: Tensor) -> None:
-        """Puts the worlds in `mask` [B] into the given states [B, nq], [B, nv]; other rows are not read."""
+        """Puts the envs in `mask` [B] into the given states [B, nq], [B, nv]; other rows are not read."""
 
     @abstractmethod
     def push(self, force: Tensor) -> None:
@@ -106,17 +102,17 @@ class Engine(ABC):
 
     @abstractmethod
     def set_model(self, mask: Tensor, fields: Sequence[ModelField]) -> None:
-        """Sets fields of the model in the worlds in `mask` [B] bool; what MuJoCo derives from them follows.
+        """Sets fields of the model in the envs in `mask` [B] bool; what MuJoCo derives from them follows.
 
         A field keeps its value until it is set again: a reset does not touch it.
 
         Raises:
-            KickbenchError: The engine shares a field among all worlds.
+            KickbenchError: The engine shares a field among all envs.
         """
 
     @abstractmethod
     def model_field(self, name: str) -> np.ndarray:
-        """A copy of a field of the model in every world [B, ...]."""
+        """A copy of a field of the model in every env [B, ...]."""
 
     @abstractmethod
     def live_state(self) -> dict[str, Tensor]:
@@ -130,7 +126,7 @@ class Engine(ABC):
         """Takes over what `state_dict` of an engine of the same model and size has returned.
 
         Raises:
-            ValueError: It is the state of another model or of another number of worlds.
+            ValueError: It is the state of another model or of another number of envs.
         """
         own = self.live_state()
         expected, found = ({name: tuple(t.shape) for name, t in part.items()} for part in (own, state))

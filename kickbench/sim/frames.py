@@ -12,7 +12,7 @@ import numpy as np
 from kickbench.sim.engine import frame_size
 
 _COPIES = 32
-"""Worlds in one frame model: a call from Python takes longer than the kinematics of one world."""
+"""Envs in one frame model: a call from Python takes longer than the kinematics of one env."""
 _LEAST_PACKS = 16
 """Packs a thread: to wake one for fewer takes longer than it saves."""
 _QPOS_SIZE, _QVEL_SIZE = np.array([7, 4, 1, 1]), np.array([6, 3, 1, 1])
@@ -20,7 +20,7 @@ _QPOS_SIZE, _QVEL_SIZE = np.array([7, 4, 1, 1]), np.array([6, 3, 1, 1])
 
 
 class FrameSensing:
-    """Evaluates the frame sensors of many worlds from their states, with threads."""
+    """Evaluates the frame sensors of many envs from their states, with threads."""
 
     def __init__(self, model: mujoco.MjModel, num_threads: int) -> None:
         """Builds frame models of the model.
@@ -33,7 +33,7 @@ class FrameSensing:
             ValueError: Other sensors come before frame sensors.
         """
         self.size = frame_size(model)
-        """Numbers that the frame sensors of a world give."""
+        """Numbers that the frame sensors of an env give."""
         many, single = FrameModel(model, _COPIES), FrameModel(model, 1)
         # Full physics state: time, qpos, qvel, act, ...
         self._qpos, self._qvel = _as_slice(1 + single.qpos), _as_slice(1 + model.nq + single.qvel)
@@ -62,15 +62,15 @@ class FrameSensing:
 
 
 class FrameModel:
-    """A model of the bodies and joints that a model's frame sensors hang on, several worlds side by side.
+    """A model of the bodies and joints that a model's frame sensors hang on, several envs side by side.
 
     It is put together from the compiled model, so that nothing of the file it came from matters. Geoms, contacts and
     forces are not there, and masses are of no account.
 
     Attributes:
-        copies: Worlds side by side.
+        copies: Envs side by side.
         model: The compiled model.
-        qpos: Places of a world's joints in the original model's qpos, in the order of `model`.
+        qpos: Places of an env's joints in the original model's qpos, in the order of `model`.
         qvel: The same in qvel.
     """
 
@@ -79,7 +79,7 @@ class FrameModel:
 
         Args:
             model: Compiled model; its sensors other than contact sensors sense frames of bodies or sites.
-            copies: Worlds side by side.
+            copies: Envs side by side.
         """
         self.copies = copies
         self._sensors = np.flatnonzero(model.sensor_type != mujoco.mjtSensor.mjSENS_CONTACT)
@@ -87,7 +87,7 @@ class FrameModel:
         spec = mujoco.MjSpec()
         spec.compiler.degree = False
         for copy in range(copies):
-            self._add_world(spec, model, f"{copy}.")
+            self._add_env(spec, model, f"{copy}.")
         self.model = spec.compile()
         joints = np.flatnonzero(np.isin(model.jnt_bodyid, self._bodies))
         self.qpos = _places(model.jnt_qposadr, _QPOS_SIZE[model.jnt_type], joints)
@@ -105,7 +105,7 @@ class FrameModel:
                 body = int(model.body_parentid[body])
         return sorted(found)
 
-    def _add_world(self, spec: mujoco.MjSpec, model: mujoco.MjModel, prefix: str) -> None:
+    def _add_env(self, spec: mujoco.MjSpec, model: mujoco.MjModel, prefix: str) -> None:
         made = {0: spec.worldbody}
         for body in self._bodies:
             made[body] = _add_body(made[int(model.body_parentid[body])], model, body, f"{prefix}{body}")
@@ -130,7 +130,7 @@ class _Pack:
         self._qpos, self._qvel, self._sensed = data.qpos, data.qvel, data.sensordata
 
     def sense(self, firsts: Iterator[int], qpos: np.ndarray, qvel: np.ndarray, sensed: np.ndarray) -> None:
-        """Evaluates the worlds from each of `firsts` on, as many as there are copies; writes to `sensed`."""
+        """Evaluates the envs from each of `firsts` on, as many as there are copies; writes to `sensed`."""
         model, data = self._model, self._data
         for first in firsts:
             rows = slice(first, first + self._copies)

@@ -14,7 +14,6 @@ from typing import Literal
 import mujoco
 
 from kickbench.config.robot import FootSpec, RobotSpec
-from kickbench.sim.engine import FORCE, FOUND, NETFORCE
 
 SensorGroup = Literal["base", "foot_frame", "foot_ball", "robot_ball", "foot_floor", "body_floor"]
 """What a term may ask for: frames of base and feet, and contacts of the feet, the whole
@@ -29,6 +28,10 @@ ALWAYS: tuple[SensorGroup, ...] = ("base", "robot_ball")
 """Groups that every scene has: every task needs the base's frame and whether the ball was touched."""
 
 _Obj, _Sensor = mujoco.mjtObj, mujoco.mjtSensor
+_FOUND = 1 << int(mujoco.mjtConDataField.mjCONDATA_FOUND)
+_FORCE = 1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE)
+_NETFORCE = 3
+"""MuJoCo's `reduce` that adds up all contacts of a sensor, in the world frame."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +71,7 @@ class SensorPlan:
         sensor = spec.add_sensor(name=self.name, type=self.type, objtype=self.objtype, objname=self.objname)
         if self.is_contact:
             sensor.reftype, sensor.refname = _Obj.mjOBJ_GEOM, self.other
-            sensor.intprm[0:3] = [FOUND | FORCE, NETFORCE, 1] if self.force else [FOUND, 0, 1]
+            sensor.intprm[0:3] = [_FOUND | _FORCE, _NETFORCE, 1] if self.force else [_FOUND, 0, 1]
 
 
 def available_groups(robot: RobotSpec) -> frozenset[SensorGroup]:

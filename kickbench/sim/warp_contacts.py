@@ -1,9 +1,9 @@
 """Contacts on the device: how much room they need, and which sensors count them, latched over the substeps.
 
-mujoco_warp allocates contacts for all worlds together and constraint rows for each world; what does not fit is left
+mujoco_warp allocates contacts for all envs together and constraint rows for each env; what does not fit is left
 out of the physics. The room is measured, its use is watched, and a run in which it is short too often ends.
 
-mujoco_warp's own contact sensors search all contacts once a sensor and keep up to 64 of them a world and sensor, in
+mujoco_warp's own contact sensors search all contacts once a sensor and keep up to 64 of them an env and sensor, in
 every substep. Here every contact finds the sensors that count it in a table of geom pairs and adds itself to them:
 one launch a substep, whatever the number of sensors.
 """
@@ -22,9 +22,8 @@ import warp as wp
 from mujoco_warp import Data, OverflowType
 
 from kickbench.errors import KickbenchError
-from kickbench.sim.engine import FORCE, FOUND, NETFORCE, EngineLoad, frame_size
+from kickbench.sim.engine import EngineLoad, frame_size
 
-_Obj = mujoco.mjtObj
 HEADROOM = 1.5
 """Room over the measured 95th percentile."""
 _STEP_OF_SIZES = 8
@@ -40,8 +39,8 @@ class Capacity:
     """Room of an engine.
 
     Attributes:
-        contacts: Contacts a world, on average over the worlds, which share them.
-        constraints: Constraint rows of every world.
+        contacts: Contacts an env, on average over the envs, which share them.
+        constraints: Constraint rows of every env.
         allowed_share: Largest share of the control steps that may run short of either.
     """
 
@@ -53,13 +52,13 @@ class Capacity:
 def measure_capacity(
     model: mujoco.MjModel, qpos: np.ndarray, targets: Sequence[np.ndarray], decimation: int
 ) -> Capacity:
-    """Measures with MuJoCo how many contacts and constraints worlds have, and adds head-room.
+    """Measures with MuJoCo how many contacts and constraints envs have, and adds head-room.
 
-    A size is `HEADROOM` times the 95th percentile over worlds and substeps, and no less than the largest value seen.
+    A size is `HEADROOM` times the 95th percentile over envs and substeps, and no less than the largest value seen.
 
     Args:
         model: Compiled model.
-        qpos: Where worlds start [N, nq].
+        qpos: Where envs start [N, nq].
         targets: Control targets of the control steps, each [N, nu].
         decimation: Substeps of a control step.
     """
@@ -110,35 +109,42 @@ def _count(
 
 
 class LoadWatch:
-    """Watches on the device how much room the worlds use; the host looks at it once in a while."""
+    """Watches on the device how much room the envs use; the host looks at it once in a while."""
 
-    def __init__(self, capacity: Capacity, num_worlds: int) -> None:
+    def __init__(self, capacity: Capacity, num_envs: int) -> None:
         """Allocates the counters on warp's present device."""
         self.capacity = capacity
-        self._worlds = num_worlds
+        self._num_envs = num_envs
         self._contacts, self._steps = wp.zeros(1, dtype=wp.int32), wp.zeros(1, dtype=wp.int32)
-        self._constraints = wp.zeros(num_worlds, dtype=wp.int32)
-        self._short_steps = wp.zeros(num_worlds, dtype=wp.int32)
+        self._constraints = wp.zeros(num_envs, dtype=wp.int32)
+        self._short_steps = wp.zeros(num_envs, dtype=wp.int32)
 
     def note(self, data: Data) -> None:
         """Notes what a substep has used."""
         wp.launch(
             _note,
-            dim=self._worlds,
+            dim=self._num_envs,
             inputs=[data.nacon, data.nefc],
             outputs=[self._contacts, self._constraints],
         )
 
     def count(self, data: Data) -> None:
-        """Counts the worlds that ran short in a control step, and clears mujoco_warp's overflow bits."""
+        """Counts the envs that ran short in a control step, and clears mujoco_warp's overflow bits."""
         wp.launch(
-            _count, dim=self._worlds, inputs=[_SHORT], outputs=[data.overflow, self._short_steps, self._steps]
+            _count,
+            dim=self._num_envs,
+            inputs=[_SHORT],
+            outputs=[data.overflow, self._short_steps, self._steps],
         )
 
     def take(self) -> EngineLoad:
-        """What has been seen since the last call; waits for the device."""
+        """What has been seen since the last call; waits for the device.
+
+        Raises:
+            KickbenchError: Too often something did not fit; with the figure to raise.
+        """
         load = EngineLoad(
-            contacts=float(self._contacts.numpy()[0]) / self._worlds,
+            contacts=float(self._contacts.numpy()[0]) / self._num_envs,
             constraints=int(self._constraints.numpy().max()),
             contact_room=self.capacity.contacts,
             constraint_room=self.capacity.constraints,
@@ -146,31 +152,28 @@ class LoadWatch:
         )
         for counter in (self._contacts, self._constraints, self._steps, self._short_steps):
             counter.zero_()
+        allowed = self.capacity.allowed_share
+        if load.short_share > allowed:
+            raise KickbenchError(
+                f"in {load.short_share:.2%} of the control steps an env ran out of room for contacts or constraints, "
+                f"which were left out of its physics ({allowed:.2%} are allowed): {_advice(load)}"
+            )
         return load
 
-    def check(self, load: EngineLoad) -> None:
-        """Ends a run that ran short too often.
 
-        Raises:
-            KickbenchError: With the figure to raise.
-        """
-        allowed = self.capacity.allowed_share
-        if load.short_share <= allowed:
-            return
-        use = {
-            "max_contacts": (load.contact_room, math.ceil(load.contacts)),
-            "max_constraints": (load.constraint_room, load.constraints),
-        }
-        short = {name: (room, needed) for name, (room, needed) in use.items() if needed > room}
-        raised = [
-            f"{name} from {room} to {_size(np.array([needed]))}" for name, (room, needed) in short.items()
-        ]
-        buffers = "collisions need more than mujoco_warp's own buffers"
-        advice = f"raise {' and '.join(raised)}" if raised else buffers
-        raise KickbenchError(
-            f"in {load.short_share:.2%} of the control steps a world ran out of room for contacts or constraints, "
-            f"which were left out of its physics ({allowed:.2%} are allowed): {advice}"
-        )
+def _advice(load: EngineLoad) -> str:
+    use = {
+        "max_contacts": (load.contact_room, math.ceil(load.contacts)),
+        "max_constraints": (load.constraint_room, load.constraints),
+    }
+    raised = [
+        f"{name} from {room} to {_size(np.array([needed]))}"
+        for name, (room, needed) in use.items()
+        if needed > room
+    ]
+    return (
+        f"raise {' and '.join(raised)}" if raised else "collisions need more than mujoco_warp's own buffers"
+    )
 
 
 @wp.kernel(enable_backward=False)
@@ -248,18 +251,16 @@ class ContactLatch:
     """Senses the contacts of every substep of a control step and latches them; nothing is allocated on the way."""
 
     def __init__(
-        self, model: mujoco.MjModel, num_worlds: int, decimation: int, contact_forces: Sequence[int]
+        self, model: mujoco.MjModel, num_envs: int, decimation: int, contact_forces: Sequence[int]
     ) -> None:
         """Makes the table of geom pairs on warp's present device.
 
         Args:
-            model: Compiled model, its contact sensors after all others.
-            num_worlds: Number of worlds.
+            model: Compiled model, its contact sensors after all others: `found`, or `found` and the net `force`, of
+                geoms, bodies and subtrees against a geom.
+            num_envs: Number of envs.
             decimation: Substeps of a control step.
             contact_forces: Places in sensordata that are averaged over the substeps.
-
-        Raises:
-            KickbenchError: A contact sensor is of a kind that no scene of kickbench has.
         """
         self._first = frame_size(model)
         width = model.nsensordata - self._first
@@ -269,23 +270,22 @@ class ContactLatch:
         averaged = np.zeros(width, dtype=bool)
         averaged[np.asarray(contact_forces, dtype=int) - self._first] = True
         self._is_force = wp.array(averaged, dtype=wp.bool)
-        self._sensed = wp.zeros((decimation, num_worlds, max(width, 1)), dtype=wp.float32)
+        self._sensed = wp.zeros((decimation, num_envs, max(width, 1)), dtype=wp.float32)
         self._of_substep = [self._sensed[substep] for substep in range(decimation)]
-        self._shape = (num_worlds, width)
+        self._shape = (num_envs, width)
 
     def _make_table(self, model: mujoco.MjModel) -> None:
-        entries: dict[int, list[tuple[int, float, bool]]] = {}
-        for sensor in np.flatnonzero(model.sensor_type == mujoco.mjtSensor.mjSENS_CONTACT):
-            place, force = int(model.sensor_adr[sensor]) - self._first, _reports_force(model, sensor)
-            for pair, sign in _pairs(model, sensor):
-                entries.setdefault(pair, []).append((place, sign, force))
-        counts = [len(entries.get(pair, ())) for pair in range(model.ngeom**2)]
-        flat = [entry for pair in sorted(entries) for entry in entries[pair]]
-        places, signs, forces = zip(*flat, strict=True) if flat else ((), (), ())
-        self._pair_first = wp.array(np.concatenate([[0], np.cumsum(counts)]), dtype=wp.int32)
-        self._entry_place = wp.array(np.array(places, dtype=np.int32), dtype=wp.int32)
-        self._entry_sign = wp.array(np.array(signs, dtype=np.float32), dtype=wp.float32)
-        self._entry_force = wp.array(np.array(forces, dtype=bool), dtype=wp.bool)
+        entries = [
+            (pair, model.sensor_adr[sensor] - self._first, sign, model.sensor_dim[sensor] > 1)
+            for sensor in np.flatnonzero(model.sensor_type == mujoco.mjtSensor.mjSENS_CONTACT)
+            for pair, sign in _pairs(model, sensor)
+        ]
+        entries.sort(key=lambda entry: entry[0])
+        pairs, places, signs, forces = np.array(entries, dtype=np.float64).reshape(-1, 4).T
+        self._pair_first = wp.array(np.searchsorted(pairs, np.arange(model.ngeom**2 + 1)), dtype=wp.int32)
+        self._entry_place = wp.array(places.astype(np.int32), dtype=wp.int32)
+        self._entry_sign = wp.array(signs.astype(np.float32), dtype=wp.float32)
+        self._entry_force = wp.array(forces.astype(bool), dtype=wp.bool)
 
     def clear(self) -> None:
         """Forgets the last control step; before its first substep."""
@@ -312,18 +312,6 @@ class ContactLatch:
         )
 
 
-def _reports_force(model: mujoco.MjModel, sensor: int) -> bool:
-    """Whether a contact sensor reports the net force; checks that it is one that can be sensed here."""
-    data, reduce = (int(value) for value in model.sensor_intprm[sensor, :2])
-    force = data == FOUND | FORCE and reduce == NETFORCE and model.sensor_dim[sensor] == 4
-    if not force and (data != FOUND or model.sensor_dim[sensor] != 1):
-        name = model.sensor(int(sensor)).name
-        raise KickbenchError(
-            f"contact sensor '{name}': only `found`, and `found` with the net `force`, are latched"
-        )
-    return force
-
-
 def _pairs(model: mujoco.MjModel, sensor: int) -> Iterator[tuple[int, float]]:
     """Pairs geom1 * ngeom + geom2 that a contact sensor counts; -1 where the second geom is its object."""
     first = _geoms(model, int(model.sensor_objtype[sensor]), int(model.sensor_objid[sensor]))
@@ -336,14 +324,10 @@ def _pairs(model: mujoco.MjModel, sensor: int) -> Iterator[tuple[int, float]]:
 
 def _geoms(model: mujoco.MjModel, kind: int, thing: int) -> np.ndarray:
     """Whether each geom belongs to an object of a contact sensor [ngeom] bool."""
-    if kind == _Obj.mjOBJ_GEOM:
+    if kind == mujoco.mjtObj.mjOBJ_GEOM:
         return np.arange(model.ngeom) == thing
-    if kind == _Obj.mjOBJ_BODY:
-        return model.geom_bodyid == thing
-    if kind == _Obj.mjOBJ_XBODY:
-        inside = np.zeros(model.nbody, dtype=bool)
-        inside[thing] = True
+    inside = np.arange(model.nbody) == thing
+    if kind == mujoco.mjtObj.mjOBJ_XBODY:
         for body in range(thing + 1, model.nbody):
             inside[body] = inside[model.body_parentid[body]]
-        return inside[model.geom_bodyid]
-    raise KickbenchError(f"contact sensors of {_Obj(kind).name} are not latched")
+    return inside[model.geom_bodyid]

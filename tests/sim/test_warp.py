@@ -358,7 +358,7 @@ def test_a_field_is_set_in_the_masked_worlds_and_given_rows_only():
     expected = np.stack([compiled.geom_friction] * WORLDS)
     expected[:3, ids.numpy(), 0] = friction[:3]
     np.testing.assert_allclose(engine.model_field("geom_friction"), expected, rtol=1e-6)
-    with pytest.raises(KickbenchError, match="one geom_condim for all worlds"):
+    with pytest.raises(KickbenchError, match="one geom_condim for all envs"):
         engine.set_model(mask, [ModelField("geom_condim", ids, friction)])
 
 
