@@ -11,7 +11,14 @@ from rsl_rl.models import MLPModel
 from tensordict import TensorDict
 from torch import Tensor
 
-from kickbench.audit.measure import Measurement, contradiction, entry_name, judge_misfits, measure
+from kickbench.audit.measure import (
+    Measurement,
+    contradiction,
+    entry_contradiction,
+    entry_name,
+    judge_misfits,
+    measure,
+)
 from kickbench.audit.model import model_rows
 from kickbench.audit.record import Pairs, Recording
 from kickbench.audit.report import Row, Verdict, verdict_of
@@ -115,9 +122,8 @@ def _joint_rows(recording: Recording, declared: Image, exact: np.ndarray, scale:
         unit = "m/s" if kinds[names[orbit[0]]] == _SLIDE else "rad/s"
         row = _motion_row(name, off[:, columns], scale, unit, mine[:, columns])
         if row.failed and found is not None and found.measured is not None and found.wrong[columns].any():
-            i = next(i for i in orbit if found.wrong[i])
-            said, seen = entry_name(table, i, names), entry_name(found.measured, i, names)
-            row = replace(row, detail=f"{names[i]} declared {said}; measured: {seen}")
+            wrong = next(i for i in orbit if found.wrong[i])
+            row = replace(row, detail=entry_contradiction(table, found.measured, wrong, names))
         yield row
 
 

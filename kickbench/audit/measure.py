@@ -2,7 +2,7 @@
 
 Given a vector in many states, and in their mirror images, every signed permutation is tried component by component:
 `image[i] = s * original[j]`. What is declared must fit, and nothing else may: where another entry fits as well, the
-states did not excite the component enough to tell.
+states did not excite the component enough to decide.
 """
 
 from __future__ import annotations
@@ -155,6 +155,14 @@ def entry_name(representation: Representation, index: int, names: Sequence[str])
     return entry_words(names[index], partner, representation.signs[index])
 
 
+def entry_contradiction(
+    declared: Representation, measured: Representation, index: int, names: Sequence[str]
+) -> str:
+    """Words what is wrong with one entry."""
+    said, seen = (entry_name(table, index, names) for table in (declared, measured))
+    return f"{names[index]} declared {said}; measured: {seen}"
+
+
 def contradiction(
     found: Measurement, own: Mapping[str, Representation], components: Sequence[str] | None = None
 ) -> str:
@@ -170,10 +178,6 @@ def contradiction(
         seen = none_fits if found.measured is None else name_of(found.measured)
         return f"declared {name_of(found.declared, own)}; measured: {seen}"
     wrong = np.flatnonzero(found.wrong)
-    named = [
-        f"{components[i]} declared {entry_name(found.declared, i, components)}; "
-        f"measured: {entry_name(found.measured, i, components)}"
-        for i in wrong[:2]
-    ]
+    named = [entry_contradiction(found.declared, found.measured, i, components) for i in wrong[:2]]
     more = f" (and {len(wrong) - 2} more)" if len(wrong) > 2 else ""
     return ", ".join(named) + more

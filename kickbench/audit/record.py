@@ -22,12 +22,12 @@ from kickbench.symmetry.derive import Derivation
 from kickbench.symmetry.mirror import Image, mirror_actions, mirror_qpos, mirror_qvel
 from kickbench.symmetry.torch_ops import Mirror
 
-_WORLDS, _STEPS = 128, 32
-"""Most worlds, and steps of each that they are traded for: a fall takes its time."""
+_ENVS, _STEPS = 128, 32
+"""Most envs, and steps of each that they are traded for: a fall takes its time."""
 _KINDS = 24
-"""Worlds that it takes to have every kind of start with every kind of action."""
+"""Envs that it takes to have every kind of start with every kind of action."""
 _LYING = 15
-"""Steps for which worlds of one kind go on after their episode's end."""
+"""Steps for which envs of one kind go on after their episode's end."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class Reflection:
 def reflection_of(task: CompiledTask, derivation: Derivation) -> Reflection:
     """What states are mirrored with: the geometry's reflection, or the declared one where it makes no sense."""
     declared, derived = task.robot.spec.symmetry.image(), derivation.image
-    # A joint whose image the geometry does not tell keeps its declared partner, unless that is another's.
+    # A joint whose image does not follow from the geometry keeps its declared partner, unless that is another's.
     kept = {j: (p, s) if p not in derived else (j, 1) for j, (p, s) in declared.items()}
     try:
         return Reflection.of(task, {**kept, **derived})
@@ -90,7 +90,7 @@ class Pairs:
     _images: list[Tensor] = field(default_factory=list, repr=False)
 
     def add(self, original: Tensor, image: Tensor, keep: Tensor) -> None:
-        """Adds the rows of the worlds in `keep` [B]."""
+        """Adds the rows of the envs in `keep` [B]."""
         self._originals.append(original[keep].clone())
         self._images.append(image[keep].clone())
 
@@ -182,10 +182,10 @@ def record(
     Args:
         task: Compiled task.
         reflection: What to mirror states with.
-        states: Number of states; rounded up to whole steps of all worlds.
+        states: Number of states; rounded up to whole steps of all envs.
         seed: Seed of starts, actions and randomisation.
         threads: Physics threads.
-        policy: Drives half of the worlds.
+        policy: Drives half of the envs.
     """
     with torch.inference_mode(), torch_threads(1):
         return _Recorder(task, reflection, states, seed, threads).run(states, policy)
@@ -198,17 +198,17 @@ class _Recorder:
         self.task, self.reflection = task, reflection
         self.recording = Recording.begun(task, reflection)
         actions = len(task.scene.layout.actuator_names)
-        worlds = max(min(_WORLDS, states // _STEPS), _KINDS, 2 * actions + 1)
+        envs = max(min(_ENVS, states // _STEPS), _KINDS, 2 * actions + 1)
         starts = VariedStarts(task, seed)
         self.env, self.other = (
-            KickEnv(task, make_engine(task, worlds, num_threads=threads), seed, noise=False, starts=starts)
+            KickEnv(task, make_engine(task, envs, num_threads=threads), seed, noise=False, starts=starts)
             for _ in range(2)
         )
-        self.actions = VariedActions(worlds, actions, seed)
+        self.actions = VariedActions(envs, actions, seed)
         self.draws = torch.Generator().manual_seed(seed)
         # Thrown robots are followed until they lie.
-        self.patience = torch.where(torch.arange(worlds) % 4 == 3, _LYING, 0)
-        self.over = torch.zeros(worlds, dtype=torch.int64)
+        self.patience = torch.where(torch.arange(envs) % 4 == 3, _LYING, 0)
+        self.over = torch.zeros(envs, dtype=torch.int64)
 
     def run(self, states: int, policy: Policy | None) -> Recording:
         env, other = self.env, self.other
@@ -233,7 +233,7 @@ class _Recorder:
         return self.recording
 
     def _begin(self, mask: Tensor) -> None:
-        """New episodes in the worlds in `mask` [B]; both environments show the same instant afterwards."""
+        """New episodes in the envs in `mask` [B]; both environments show the same instant afterwards."""
         self.env.reset(mask)
         self.over = torch.where(mask, 0, self.over)
         self.env.restore(vary_episodes(self.env, self.env.snapshot(), mask, self.draws))
@@ -264,7 +264,7 @@ class _Recorder:
             recording.count("with the body on the floor", state.body_floor_contact & keep)
 
     def _measure_response(self) -> None:
-        """Steps worlds that differ in one actuator's command, and their mirror images with either sign of it."""
+        """Steps envs that differ in one actuator's command, and their mirror images with either sign of it."""
         env, other, actions = self.env, self.other, self.env.num_actions
         count = 2 * actions + 1
         commands = torch.cat([torch.eye(actions), -torch.eye(actions), torch.zeros(1, actions)])
@@ -274,10 +274,10 @@ class _Recorder:
         for first in range(0, 4 * states, states):
             start = env.snapshot().take((first + which // count) % env.num_envs)
             effects = []
-            for world, snapshot in ((env, start), (other, self.reflection(start))):
-                world.restore(snapshot)
-                world.engine.step(world.targets(command))
-                velocity = world.engine.qvel[: states * count].view(states, count, -1)
+            for stepped, snapshot in ((env, start), (other, self.reflection(start))):
+                stepped.restore(snapshot)
+                stepped.engine.step(stepped.targets(command))
+                velocity = stepped.engine.qvel[: states * count].view(states, count, -1)
                 effects.append(velocity[:, :-1] - velocity[:, -1:])
             self.recording.response.add(
                 effects[0][:, :actions], effects[1], torch.ones(states, dtype=torch.bool)

@@ -5,20 +5,20 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 # pyright: reportAttributeAccessIssue=false
 import mujoco
 
 from kickbench.config.load import Loaded
-from kickbench.config.robot import ActuatorSpec, RobotSpec
+from kickbench.config.robot import RobotSpec
 from kickbench.config.task import BallSpec, SimulationSpec, TaskSpec
 from kickbench.errors import SpecError
 from kickbench.sim.check import check_start, differences, model_error, read_robot
 from kickbench.sim.layout import SceneLayout, Servo, read_layout
 from kickbench.sim.sensors import ALWAYS, ROBOT, SensorGroup, plan_sensors, robot_feet, sole_site
 
-_AXES = {"x": 0, "y": 1, "z": 2, "rx": 3, "ry": 4, "rz": 5}
+_AXES = ("x", "y", "z", "rx", "ry", "rz")
 _BASE_SITE = "kickbench_base"
 _FOOT_PRIORITY = 1
 """Feet decide their contact with the floor, else the larger friction would hide theirs; the ball decides all of its
@@ -76,7 +76,7 @@ def build_scene(task: TaskSpec, robot: Loaded[RobotSpec], needs: frozenset[Senso
     body.option, body.memory, body.nuserdata = scene.option, scene.memory, scene.nuserdata
     body.visual, body.stat = scene.visual, scene.stat
     _add_floor(scene, task)
-    _add_soles(body, robot.spec)
+    _add_sites(body, robot.spec)
     scene.attach(body, prefix=ROBOT, frame=scene.worldbody.add_frame())
     _add_ball(scene, task.ball)
     _add_target(scene, task.evaluation.success_radius)
@@ -206,15 +206,12 @@ def _add_target(scene: mujoco.MjSpec, radius: float) -> None:
     )
 
 
-def _add_soles(body: mujoco.MjSpec, robot: RobotSpec) -> None:
-    for side, foot in robot_feet(robot):
-        _add_site(body, foot.body, sole_site(side), foot.offset)
-    _add_site(body, robot.base, _BASE_SITE, (0.0, 0.0, 0.0))
-
-
-def _add_site(spec: mujoco.MjSpec, body: str, name: str, offset: tuple[float, float, float]) -> None:
-    # Stated in full: what is left out would come from the robot's own defaults.
-    spec.body(body).add_site(name=name, pos=offset, quat=[1.0, 0.0, 0.0, 0.0])
+def _add_sites(body: mujoco.MjSpec, robot: RobotSpec) -> None:
+    """Marks the soles, and the base's origin for the drives along its axes."""
+    sites = [(sole_site(side), foot.body, foot.offset) for side, foot in robot_feet(robot)]
+    for name, owner, offset in (*sites, (_BASE_SITE, robot.base, (0.0, 0.0, 0.0))):
+        # Stated in full: what is left out would come from the robot's own defaults.
+        body.body(owner).add_site(name=name, pos=offset, quat=[1.0, 0.0, 0.0, 0.0])
 
 
 def _add_actuators(scene: mujoco.MjSpec, robot: RobotSpec) -> None:
@@ -222,50 +219,37 @@ def _add_actuators(scene: mujoco.MjSpec, robot: RobotSpec) -> None:
         actuator = scene.add_actuator(name=name)
         if spec.joint is not None:
             actuator.trntype, actuator.target = mujoco.mjtTrn.mjTRN_JOINT, ROBOT + spec.joint
-        elif spec.base_axis is not None:
+        else:
             actuator.trntype, actuator.target = mujoco.mjtTrn.mjTRN_SITE, ROBOT + _BASE_SITE
-            actuator.gear = [float(i == _AXES[spec.base_axis]) for i in range(6)]
-        _set_servo(actuator, spec)
+            actuator.gear = [float(axis == spec.base_axis) for axis in _AXES]
+        actuator.gaintype, actuator.biastype = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_AFFINE
+        for (array, column), value in servo_law(Servo.of(spec)).items():
+            getattr(actuator, array.removeprefix("actuator_"))[column or 0] = value
+        actuator.forcelimited = True
+        if spec.limits is not None:
+            actuator.ctrllimited, actuator.ctrlrange = True, spec.limits
 
 
-def _set_servo(actuator: mujoco.MjsActuator, spec: ActuatorSpec) -> None:
-    law = servo_law(*Servo.of(spec))
-    actuator.gaintype, actuator.biastype = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_AFFINE
-    actuator.gainprm[0] = law.gain
-    actuator.biasprm[0:3] = [0.0, law.stiffness, law.damping]
-    # MuJoCo applies `damping` outside the force limit.
-    actuator.damping[0] = law.back_emf
-    actuator.forcelimited, actuator.forcerange = True, [-law.effort, law.effort]
-    if spec.limits is not None:
-        actuator.ctrllimited, actuator.ctrlrange = True, spec.limits
-
-
-class ServoLaw(NamedTuple):
-    """Numbers of MuJoCo's affine actuator, floats or arrays.
-
-    Attributes:
-        gain: gainprm[0].
-        stiffness: biasprm[1].
-        damping: biasprm[2], within the force limit.
-        back_emf: damping beyond the force limit.
-        effort: Force limit.
-    """
-
-    gain: Any
-    stiffness: Any
-    damping: Any
-    back_emf: Any
-    effort: Any
-
-
-def servo_law(is_velocity: Any, kp: Any, kd: Any, effort: Any, velocity_limit: Any) -> ServoLaw:
-    """The law of a servo; every argument is an entry of `Servo`, a number or an array of any library.
+def servo_law(servo: Servo) -> dict[tuple[str, int | None], Any]:
+    """The law of a servo, of numbers or of arrays of any library, as numbers of MuJoCo's affine actuator.
 
     A motor's back-EMF: tau = clip(kp (u - q) - (kd - slope) dq, +-effort) - slope dq with
     slope = effort / velocity_limit. Until the servo saturates this is its own law, and then
     effort (1 - dq / velocity_limit).
+
+    Returns:
+        (array of the model, column or None) -> its numbers.
     """
+    is_velocity, kp, kd, effort, velocity_limit = servo
     slope = effort / velocity_limit
-    # MuJoCo would read a positive velocity coefficient as a damping ratio, so a servo damps no less than its back-EMF.
-    damping = (slope - kd) * (kd > slope)
-    return ServoLaw(kp + kd * is_velocity, -kp, damping, slope, effort)
+    return {
+        ("actuator_gainprm", 0): kp + kd * is_velocity,
+        ("actuator_biasprm", 1): -kp,
+        # MuJoCo would read a positive velocity coefficient as a damping ratio, so a servo damps no less than its
+        # back-EMF.
+        ("actuator_biasprm", 2): (slope - kd) * (kd > slope),
+        # MuJoCo applies `damping` outside the force limit.
+        ("actuator_damping", None): slope,
+        ("actuator_forcerange", 0): -effort,
+        ("actuator_forcerange", 1): effort,
+    }

@@ -311,7 +311,7 @@ class Agreement:
 
     Attributes:
         problems: Contradictions, each where it is declared.
-        notes: What the geometry does not tell, and physics options of the MJCF that a scene does not take over.
+        notes: Joints whose image does not follow from the geometry; physics options that a scene does not take over.
     """
 
     problems: tuple[Problem, ...]

@@ -118,7 +118,7 @@ class CpuEngine(Engine):
         """Finds rollouts that MuJoCo cut short with a warning (their clock is late) or that are not finite."""
         due = (self.decimation - 0.5) * self.model.opt.timestep
         clock = self._state[:, 0]
-        # One look at all envs together tells that none has failed, as is nearly always so. NaN compares false.
+        # One look at all envs together shows that none has failed, as is nearly always so. NaN compares false.
         if clock.min() > due and torch.linalg.vector_norm(torch.from_numpy(self._state)) < HUGE:
             self.failed.zero_()
             return

@@ -188,11 +188,10 @@ class _Reader:
         quantities = [self._place(self.data.geom_xpos[g]), extent]
         touches = bool(model.geom_contype[g] or model.geom_conaffinity[g])
         if touches:
-            laws = dict.fromkeys(("friction", "solref", "solimp", "margin", "gap"), "scalar")
-            laws |= dict.fromkeys(("condim", "priority", "contype", "conaffinity"), "exact")
-            quantities += [
-                Quantity(name, getattr(model, f"geom_{name}")[g], law) for name, law in laws.items()
-            ]
+            names = ["friction", "solref", "solimp", "margin", "gap"]
+            quantities += [Quantity(name, getattr(model, f"geom_{name}")[g], "scalar") for name in names]
+            names = ["condim", "priority", "contype", "conaffinity"]
+            quantities += [Quantity(name, getattr(model, f"geom_{name}")[g], "exact") for name in names]
         body = self.index[model.geom_bodyid[g]]
         return Shape(self._name("geom", g), body, tuple(quantities), kind, touches)
 

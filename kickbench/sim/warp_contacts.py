@@ -277,7 +277,7 @@ class ContactLatch:
     def _make_table(self, model: mujoco.MjModel) -> None:
         entries = [
             (pair, model.sensor_adr[sensor] - self._first, sign, model.sensor_dim[sensor] > 1)
-            for sensor in np.flatnonzero(model.sensor_type == mujoco.mjtSensor.mjSENS_CONTACT)
+            for sensor in np.flatnonzero(model.sensor_type == mujoco.mjtSensor.mjSENS_CONTACT).tolist()
             for pair, sign in _pairs(model, sensor)
         ]
         entries.sort(key=lambda entry: entry[0])
