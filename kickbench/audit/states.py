@@ -48,7 +48,7 @@ class VariedStarts:
         self._base = next((c for c in layout.coordinates if c.free and c.name != "ball"), None)
 
     def __call__(self, mask: Tensor) -> Starts:
-        """A start for every env; the kind follows from its number, so that every kind comes back."""
+        """A start for every world; the kind follows from its number, so that every kind comes back."""
         starts = self._sampler.sample(len(mask))
         qpos, qvel = starts.qpos.clone(), starts.qvel.clone()
         kind = torch.arange(len(mask)) % 4
