@@ -34,9 +34,7 @@ ROOMS = (
 )
 RANK = {name: rank for rank, room in enumerate(ROOMS) for name in room}
 WITHOUT_LIBRARIES = {"", "errors", "config", "symmetry"}
-ENGINES = {"batched", "cpu", "devices", "engine", "frame_model", "frames"} | {
-    f"warp{part}" for part in ("", "_capacity", "_latch", "_model")
-}
+ENGINES = {"engine", "cpu", "frames", "warp", "warp_contacts"}
 HEAVY = {"torch", "tensordict", "rsl_rl", "mujoco", "mujoco_warp", "warp"}
 
 

@@ -1,4 +1,4 @@
-"""Checks 1 and 3 to 6: judges tables against a recording. No simulation: many tables can be tried on one recording."""
+"""Judges tables against a recording. No simulation: many tables can be tried on one recording."""
 
 from __future__ import annotations
 
@@ -6,14 +6,29 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+import torch
+from rsl_rl.models import MLPModel
+from tensordict import TensorDict
+from torch import Tensor
 
-from kickbench.audit.measure import Measurement, contradiction, entry_name, judge_misfits, measure
-from kickbench.audit.record import Pairs, Recording, components
-from kickbench.audit.report import Row, Verdict
+from kickbench.audit.measure import (
+    Measurement,
+    contradiction,
+    entry_contradiction,
+    entry_name,
+    judge_misfits,
+    measure,
+)
+from kickbench.audit.model import model_rows
+from kickbench.audit.record import Pairs, Recording
+from kickbench.audit.report import Row, Verdict, verdict_of
 from kickbench.envs.compile import CompiledTask
+from kickbench.evaluation.episodes import Policy
+from kickbench.symmetry.derive import Derivation
 from kickbench.symmetry.mirror import AXIAL, POLAR, Image, mirror_joints
 from kickbench.symmetry.representation import Representation
-from kickbench.trials.trial import Symmetry
+from kickbench.symmetry.torch_ops import Mirror
+from kickbench.trials.trial import Symmetry, Trial
 
 _EXACT = 1e-6
 """Relative velocity error of a step that mirrors exactly."""
@@ -29,16 +44,28 @@ _RESPONSE = 0.1
 """Relative; two actuators differ by about 1."""
 _FORCE, _ODD_CONTACTS, _FEW = 1e-3, 1e-3, 20
 """Of forces, relative; share of steps in which a contact may be missed; least number of exact steps."""
+_POLICY = 1e-4
+"""Of a network that is equivariant by construction, in float32; relative to the largest output."""
 
 
-def own_representations(
-    task: CompiledTask, image: Image, actions: Representation
-) -> dict[str, Representation]:
-    """The robot's own representations, for naming."""
-    return {"joints": mirror_joints(task.scene.layout.joint_names, image), "actions": actions}
+def judge(recording: Recording, derivation: Derivation, symmetry: Symmetry, declared: Image) -> Iterator[Row]:
+    """Judges tables by what was recorded: checks 1 to 6.
+
+    Args:
+        recording: States, their mirror images, and what became of both.
+        derivation: What the robot's geometry says.
+        symmetry: The declared tables.
+        declared: The declared joint table.
+    """
+    yield from _table_rows(symmetry)
+    yield from model_rows(recording.task, derivation, declared)
+    yield from _dynamics_rows(recording, declared, symmetry.actions)
+    yield from _field_rows(recording, symmetry, declared)
+    yield from term_rows(recording)
+    yield from _sampling_rows(recording.task)
 
 
-def table_rows(symmetry: Symmetry) -> Iterator[Row]:
+def _table_rows(symmetry: Symmetry) -> Iterator[Row]:
     """Check 1: every table squares to one and has the size of what it describes."""
     tables: dict[str, Representation] = {
         "positions": symmetry.qpos,
@@ -49,116 +76,92 @@ def table_rows(symmetry: Symmetry) -> Iterator[Row]:
     for name, representation in tables.items():
         matrix = representation.matrix()
         error = float(np.abs(matrix @ matrix - np.eye(representation.dim)).max(initial=0.0))
-        verdict: Verdict = "ok" if error == 0.0 else "FAIL"
+        verdict = verdict_of(wrong=error != 0.0)
         yield Row("tables", f"{name} [{representation.dim}]", verdict, error, 0.0, detail=str(representation))
 
 
-def dynamics_rows(recording: Recording, declared: Image, actions: Representation) -> Iterator[Row]:
-    """Check 3: velocities a step later by joint, contacts by channel, and the effect of every actuator."""
-    task = recording.task
+# Check 3: velocities a step later by joint, contacts by channel, and the effect of every actuator
+
+
+def _dynamics_rows(recording: Recording, declared: Image, actions: Representation) -> Iterator[Row]:
     original, image = recording.velocity.original, recording.velocity.image
-    truth = recording.reflection.qvel.representation
     scale = max(1.0, float(np.abs(original).max(initial=0.0)))
-    off = np.abs(_apply(truth, original) - image).max(axis=1)
-    exact = off <= _EXACT * scale
-    yield from _free_rows(task, original, image, scale)
-    yield from _joint_rows(task, declared, original, image, exact, scale)
+    truth = recording.reflection.qvel.representation
+    exact = np.abs(_apply(truth, original) - image).max(axis=1) <= _EXACT * scale
+    yield from _free_rows(recording, scale)
+    yield from _joint_rows(recording, declared, exact, scale)
     yield from _contact_rows(recording, exact)
-    yield from _actuator_rows(recording, declared, actions)
+    yield from _actuator_rows(recording, actions)
 
 
 def _apply(representation: Representation, vectors: np.ndarray) -> np.ndarray:
-    return vectors[:, list(representation.permutation)] * np.array(representation.signs)
+    return vectors[..., list(representation.permutation)] * np.array(representation.signs)
 
 
-def _free_rows(task: CompiledTask, original: np.ndarray, image: np.ndarray, scale: float) -> Iterator[Row]:
-    for coordinate in task.scene.layout.coordinates:
-        if not coordinate.free:
-            continue
+def _free_rows(recording: Recording, scale: float) -> Iterator[Row]:
+    original, image = recording.velocity.original, recording.velocity.image
+    for coordinate in recording.task.scene.layout.coordinates:
         for first, signs, what, unit in ((0, POLAR, "velocity", "m/s"), (3, AXIAL, "turning", "rad/s")):
-            place = slice(coordinate.qvel + first, coordinate.qvel + first + 3)
-            off = np.abs(original[:, place] * np.array(signs) - image[:, place]).max(axis=1)
-            peak = float(np.abs(original[:, place]).max(initial=0.0))
-            yield _motion_row(f"{coordinate.name} {what}", off, scale, unit, peak)
+            if coordinate.free:
+                place = slice(coordinate.qvel + first, coordinate.qvel + first + 3)
+                off = np.abs(original[:, place] * np.array(signs) - image[:, place])
+                yield _motion_row(f"{coordinate.name} {what}", off, scale, unit, original[:, place])
 
 
-def _joint_rows(
-    task: CompiledTask,
-    declared: Image,
-    original: np.ndarray,
-    image: np.ndarray,
-    exact: np.ndarray,
-    scale: float,
-) -> Iterator[Row]:
-    joints = [c for c in task.scene.layout.coordinates if not c.free]
-    names, places = [c.name for c in joints], [c.qvel for c in joints]
-    slides = set(slide_joints(task))
+def _joint_rows(recording: Recording, declared: Image, exact: np.ndarray, scale: float) -> Iterator[Row]:
+    scene = recording.task.scene
+    joints = {c.name: c.qvel for c in scene.layout.coordinates if not c.free}
+    kinds = dict(zip((c.name for c in scene.layout.coordinates), scene.model.jnt_type, strict=True))
+    names, places = list(joints), list(joints.values())
     table = mirror_joints(names, declared)
-    mine, theirs = original[:, places], image[:, places]
+    mine, theirs = recording.velocity.original[:, places], recording.velocity.image[:, places]
     off = np.abs(_apply(table, mine) - theirs)
     found = measure(mine[exact], theirs[exact], table, _EXACT, _EXACT) if exact.any() else None
     for orbit in table.orbits():
-        columns = list(orbit)
-        name, peak = ", ".join(names[i] for i in orbit), float(np.abs(mine[:, columns]).max(initial=0.0))
-        unit = "m/s" if names[orbit[0]] in slides else "rad/s"
-        row = _motion_row(name, off[:, columns].max(axis=1), scale, unit, peak)
+        columns, name = list(orbit), ", ".join(names[i] for i in orbit)
+        unit = "m/s" if kinds[names[orbit[0]]] == _SLIDE else "rad/s"
+        row = _motion_row(name, off[:, columns], scale, unit, mine[:, columns])
         if row.failed and found is not None and found.measured is not None and found.wrong[columns].any():
-            i = next(i for i in orbit if found.wrong[i])
-            said, seen = entry_name(table, i, names), entry_name(found.measured, i, names)
-            row = replace(row, detail=f"{names[i]} declared {said}; measured: {seen}")
+            wrong = next(i for i in orbit if found.wrong[i])
+            row = replace(row, detail=entry_contradiction(table, found.measured, wrong, names))
         yield row
 
 
-def slide_joints(task: CompiledTask) -> Iterator[str]:
-    """Names of the joints that slide."""
-    model = task.scene.model
-    for joint, coordinate in enumerate(task.scene.layout.coordinates):
-        if model.jnt_type[joint] == _SLIDE:
-            yield coordinate.name
-
-
-def _motion_row(name: str, off: np.ndarray, scale: float, unit: str, peak: float) -> Row:
+def _motion_row(name: str, errors: np.ndarray, scale: float, unit: str, moved: np.ndarray) -> Row:
     """Judges all steps; the row has the error that 99 % of them keep within, or 80 % where that is what fails."""
-    worst = float(off.max(initial=0.0))
+    off, peak = errors.max(axis=1), float(np.abs(moved).max(initial=0.0))
     typical, error = (float(np.quantile(off, q)) if len(off) else 0.0 for q in (_SHARE, _MOST))
-    tolerance, verdict = _LOOSE * scale, "ok"
+    tolerance = _LOOSE * scale
+    verdict = verdict_of(wrong=error > tolerance, excited=peak != 0.0)
     exact = 100.0 * float((off <= _EXACT * scale).mean()) if len(off) else 0.0
-    detail = f"{exact:.1f} % of steps exact, worst {worst:.2g} {unit}"
+    detail = f"{exact:.1f} % of steps exact, worst {float(off.max(initial=0.0)):.2g} {unit}"
     if typical > _EXACT * scale:
-        error, tolerance, verdict = typical, _EXACT * scale, "FAIL"
-        detail = f"only {detail}"
-    elif error > tolerance:
-        verdict = "FAIL"
-    elif peak == 0.0:
-        verdict = "never excited"
+        error, tolerance, verdict, detail = typical, _EXACT * scale, "FAIL", f"only {detail}"
     return Row("dynamics", name, verdict, error, tolerance, unit, f"peak {peak:.2g} {unit}", detail)
 
 
 def _contact_rows(recording: Recording, exact: np.ndarray) -> Iterator[Row]:
     """Contacts of the mirrored step, in the steps that mirror exactly."""
-    few = int(exact.sum()) < _FEW
-    channels = [(False, pairs) for pairs in recording.touches] + [(True, pairs) for pairs in recording.forces]
-    for is_force, pairs in channels:
-        name = f"{'force' if is_force else 'contact'} {pairs.name}"
-        if few:
+    for pairs in (*recording.touches, *recording.forces):
+        name = f"{'force' if pairs.unit else 'contact'} {pairs.name}"
+        if exact.sum() < _FEW:
             yield Row("dynamics", name, "not compared", detail="too few steps mirror exactly")
             continue
         mine, theirs = pairs.original[exact], pairs.image[exact]
         off, peak = np.abs(mine - theirs), float(np.abs(mine).max(initial=0.0))
-        if is_force:
+        if pairs.unit:
             error, tolerance, unit, excited = float(off.max()), _FORCE * peak, "N", f"peak {peak:.3g} N"
         else:
             error, tolerance, unit = float(off.sum()), _ODD_CONTACTS * len(mine), "states"
             excited = f"{int(mine.sum())} states"
-        verdict: Verdict = "FAIL" if error > tolerance else "ok" if peak else "never excited"
+        verdict = verdict_of(wrong=error > tolerance, excited=peak != 0.0)
         yield Row("dynamics", name, verdict, error, tolerance, unit, excited)
 
 
-def _actuator_rows(recording: Recording, declared: Image, actions: Representation) -> Iterator[Row]:
+def _actuator_rows(recording: Recording, actions: Representation) -> Iterator[Row]:
     """The effect of an actuator, mirrored, is the effect of its partner."""
     names = recording.task.scene.layout.actuator_names
-    truth = recording.reflection.qvel.representation
-    effects = recording.response.original[:, :, list(truth.permutation)] * np.array(truth.signs)
+    effects = _apply(recording.reflection.qvel.representation, recording.response.original)
     images = recording.response.image
     size = np.median(np.abs(effects).max(axis=2), axis=0)
     misfit = np.zeros((len(names), len(names), 2))
@@ -168,32 +171,34 @@ def _actuator_rows(recording: Recording, declared: Image, actions: Representatio
         misfit[i] = off.reshape(2, -1).T
     found = judge_misfits(misfit, actions, _RESPONSE, 1.0)
     for orbit in actions.orbits():
-        columns = list(orbit)
-        error, name = float(found.error[columns].max()), ", ".join(names[i] for i in orbit)
-        moved = float(size[columns].min())
-        wrong = [i for i in orbit if found.wrong[i]]
-        detail = ""
-        if wrong:
-            seen = "no actuator"
-            if found.measured is not None:
-                seen = entry_name(found.measured, wrong[0], names)
+        columns, name = list(orbit), ", ".join(names[i] for i in orbit)
+        error, moved, detail = float(found.error[columns].max()), float(size[columns].min()), ""
+        if wrong := [i for i in orbit if found.wrong[i]]:
+            known = found.measured
+            seen = "no actuator" if known is None else entry_name(known, wrong[0], names)
             detail = f"{names[wrong[0]]} declared {entry_name(actions, wrong[0], names)}; measured: {seen}"
-        verdict: Verdict = "FAIL" if wrong else "ok" if moved > 0.0 else "never excited"
+        verdict = verdict_of(wrong=bool(wrong), excited=moved > 0.0)
         excited = f"moves by {moved:.2g} /s"
         yield Row("dynamics", f"action {name}", verdict, error, _RESPONSE, "", excited, detail)
 
 
-def field_rows(recording: Recording, symmetry: Symmetry, own: Mapping[str, Representation]) -> Iterator[Row]:
+# Checks 4 and 5: what terms say of a state's mirror image
+
+
+def _field_rows(recording: Recording, symmetry: Symmetry, declared: Image) -> Iterator[Row]:
     """Check 4: every observation field of a state's mirror image is rho times that of the state."""
+    layout = recording.task.scene.layout
+    components = {"joints": layout.joint_names, "actions": layout.actuator_names}
+    own = {"joints": mirror_joints(layout.joint_names, declared), "actions": symmetry.actions}
     repeated = [pairs.name for pairs in recording.fields]
     for pairs in recording.fields:
-        name = pairs.name
-        if repeated.count(name) > 1:
-            name = f"{name} ({' and '.join(pairs.groups)})"
-        declared = symmetry.groups[pairs.groups[0]][pairs.name]
+        several = repeated.count(pairs.name) > 1
+        name = f"{pairs.name} ({' and '.join(pairs.groups)})" if several else pairs.name
+        representation = symmetry.groups[pairs.groups[0]][pairs.name]
         peak = float(np.abs(pairs.original).max(initial=0.0))
-        found = judge_misfits(pairs.misfit, declared, max(_FIELD * peak, 1e-7), peak)
-        yield _field_row(name, pairs, found, own, components(recording.task, pairs))
+        found = judge_misfits(pairs.misfit, representation, max(_FIELD * peak, 1e-7), peak)
+        size = pairs.bound.term.size if pairs.bound is not None else None
+        yield _field_row(name, pairs, found, own, components.get(str(size)))
 
 
 def _field_row(
@@ -204,27 +209,23 @@ def _field_row(
     parts: Sequence[str] | None,
 ) -> Row:
     size, proven = len(found.error), int(found.proven.sum())
-    names = parts or ("xyz" if size == 3 else [str(i) for i in range(size)])
-    detail = ""
     verdict: Verdict = "ok"
+    detail = ""
     if found.wrong.any():
         verdict, detail = "FAIL", contradiction(found, own, parts)
     elif not proven:
-        verdict = "never excited"
-        detail = "constant in every state" if found.peak else "zero in every state"
+        verdict, detail = "never excited", f"{'constant' if found.peak else 'zero'} in every state"
     elif proven < size:
+        names = parts or ("xyz" if size == 3 else [str(i) for i in range(size)])
         verdict, detail = "partly excited", _idle(pairs.original, found, names)
-    unit = "" if pairs.unit in ("1", "true/false") else pairs.unit
-    return Row(
-        "observations",
-        name,
-        verdict,
-        float(found.error.max(initial=0.0)),
-        found.tolerance,
-        unit,
-        f"{proven}/{size}, peak {found.peak:.3g} {unit}".rstrip(),
-        detail,
-    )
+    unit = _unit(pairs)
+    excited = f"{proven}/{size}, peak {found.peak:.3g} {unit}".rstrip()
+    error = float(found.error.max(initial=0.0))
+    return Row("observations", name, verdict, error, found.tolerance, unit, excited, detail)
+
+
+def _unit(pairs: Pairs) -> str:
+    return "" if pairs.unit in ("1", "true/false") else pairs.unit
 
 
 def _idle(original: np.ndarray, found: Measurement, names: Sequence[str]) -> str:
@@ -237,33 +238,29 @@ def _idle(original: np.ndarray, found: Measurement, names: Sequence[str]) -> str
 
 def term_rows(recording: Recording) -> Iterator[Row]:
     """Check 5: rewards and terminations are the same in the mirror."""
-    for kind, group in (("reward", recording.rewards), ("termination", recording.terminations)):
-        for pairs in group:
-            mine, theirs = pairs.original, pairs.image
-            error, peak = float(np.abs(mine - theirs).max(initial=0.0)), float(np.abs(mine).max(initial=0.0))
-            tolerance = 0.0 if kind == "termination" else _REWARD * max(peak, _REWARD)
-            share = float((mine != 0.0).mean())
-            detail = ""
-            verdict: Verdict = "ok"
-            # NaN compares false, and is no agreement.
-            if not error <= tolerance:
-                verdict = "FAIL"
-                odd = int((~(np.abs(mine - theirs) <= tolerance)).sum())
-                detail = f"declared invariant; measured: changes by up to {error:.2g} ({odd} of {len(mine)} states)"
-            elif peak == 0.0:
-                verdict, detail = "never excited", "zero in every state"
-            excited = f"in {int(share * len(mine) + 0.5)} states"
-            unit = "" if pairs.unit in ("1", "true/false") else pairs.unit
-            yield Row("terms", f"{kind} {pairs.name}", verdict, error, tolerance, unit, excited, detail)
+    yield from (_term_row("reward", pairs, _REWARD) for pairs in recording.rewards)
+    yield from (_term_row("termination", pairs, 0.0) for pairs in recording.terminations)
 
 
-def sampling_rows(task: CompiledTask) -> Iterator[Row]:
+def _term_row(kind: str, pairs: Pairs, relative: float) -> Row:
+    mine, theirs = pairs.original, pairs.image
+    off, peak = np.abs(mine - theirs), float(np.abs(mine).max(initial=0.0))
+    error, tolerance = float(off.max(initial=0.0)), relative * max(peak, _REWARD)
+    # NaN compares false, and is no agreement.
+    verdict = verdict_of(wrong=not error <= tolerance, excited=peak != 0.0)
+    odd = f"{int((~(off <= tolerance)).sum())} of {len(mine)} states"
+    details = {
+        "FAIL": f"declared invariant; measured: changes by up to {error:.2g} ({odd})",
+        "never excited": "zero in every state",
+    }
+    excited, detail = f"in {int((mine != 0.0).sum())} states", details.get(verdict, "")
+    return Row("terms", f"{kind} {pairs.name}", verdict, error, tolerance, _unit(pairs), excited, detail)
+
+
+def _sampling_rows(task: CompiledTask) -> Iterator[Row]:
     """Check 6: which sampling regions are their own mirror images, and what the others' are."""
     sampling = task.spec.sampling
-    lateral = {
-        "ball y": (sampling.ball.y, "m"),
-        "target angle": (sampling.target.angle, "rad"),
-    }
+    lateral = {"ball y": (sampling.ball.y, "m"), "target angle": (sampling.target.angle, "rad")}
     for name, ((low, high), unit) in lateral.items():
         error = abs(low + high)
         detail = f"[{low:g}, {high:g}] {unit}"
@@ -272,3 +269,46 @@ def sampling_rows(task: CompiledTask) -> Iterator[Row]:
             verdict = "by design"
             detail += f"; mirror image: [{-high or 0.0:g}, {-low or 0.0:g}] {unit}"
         yield Row("sampling", name, verdict, error, None, unit, detail=detail)
+
+
+# Check 7
+
+
+def policy_rows(
+    recording: Recording, symmetry: Symmetry, run: Trial, policy: Policy, critic: MLPModel | None
+) -> Iterator[Row]:
+    """Check 7: how equivariant a policy's mean action and value are, on the states it visits among others.
+
+    Args:
+        recording: States.
+        symmetry: The declared tables.
+        run: What the policy was trained with.
+        policy: The actor.
+        critic: The value function, if there is one.
+    """
+    exact = run.method.spec.network.type == "equivariant"
+    with torch.inference_mode():
+        here, there = _outputs(recording, symmetry, "actor", policy)
+        yield _policy_row("mean action", Mirror(symmetry.actions)(here), there, exact)
+        if critic is None:
+            yield Row("policy", "value", "not compared", detail="the run has no checkpoint with a critic")
+        else:
+            yield _policy_row("value", *_outputs(recording, symmetry, "critic", critic), exact)
+
+
+def _outputs(recording: Recording, symmetry: Symmetry, group: str, model: Policy) -> tuple[Tensor, Tensor]:
+    """Outputs for the observations of every state, and for their mirror images [N, ...]."""
+    observed = recording.group(group)
+    mirrored = Mirror(symmetry.groups[group].representation)(observed)
+    here, there = (TensorDict({group: part}, batch_size=[len(part)]) for part in (observed, mirrored))
+    return model(here), model(there)
+
+
+def _policy_row(name: str, expected: Tensor, found: Tensor, exact: bool) -> Row:
+    off = (expected - found).abs()
+    error, peak = float(off.max()), float(expected.abs().max())
+    tolerance = _POLICY * max(1.0, peak) if exact else None
+    verdict = "measured" if tolerance is None else verdict_of(wrong=not error <= tolerance)
+    size = float(expected.square().mean().sqrt())
+    detail = f"mean {float(off.mean()):.2g}; root mean square of the output {size:.2g}"
+    return Row("policy", name, verdict, error, tolerance, "", f"peak {peak:.3g}", detail)

@@ -2,7 +2,7 @@
 
 Given a vector in many states, and in their mirror images, every signed permutation is tried component by component:
 `image[i] = s * original[j]`. What is declared must fit, and nothing else may: where another entry fits as well, the
-states did not excite the component enough to tell.
+states did not excite the component enough to decide.
 """
 
 from __future__ import annotations
@@ -80,12 +80,11 @@ def judge_misfits(misfit: np.ndarray, declared: Representation, tolerance: float
 
 def misfits(original: np.ndarray, image: np.ndarray) -> np.ndarray:
     """Largest |image[i] - s original[j]| over the states, [d, d, 2]: i, j, and s = +1, -1."""
-    size = original.shape[1]
-    table = np.zeros((size, size, 2))
-    for i in range(size):
-        for place, sign in enumerate((1.0, -1.0)):
-            table[i, :, place] = np.abs(image[:, i : i + 1] - sign * original).max(axis=0, initial=0.0)
-    return table
+    rows = [
+        [np.abs(column[:, None] - sign * original).max(axis=0, initial=0.0) for sign in (1.0, -1.0)]
+        for column in image.T
+    ]
+    return np.array(rows).transpose(0, 2, 1)
 
 
 def representation_of(fits: np.ndarray, preferred: Representation) -> Representation | None:
@@ -130,14 +129,11 @@ def name_of(representation: Representation, own: Mapping[str, Representation] | 
     if representation.permutation == tuple(range(size)):
         return _inner(signs)
     if representation.permutation == (*range(half, size), *range(half)) and signs[:half] == signs[half:]:
-        if half == 1:
-            return kind_of_coordinate(False, signs[0])
-        return f"regular x {_inner(signs[:half])}"
+        return kind_of_coordinate(False, signs[0]) if half == 1 else f"regular x {_inner(signs[:half])}"
+    orbits = representation.orbits()
     return ", ".join(
-        f"{orbit[0]}: {kind_of_coordinate(True, signs[orbit[0]])}"
-        if len(orbit) == 1
-        else f"{orbit[0]} and {orbit[1]}: {kind_of_coordinate(False, signs[orbit[0]])}"
-        for orbit in representation.orbits()
+        f"{' and '.join(map(str, orbit))}: {kind_of_coordinate(len(orbit) == 1, signs[orbit[0]])}"
+        for orbit in orbits
     )
 
 
@@ -146,11 +142,24 @@ def _inner(signs: Sequence[int]) -> str:
     return names[0] if len(set(names)) == 1 else f"({', '.join(names)})"
 
 
+def entry_words(name: str, partner: str, sign: int) -> str:
+    """Names how a coordinate transforms: "sign", "regular with Right_Hip_Yaw"."""
+    kind = kind_of_coordinate(partner == name, sign)
+    return kind if partner == name else f"{kind} with {partner}"
+
+
 def entry_name(representation: Representation, index: int, names: Sequence[str]) -> str:
-    """Names one entry: "sign", "regular with 'Right_Hip_Yaw'"."""
-    partner, sign = representation.permutation[index], representation.signs[index]
-    kind = kind_of_coordinate(partner == index, sign)
-    return kind if partner == index else f"{kind} with {names[partner]}"
+    """Names one entry of a representation on named coordinates."""
+    partner = names[representation.permutation[index]]
+    return entry_words(names[index], partner, representation.signs[index])
+
+
+def entry_contradiction(
+    declared: Representation, measured: Representation, index: int, names: Sequence[str]
+) -> str:
+    """Words what is wrong with one entry."""
+    said, seen = (entry_name(table, index, names) for table in (declared, measured))
+    return f"{names[index]} declared {said}; measured: {seen}"
 
 
 def contradiction(
@@ -164,15 +173,10 @@ def contradiction(
         components: Names of the components, where the vector has one for each joint or action.
     """
     if components is None or found.measured is None:
-        declared = name_of(found.declared, own)
-        if found.measured is None:
-            return f"declared {declared}; measured: no signed permutation fits (worst error {found.error.max():.2g})"
-        return f"declared {declared}; measured: {name_of(found.measured)}"
+        none_fits = f"no signed permutation fits (worst error {found.error.max():.2g})"
+        seen = none_fits if found.measured is None else name_of(found.measured)
+        return f"declared {name_of(found.declared, own)}; measured: {seen}"
     wrong = np.flatnonzero(found.wrong)
-    named = [
-        f"{components[i]} declared {entry_name(found.declared, i, components)}; "
-        f"measured: {entry_name(found.measured, i, components)}"
-        for i in wrong[:2]
-    ]
+    named = [entry_contradiction(found.declared, found.measured, i, components) for i in wrong[:2]]
     more = f" (and {len(wrong) - 2} more)" if len(wrong) > 2 else ""
     return ", ".join(named) + more

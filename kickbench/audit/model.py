@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from kickbench.audit.report import Row
+from kickbench.audit.measure import entry_words
+from kickbench.audit.report import Row, verdict_of
 from kickbench.envs.compile import CompiledTask
-from kickbench.sim.read_skeleton import read_skeleton
+from kickbench.sim.read_parts import read_parts
 from kickbench.sim.sensors import ROBOT
 from kickbench.symmetry.derive import Derivation, Match, derive
 from kickbench.symmetry.mirror import Image
@@ -18,89 +19,70 @@ from kickbench.symmetry.skeleton import PLANES, Element, Quantity
 
 _TOLERANCE = 1e-5
 """Relative; model files round to six or seven digits."""
+_REFLECTION = PLANES["xz"]
 
 
 def derive_scene(task: CompiledTask) -> Derivation:
     """Derives the reflection of the robot in a task's scene, servos included."""
-    return derive(read_skeleton(task.scene.model, ROBOT))
-
-
-def true_image(task: CompiledTask, derivation: Derivation) -> Image:
-    """The joint table that states are mirrored with: the geometry's, and the declared one where that is silent."""
-    declared = task.robot.spec.symmetry.image()
-    image = {**declared, **derivation.image}
-    # A joint whose image the geometry does not tell keeps its declared partner, unless that is another's.
-    known = set(derivation.image)
-    return {j: (p, s) if j in known or p not in known else (j, 1) for j, (p, s) in image.items()}
+    return derive(read_parts(task.scene.model, ROBOT))
 
 
 def model_rows(task: CompiledTask, derivation: Derivation, declared: Image) -> Iterator[Row]:
     """Rows of bodies, joints, actuators, soles and contact exclusions, in the model's order."""
+    parts = derivation.skeleton
     yield from _bodies(derivation)
     yield from _joints(derivation, declared)
-    yield from _actuators(task, derivation)
-    yield from _sites(derivation)
+    servos = _complete_servos(task, derivation)
+    for match, servo in _speakers(derivation.actuators, servos):
+        yield _row(f"servo {_orbit(match)}", match, list(_compare(servo, match, servos)))
+    for match, site in _speakers(derivation.sites, parts.sites):
+        if match.name.startswith("kickbench_"):
+            name = f"site {_orbit(match)}".replace("kickbench_", "")
+            yield _row(name, match, list(_compare(site, match, parts.sites)))
     yield _exclusions(derivation)
-    for what in derivation.skeleton.left_out:
+    for what in parts.left_out:
         yield Row("model", what, "not compared", detail="the audit does not know how they mirror")
 
 
 def _bodies(derivation: Derivation) -> Iterator[Row]:
-    skeleton = derivation.skeleton
-    images = _by_name(derivation.shapes)
-    for match, body in zip(derivation.bodies, skeleton.bodies, strict=True):
-        if not _stands_for_orbit(match, skeleton.bodies):
-            continue
-        compared = list(_compare(body, match, skeleton.bodies))
-        for shape in (s for s in skeleton.shapes if s.body == body.body and s.touches):
-            other = images[shape.name]
-            if other.partner is None:
-                compared.append(Comparison(f"shape '{shape.name}'", np.inf))
-            else:
-                found = _compare(shape, other, skeleton.shapes)
-                compared += [replace(item, name=f"{shape.name}: {item.name}") for item in found]
+    parts, images = derivation.skeleton, {match.name: match for match in derivation.shapes}
+    for match, body in _speakers(derivation.bodies, parts.bodies):
+        compared = list(_compare(body, match, parts.bodies))
+        for shape in (s for s in parts.shapes if s.body == body.body and s.touches):
+            image = images[shape.name]
+            if image.partner is None:
+                compared.append((np.inf, f"shape '{shape.name}' has no mirror image"))
+            compared += _compare(shape, image, parts.shapes, match)
         yield _row(_orbit(match), match, compared)
 
 
 def _joints(derivation: Derivation, declared: Image) -> Iterator[Row]:
     joints = derivation.skeleton.joints
+    speakers = {match.name for match, _ in _speakers(derivation.joints, joints)}
     for match, joint in zip(derivation.joints, joints, strict=True):
         if joint.kind == "free":
             continue
-        said, name = declared.get(joint.name), joint.name
-        derived = derivation.image.get(name)
+        name, said, derived = joint.name, declared.get(joint.name), derivation.image.get(joint.name)
         if derived is not None and said is not None and said != derived:
-            detail = f"declared {_words(name, *said)}; measured: {_words(name, *derived)}"
+            detail = f"declared {entry_words(name, *said)}; measured: {entry_words(name, *derived)}"
             yield Row("model", name, "FAIL", np.inf, 0.0, detail=detail)
-        elif _stands_for_orbit(match, joints):
-            yield _row(_orbit(match), match, _compare(joint, match, joints))
+        elif name in speakers:
+            yield _row(_orbit(match), match, list(_compare(joint, match, joints)))
 
 
-def _actuators(task: CompiledTask, derivation: Derivation) -> Iterator[Row]:
-    layout, actuators = task.scene.layout, derivation.skeleton.actuators
-    targets = dict(zip(layout.actuator_names, layout.default_target, strict=True))
-    scales = dict(zip(layout.actuator_names, layout.action_scale, strict=True))
+def _complete_servos(task: CompiledTask, derivation: Derivation) -> list[Element]:
+    """The actuators with what the robot file says of their actions."""
+    layout = task.scene.layout
+    of_action = zip(layout.actuator_names, layout.default_target, layout.action_scale, strict=True)
     extra = {
         name: (
-            Quantity("default target", np.asarray(targets[name]), "signed", "", 1.0),
-            Quantity("action scale", np.asarray(scales[name]), "scalar"),
+            Quantity("default target", target, "signed", "", 1.0),
+            Quantity("action scale", scale, "scalar"),
         )
-        for name in layout.actuator_names
+        for name, target, scale in of_action
     }
-    complete = [Element(a.name, a.body, (*a.quantities, *extra[a.name])) for a in actuators]
-    for match in derivation.actuators:
-        if _stands_for_orbit(match, complete):
-            element = next(a for a in complete if a.name == match.name)
-            name = f"servo {_orbit(match)}"
-            yield _row(name, match, _compare(element, match, complete))
-
-
-def _sites(derivation: Derivation) -> Iterator[Row]:
-    for match in derivation.sites:
-        if match.name.startswith("kickbench_") and _stands_for_orbit(match, derivation.skeleton.sites):
-            site = next(s for s in derivation.skeleton.sites if s.name == match.name)
-            name = f"site {_orbit(match)}".replace("kickbench_", "")
-            yield _row(name, match, _compare(site, match, derivation.skeleton.sites))
+    actuators = derivation.skeleton.actuators
+    return [Element(a.name, a.body, (*a.quantities, *extra[a.name])) for a in actuators]
 
 
 def _exclusions(derivation: Derivation) -> Row:
@@ -109,98 +91,68 @@ def _exclusions(derivation: Derivation) -> Row:
     odd = [pair for pair in pairs if frozenset(images.get(name, name) for name in pair) not in pairs]
     detail = "; ".join(" and ".join(sorted(pair)) for pair in odd)
     detail = f"no mirror image among them: {detail}" if odd else ""
-    return Row(
-        "model", "contact exclusions", "FAIL" if odd else "ok", float(len(odd)), 0.0, "pairs", detail=detail
-    )
+    verdict = verdict_of(wrong=bool(odd))
+    return Row("model", "contact exclusions", verdict, float(len(odd)), 0.0, "pairs", detail=detail)
 
 
-@dataclass(frozen=True)
-class Comparison:
-    """A quantity against its mirror image.
-
-    Attributes:
-        name: The quantity.
-        relative: Relative error.
-        error: Error in its unit.
-        unit: Its unit.
-        on_plane: Whether it is the place of something central, which the plane should hold.
-    """
-
-    name: str
-    relative: float
-    error: float = np.inf
-    unit: str = ""
-    on_plane: bool = False
+def _speakers(matches: Sequence[Match], elements: Sequence[Element]) -> Iterator[tuple[Match, Element]]:
+    """Parts in the model's order; the first of a pair speaks for both."""
+    places = {element.name: place for place, element in enumerate(elements)}
+    for place, (match, element) in enumerate(zip(matches, elements, strict=True)):
+        if match.partner is None or place <= places[match.partner]:
+            yield match, element
 
 
-def _compare(element: Element, match: Match, others: Sequence[Element]) -> Iterator[Comparison]:
+Comparison = tuple[float, str]
+"""Relative error of a quantity against its mirror image, and the error in words."""
+
+
+def _compare(
+    element: Element, match: Match, others: Sequence[Element], body: Match | None = None
+) -> Iterator[Comparison]:
+    """Compares all quantities of a part; `body`: of a body's shape, in the words of the body."""
     if match.partner is None:
         return
     partner = next(other for other in others if other.name == match.partner)
-    reflection, sign = PLANES["xz"], match.sign or 1
+    owner, prefix = (match, "") if body is None else (body, f"{element.name}: ")
+    whose = "its mirror image" if owner.partner == owner.name else f"the mirror image of {owner.partner}'s"
     for quantity in element.quantities:
         other = partner.by_name[quantity.name]
-        error = quantity.error(other, reflection, sign)
-        relative = quantity.relative_error(other, reflection, sign)
+        error = quantity.error(other, _REFLECTION, match.sign or 1)
+        relative = quantity.relative_error(other, _REFLECTION, match.sign or 1)
         if quantity.name == "axis":
             # That the reflected axis is the opposite one is what a sign of its own means.
-            error = relative = min(error, replace(quantity, value=-quantity.value).error(other, reflection))
+            opposite = replace(quantity, value=-quantity.value)
+            error = relative = min(error, opposite.error(other, _REFLECTION))
         elif quantity.name == "anchor":
-            error = _anchor_error(element, partner, reflection)
+            error = _anchor_error(element, partner)
             relative = error / (quantity.scale or 1.0)
-        on_plane = partner.name == element.name and quantity.law == "point"
-        yield Comparison(quantity.name, relative, error, quantity.unit, on_plane)
+        words = f"{100 * relative:.2g} % from {whose}"
+        if not np.isfinite(relative):
+            words = "has no mirror image"
+        elif quantity.law == "point" and partner.name == element.name:
+            words = f"{1000 * error / 2:.3g} mm off the mirror plane"
+        elif quantity.unit == "m":
+            words = f"{1000 * error:.3g} mm from {whose}"
+        yield relative, f"{prefix}{quantity.name} {words}"
 
 
-def _anchor_error(joint: Element, partner: Element, reflection: np.ndarray) -> float:
+def _anchor_error(joint: Element, partner: Element) -> float:
     """Distance between a hinge's anchor and its partner's image, m; along the axis it is of no account."""
     if joint.by_name["axis"].law == "polar":  # a slide's anchor is of no account at all
         return 0.0
-    apart, axis = joint.get("anchor") - reflection @ partner.get("anchor"), joint.get("axis")
+    apart, axis = joint.get("anchor") - _REFLECTION @ partner.get("anchor"), joint.get("axis")
     return float(np.linalg.norm(apart - (apart @ axis) * axis))
 
 
-def _row(name: str, match: Match, compared: Iterable[Comparison]) -> Row:
+def _row(name: str, match: Match, compared: Sequence[Comparison]) -> Row:
     if match.partner is None:
         return Row("model", name, "FAIL", np.inf, _TOLERANCE, detail=match.reason)
-    found = list(compared)
-    worst = max((item.relative for item in found), default=0.0)
-    bad = [item for item in found if item.relative > _TOLERANCE]
-    detail = "; ".join(_defect(item, match) for item in bad[:2])
-    detail += f"; {len(bad) - 2} more" if len(bad) > 2 else ""
-    return Row("model", name, "FAIL" if bad else "ok", worst, _TOLERANCE, detail=detail)
-
-
-def _defect(item: Comparison, match: Match) -> str:
-    if not np.isfinite(item.relative):
-        return f"{item.name} has no mirror image"
-    if item.on_plane:
-        return f"{item.name} {_length(item.error / 2)} off the mirror plane"
-    size = _length(item.error) if item.unit == "m" else f"{100 * item.relative:.2g} %"
-    whose = "its mirror image" if match.partner == match.name else f"the mirror image of {match.partner}'s"
-    return f"{item.name} {size} from {whose}"
-
-
-def _length(metres: float) -> str:
-    return f"{1000 * metres:.3g} mm"
-
-
-def _stands_for_orbit(match: Match, elements: Sequence[Element]) -> bool:
-    """The first of a pair speaks for both."""
-    if match.partner is None or match.partner == match.name:
-        return True
-    places = {element.name: i for i, element in enumerate(elements)}
-    return places[match.name] < places[match.partner]
+    worst = max((relative for relative, _ in compared), default=0.0)
+    bad = [words for relative, words in compared if relative > _TOLERANCE]
+    detail = "; ".join(bad[:2]) + (f"; {len(bad) - 2} more" if len(bad) > 2 else "")
+    return Row("model", name, verdict_of(wrong=bool(bad)), worst, _TOLERANCE, detail=detail)
 
 
 def _orbit(match: Match) -> str:
     return match.name if match.partner in (None, match.name) else f"{match.name}, {match.partner}"
-
-
-def _by_name(matches: Sequence[Match]) -> Mapping[str, Match]:
-    return {match.name: match for match in matches}
-
-
-def _words(joint: str, partner: str, sign: int) -> str:
-    kind = kind_of_coordinate(partner == joint, sign)
-    return kind if partner == joint else f"{kind} with {partner}"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -19,15 +18,16 @@ from kickbench.envs.state import State
 from kickbench.envs.tensors import Tensors
 from kickbench.evaluation.episodes import Policy
 from kickbench.nets.threads import torch_threads
+from kickbench.symmetry.derive import Derivation
 from kickbench.symmetry.mirror import Image, mirror_actions, mirror_qpos, mirror_qvel
 from kickbench.symmetry.torch_ops import Mirror
 
-_WORLDS, _STEPS = 128, 32
-"""Most worlds, and steps of each that they are traded for: a fall takes its time."""
+_ENVS, _STEPS = 128, 32
+"""Most envs, and steps of each that they are traded for: a fall takes its time."""
 _KINDS = 24
-"""Worlds that it takes to have every kind of start with every kind of action."""
+"""Envs that it takes to have every kind of start with every kind of action."""
 _LYING = 15
-"""Steps for which worlds of one kind go on after their episode's end."""
+"""Steps for which envs of one kind go on after their episode's end."""
 
 
 @dataclass(frozen=True)
@@ -35,13 +35,11 @@ class Reflection:
     """The mirror maps that states are reflected with.
 
     Attributes:
-        image: Joint -> (partner, sign).
         qpos: On positions.
         qvel: On velocities.
         actions: On actions and control targets.
     """
 
-    image: Image
     qpos: Mirror
     qvel: Mirror
     actions: Mirror
@@ -51,7 +49,6 @@ class Reflection:
         """The reflection that follows from a joint table."""
         coordinates, image = task.scene.layout.coordinates, {**image, "ball": ("ball", 1)}
         return Reflection(
-            image,
             Mirror(mirror_qpos(coordinates, image)),
             Mirror(mirror_qvel(coordinates, image)),
             Mirror(mirror_actions(task.robot.spec.actuators, image)),
@@ -60,6 +57,18 @@ class Reflection:
     def __call__(self, snapshot: Tensors) -> Tensors:
         """The mirror image of running episodes."""
         return snapshot.mirrored(self.qpos, self.qvel, self.actions)
+
+
+def reflection_of(task: CompiledTask, derivation: Derivation) -> Reflection:
+    """What states are mirrored with: the geometry's reflection, or the declared one where it makes no sense."""
+    declared, derived = task.robot.spec.symmetry.image(), derivation.image
+    # A joint whose image does not follow from the geometry keeps its declared partner, unless that is another's.
+    kept = {j: (p, s) if p not in derived else (j, 1) for j, (p, s) in declared.items()}
+    try:
+        return Reflection.of(task, {**kept, **derived})
+    except (KeyError, ValueError):
+        # The geometry pairs a driven joint with an undriven one, or gives no involution: check 2 reports that.
+        return Reflection.of(task, declared)
 
 
 @dataclass(eq=False)
@@ -81,7 +90,7 @@ class Pairs:
     _images: list[Tensor] = field(default_factory=list, repr=False)
 
     def add(self, original: Tensor, image: Tensor, keep: Tensor) -> None:
-        """Adds the rows of the worlds in `keep` [B]."""
+        """Adds the rows of the envs in `keep` [B]."""
         self._originals.append(original[keep].clone())
         self._images.append(image[keep].clone())
 
@@ -111,9 +120,9 @@ class Recording:
         fields: Observation fields.
         rewards: Reward terms, unweighted.
         terminations: Termination terms, as 0 and 1.
-        velocity: Velocities one step later, the original's [N, nv] and the image's.
         touches: Contact channels one step later: whether anything touched; the original's already reflected.
         forces: Force channels one step later, summed over their parts [N, 3]; the original's already reflected.
+        velocity: Velocities one step later, the original's [N, nv] and the image's.
         response: Effect of a unit action of every actuator on the velocities, [S, nu, nv]; in the mirror image, of
             a unit action and of its opposite [S, 2 nu, nv].
         coverage: What happened: "with ball contact" -> number of states.
@@ -124,11 +133,29 @@ class Recording:
     fields: tuple[Pairs, ...]
     rewards: tuple[Pairs, ...]
     terminations: tuple[Pairs, ...]
-    velocity: Pairs
     touches: tuple[Pairs, ...]
     forces: tuple[Pairs, ...]
-    response: Pairs
-    coverage: dict[str, int]
+    velocity: Pairs = field(default_factory=lambda: Pairs("velocity"))
+    response: Pairs = field(default_factory=lambda: Pairs("response"))
+    coverage: dict[str, int] = field(default_factory=dict)
+
+    @staticmethod
+    def begun(task: CompiledTask, reflection: Reflection) -> Recording:
+        """A recording with nothing in it yet."""
+        layout = task.scene.layout
+        return Recording(
+            task,
+            reflection,
+            fields=_field_pairs(task),
+            rewards=tuple(Pairs(bound.name, bound.term.units, bound=bound) for bound, _ in task.rewards),
+            terminations=tuple(Pairs(bound.name, bound=bound) for bound in task.terminations),
+            touches=tuple(map(Pairs, layout.contacts)),
+            forces=tuple(Pairs(name, "N") for name in layout.forces),
+        )
+
+    def count(self, what: str, mask: Tensor) -> None:
+        """Counts states in which something happened."""
+        self.coverage[what] = self.coverage.get(what, 0) + int(mask.sum())
 
     @property
     def states(self) -> int:
@@ -155,10 +182,10 @@ def record(
     Args:
         task: Compiled task.
         reflection: What to mirror states with.
-        states: Number of states; rounded up to whole steps of all worlds.
+        states: Number of states; rounded up to whole steps of all envs.
         seed: Seed of starts, actions and randomisation.
         threads: Physics threads.
-        policy: Drives half of the worlds.
+        policy: Drives half of the envs.
     """
     with torch.inference_mode(), torch_threads(1):
         return _Recorder(task, reflection, states, seed, threads).run(states, policy)
@@ -169,25 +196,19 @@ class _Recorder:
         self, task: CompiledTask, reflection: Reflection, states: int, seed: int, threads: int | None
     ) -> None:
         self.task, self.reflection = task, reflection
+        self.recording = Recording.begun(task, reflection)
         actions = len(task.scene.layout.actuator_names)
-        worlds = max(min(_WORLDS, states // _STEPS), _KINDS, 2 * actions + 1)
+        envs = max(min(_ENVS, states // _STEPS), _KINDS, 2 * actions + 1)
         starts = VariedStarts(task, seed)
-        engines = [make_engine(task, worlds, num_threads=threads) for _ in range(2)]
-        self.env = KickEnv(task, engines[0], seed, noise=False, initial_states=starts)
-        self.other = KickEnv(task, engines[1], seed, noise=False, initial_states=starts)
-        self.actions = VariedActions(worlds, actions, seed)
+        self.env, self.other = (
+            KickEnv(task, make_engine(task, envs, num_threads=threads), seed, noise=False, initial_states=starts)
+            for _ in range(2)
+        )
+        self.actions = VariedActions(envs, actions, seed)
         self.draws = torch.Generator().manual_seed(seed)
         # Thrown robots are followed until they lie.
-        self.patience = torch.where(torch.arange(worlds) % 4 == 3, _LYING, 0)
-        self.over = torch.zeros(worlds, dtype=torch.int64)
-        self.fields = _field_pairs(task)
-        self.rewards = [Pairs(bound.name, bound.term.units, bound=bound) for bound, _ in task.rewards]
-        self.terminations = [Pairs(bound.name, bound=bound) for bound in task.terminations]
-        self.velocity, self.response = Pairs("velocity"), Pairs("response")
-        layout = task.scene.layout
-        self.touches = {name: Pairs(name) for name in layout.contacts}
-        self.forces = {name: Pairs(name, "N") for name in layout.forces}
-        self.coverage: dict[str, int] = {}
+        self.patience = torch.where(torch.arange(envs) % 4 == 3, _LYING, 0)
+        self.over = torch.zeros(envs, dtype=torch.int64)
 
     def run(self, states: int, policy: Policy | None) -> Recording:
         env, other = self.env, self.other
@@ -206,57 +227,44 @@ class _Recorder:
             other.restore(self.reflection(env.snapshot()))
             self._note_terms(state, other.state(), keep)
             ended = torch.stack([bound(state) for bound in self.task.terminations], dim=1).any(dim=1)
-            self._count("episode ends", ended & keep & (self.over == 0))
+            self.recording.count("episode ends", ended & keep & (self.over == 0))
             self.over = torch.where(ended, self.over + 1, 0)
             self._begin((self.over > self.patience) | ~keep)
-        return Recording(
-            self.task,
-            self.reflection,
-            tuple(self.fields),
-            tuple(self.rewards),
-            tuple(self.terminations),
-            self.velocity,
-            tuple(self.touches.values()),
-            tuple(self.forces.values()),
-            self.response,
-            self.coverage,
-        )
+        return self.recording
 
     def _begin(self, mask: Tensor) -> None:
-        """New episodes in the worlds in `mask` [B]; both environments show the same instant afterwards."""
+        """New episodes in the envs in `mask` [B]; both environments show the same instant afterwards."""
         self.env.reset(mask)
         self.over = torch.where(mask, 0, self.over)
         self.env.restore(vary_episodes(self.env, self.env.snapshot(), mask, self.draws))
         self.other.restore(self.reflection(self.env.snapshot()))
 
     def _note_motion(self, keep: Tensor) -> None:
-        here, there = self.env.snapshot(), self.other.snapshot()
-        self.velocity.add(here.qvel, there.qvel, keep)
+        here, there, recording = self.env.snapshot(), self.other.snapshot(), self.recording
+        recording.velocity.add(here.qvel, there.qvel, keep)
         image = self.reflection(here)
-        for name, pairs in self.touches.items():
-            touch = [(s.touches[name] > 0).any(dim=1, keepdim=True) for s in (image, there)]
-            pairs.add(touch[0], touch[1], keep)
-        for name, pairs in self.forces.items():
-            pairs.add(image.forces[name].sum(dim=1), there.forces[name].sum(dim=1), keep)
+        for pairs in recording.touches:
+            touched = [(s.touches[pairs.name] > 0).any(dim=1, keepdim=True) for s in (image, there)]
+            pairs.add(touched[0], touched[1], keep)
+        for pairs in recording.forces:
+            pairs.add(image.forces[pairs.name].sum(dim=1), there.forces[pairs.name].sum(dim=1), keep)
         if "push" in here:
-            self._count("pushed", (here.push.wait < 0) & keep)
+            recording.count("pushed", (here.push.wait < 0) & keep)
 
     def _note_terms(self, state: State, image: State, keep: Tensor) -> None:
-        for pairs in (*self.fields, *self.rewards, *self.terminations):
+        recording = self.recording
+        for pairs in (*recording.fields, *recording.rewards, *recording.terminations):
             assert pairs.bound is not None
             clip = getattr(pairs.bound.params, "clip", None)
             values = [pairs.bound(view) for view in (state, image)]
             values = values if clip is None else [value.clamp(*clip) for value in values]
             pairs.add(values[0], values[1], keep)
-        self._count("with ball contact", state.ball_contact & keep)
+        recording.count("with ball contact", state.ball_contact & keep)
         if "body_floor" in self.task.scene.layout.contacts:
-            self._count("with the body on the floor", state.body_floor_contact & keep)
-
-    def _count(self, what: str, mask: Tensor) -> None:
-        self.coverage[what] = self.coverage.get(what, 0) + int(mask.sum())
+            recording.count("with the body on the floor", state.body_floor_contact & keep)
 
     def _measure_response(self) -> None:
-        """Steps worlds that differ in one actuator's command, and their mirror images with either sign of it."""
+        """Steps envs that differ in one actuator's command, and their mirror images with either sign of it."""
         env, other, actions = self.env, self.other, self.env.num_actions
         count = 2 * actions + 1
         commands = torch.cat([torch.eye(actions), -torch.eye(actions), torch.zeros(1, actions)])
@@ -266,31 +274,23 @@ class _Recorder:
         for first in range(0, 4 * states, states):
             start = env.snapshot().take((first + which // count) % env.num_envs)
             effects = []
-            for world, snapshot in ((env, start), (other, self.reflection(start))):
-                world.restore(snapshot)
-                world.engine.step(world.targets(command))
-                velocity = world.engine.qvel[: states * count].view(states, count, -1)
+            for stepped, snapshot in ((env, start), (other, self.reflection(start))):
+                stepped.restore(snapshot)
+                stepped.engine.step(stepped.targets(command))
+                velocity = stepped.engine.qvel[: states * count].view(states, count, -1)
                 effects.append(velocity[:, :-1] - velocity[:, -1:])
-            self.response.add(effects[0][:, :actions], effects[1], torch.ones(states, dtype=torch.bool))
+            self.recording.response.add(
+                effects[0][:, :actions], effects[1], torch.ones(states, dtype=torch.bool)
+            )
             env.reset()
 
 
-def _field_pairs(task: CompiledTask) -> list[Pairs]:
+def _field_pairs(task: CompiledTask) -> tuple[Pairs, ...]:
     """One entry a field; a field that two groups have with other parameters has one for each."""
     found: dict[str, Pairs] = {}
-    names: dict[str, int] = {}
     for group, fields in task.groups.items():
         for item in fields:
             key = f"{item.key} {item.params.clip}"
-            if key not in found:
-                names[item.name] = names.get(item.name, 0) + 1
-                found[key] = Pairs(item.name, item.bound.term.units, (), item.bound)
-            found[key] = replace(found[key], groups=(*found[key].groups, group))
-    return list(found.values())
-
-
-def components(task: CompiledTask, item: Pairs) -> Sequence[str] | None:
-    """Names of a field's components, where it has one for each joint or action."""
-    layout = task.scene.layout
-    size = item.bound.term.size if item.bound is not None else None
-    return {"joints": layout.joint_names, "actions": layout.actuator_names}.get(str(size))
+            known = found.get(key) or Pairs(item.name, item.bound.term.units, (), item.bound)
+            found[key] = replace(known, groups=(*known.groups, group))
+    return tuple(found.values())

@@ -11,6 +11,12 @@ Verdict = Literal["ok", "FAIL", "never excited", "partly excited", "by design", 
 """`never excited`: nothing contradicts the declaration, but every state left the quantity at zero, so nothing proves
 it; `partly excited`: so for some components; `by design`: asymmetric, and meant to be; `measured`: not claimed."""
 
+
+def verdict_of(*, wrong: bool, excited: bool = True) -> Verdict:
+    """The verdict on a quantity that must transform as declared."""
+    return "FAIL" if wrong else "ok" if excited else "never excited"
+
+
 CHECKS = {
     "tables": "1 tables: rho^2 = 1, dimensions",
     "model": "2 model: geometry, masses, limits and gains against their mirror images",

@@ -3,44 +3,41 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
 
-from kickbench.audit.checks import (
-    dynamics_rows,
-    field_rows,
-    own_representations,
-    sampling_rows,
-    table_rows,
-    term_rows,
-)
-from kickbench.audit.model import derive_scene, model_rows, true_image
-from kickbench.audit.policy import check_run, load_critic, policy_rows
-from kickbench.audit.record import Recording, Reflection, record
-from kickbench.audit.report import Report, Row
+from rsl_rl.models import MLPModel
+
+from kickbench.audit.checks import judge, policy_rows
+from kickbench.audit.model import derive_scene
+from kickbench.audit.record import record, reflection_of
+from kickbench.audit.report import Report
 from kickbench.config.load import Loaded, load, load_method, load_task
 from kickbench.config.representation import RepresentationSpec
 from kickbench.config.yamlio import load_document
 from kickbench.envs.catalog import model_of_task
 from kickbench.envs.compile import CompiledTask, compile_task
 from kickbench.errors import KickbenchError, shown
+from kickbench.nets.build import build_critic
 from kickbench.results.store import RunDirectory
-from kickbench.symmetry.derive import Derivation
-from kickbench.symmetry.mirror import Image
+from kickbench.training.checkpoint import Checkpoints
 from kickbench.training.trained import load_run
-from kickbench.trials.trial import Symmetry, symmetry_of
+from kickbench.trials.trial import Trial, symmetry_of
 from kickbench.trials.validate import kind_of
 
-STATES = 4096
-"""States of an audit by default."""
 
+def audit(
+    task: Path,
+    table: Path | None = None,
+    run: Path | None = None,
+    states: int = 4096,
+    seed: int = 0,
+    overrides: Sequence[str] = (),
+    threads: int | None = None,
+) -> Report:
+    """Audits a task's and a robot's tables, and a policy.
 
-@dataclass(frozen=True)
-class AuditRequest:
-    """What to audit.
-
-    Attributes:
+    Args:
         task: Path of the task.
         table: Path of a method or a representation table; default: the run's, else the robot's own.
         run: Run directory of a policy.
@@ -48,44 +45,30 @@ class AuditRequest:
         seed: Seed of starts, actions and randomisation.
         overrides: `key.path=value` texts for the task.
         threads: Physics threads.
-    """
-
-    task: Path
-    table: Path | None = None
-    run: Path | None = None
-    states: int = STATES
-    seed: int = 0
-    overrides: tuple[str, ...] = ()
-    threads: int | None = None
-
-
-def audit(request: AuditRequest) -> Report:
-    """Audits a task's and a robot's tables, and a policy.
 
     Raises:
         SpecError: A specification is wrong.
         KickbenchError: No representation table was found, or the run does not go with the task.
     """
     started = time.perf_counter()
-    task = compile_task(load_task(model_of_task, request.task, request.overrides))
-    table = load_table(request, task)
-    symmetry = symmetry_of(task, table)
-    policy = run = critic = None
-    if request.run is not None:
-        loaded = load_run(request.run)
-        run, policy = loaded.trial, loaded.policy
-        check_run(task, run, request.run)
-        critic = load_critic(run, request.run)
-    derivation = derive_scene(task)
-    reflection = reflection_of(task, derivation)
-    recording = record(task, reflection, request.states, request.seed, request.threads, policy)
-    rows = list(judge(recording, derivation, symmetry, task.robot.spec.symmetry.image()))
-    if run is not None and policy is not None:
-        rows += policy_rows(recording, symmetry, run, policy, critic)
+    compiled = compile_task(load_task(model_of_task, task, overrides))
+    representations = _load_table(task, table, run, compiled)
+    symmetry = symmetry_of(compiled, representations)
+    trained = critic = None
+    if run is not None:
+        trained = load_run(run)
+        check_run(compiled, trained.trial, run)
+        critic = _load_critic(trained.trial, run)
+    derivation = derive_scene(compiled)
+    policy = trained.policy if trained else None
+    recording = record(compiled, reflection_of(compiled, derivation), states, seed, threads, policy)
+    rows = list(judge(recording, derivation, symmetry, compiled.robot.spec.symmetry.image()))
+    if trained is not None:
+        rows += policy_rows(recording, symmetry, trained.trial, trained.policy, critic)
     return Report(
-        task=task.name,
-        robot=shown(task.robot.document.file),
-        table=shown(table.document.file),
+        task=compiled.name,
+        robot=shown(compiled.robot.document.file),
+        table=shown(representations.document.file),
         states=recording.states,
         coverage=recording.coverage,
         seconds=round(time.perf_counter() - started, 1),
@@ -93,64 +76,53 @@ def audit(request: AuditRequest) -> Report:
     )
 
 
-def judge(recording: Recording, derivation: Derivation, symmetry: Symmetry, declared: Image) -> Iterator[Row]:
-    """Judges tables by what was recorded: checks 1 to 6.
-
-    Args:
-        recording: States, their mirror images, and what became of both.
-        derivation: What the robot's geometry says.
-        symmetry: The declared tables.
-        declared: The declared joint table.
-    """
-    task = recording.task
-    own = own_representations(task, declared, symmetry.actions)
-    yield from table_rows(symmetry)
-    yield from model_rows(task, derivation, declared)
-    yield from dynamics_rows(recording, declared, symmetry.actions)
-    yield from field_rows(recording, symmetry, own)
-    yield from term_rows(recording)
-    yield from sampling_rows(task)
-
-
-def reflection_of(task: CompiledTask, derivation: Derivation) -> Reflection:
-    """What states are mirrored with: the geometry's reflection, or the declared one where it makes no sense."""
-    try:
-        return Reflection.of(task, true_image(task, derivation))
-    except (KeyError, ValueError):
-        # The geometry pairs a driven joint with an undriven one, or gives no involution: check 2 reports that.
-        return Reflection.of(task, task.robot.spec.symmetry.image())
-
-
-def load_table(request: AuditRequest, task: CompiledTask) -> Loaded[RepresentationSpec]:
-    """Loads the representation table that a request means.
-
-    Raises:
-        SpecError: The file is no method and no representation table.
-        KickbenchError: None was named, and none has the robot's name.
-    """
-    if request.table is not None:
-        document = load_document(request.table)
+def _load_table(
+    task: Path, table: Path | None, run: Path | None, compiled: CompiledTask
+) -> Loaded[RepresentationSpec]:
+    if table is not None:
+        document = load_document(table)
         kind = kind_of(document)
-        if kind == "method":
-            return load_method(request.table).representations
-        if kind != "representations":
+        if kind not in ("method", "representations"):
             raise document.error((), f"expected a method or a representation table, found a {kind} file")
-        return load(RepresentationSpec, request.table)
-    if request.run is not None:
-        return load(RepresentationSpec, RunDirectory(request.run).representations_spec)
-    candidates = list(_tables_of(request.task, task))
-    found = next((path for path in candidates if path.is_file()), None)
+        is_method = kind == "method"
+        return load_method(table).representations if is_method else load(RepresentationSpec, table)
+    if run is not None:
+        return load(RepresentationSpec, RunDirectory(run).representations_spec)
+    # The robot's own table: `methods/representations/<robot's folder>.yaml` beside or above the task.
+    name = f"{compiled.robot.document.file.parent.name}.yaml"
+    folders = [folder / "methods" / "representations" for folder in task.absolute().parents]
+    found = next((folder / name for folder in folders if (folder / name).is_file()), None)
     if found is None:
-        name = candidates[0].name
         raise KickbenchError(
-            f"{request.task}: no methods/representations/{name} beside or above it; "
+            f"{task}: no methods/representations/{name} beside or above it; "
             "name a representation table, or a method, after the task"
         )
     return load(RepresentationSpec, found)
 
 
-def _tables_of(path: Path, task: CompiledTask) -> Sequence[Path]:
-    """Where the robot's own table may lie: `methods/representations/<robot's folder>.yaml` beside or above the task."""
-    name = task.robot.document.file.parent.name
-    parents = Path(path).absolute().parents
-    return [folder / "methods" / "representations" / f"{name}.yaml" for folder in parents]
+def check_run(task: CompiledTask, run: Trial, path: Path) -> None:
+    """Checks that a run's networks see what the task shows.
+
+    Raises:
+        KickbenchError: They see other fields.
+    """
+    for group, fields in task.groups.items():
+        mine, theirs = ([(f.name, f.size) for f in groups] for groups in (fields, run.task.groups[group]))
+        if mine != theirs:
+            names = ", ".join(name for name, _ in theirs)
+            what = f"its {group} sees {names}, which is not what {task.name} shows"
+            raise KickbenchError(f"--policy {path}: {what}")
+
+
+def _load_critic(run: Trial, path: Path) -> MLPModel | None:
+    """The value function in a run's newest checkpoint, where it has one."""
+    folder = RunDirectory(path).checkpoints
+    state = Checkpoints(folder).load()
+    if state is None:
+        return None
+    critic = build_critic(run.method.spec, run.symmetry.groups["critic"])
+    try:
+        critic.load_state_dict(state["learner"]["critic_state_dict"])
+    except (RuntimeError, LookupError, TypeError) as error:
+        raise KickbenchError(f"{folder}: this checkpoint is of another network: {error}") from None
+    return critic.eval()

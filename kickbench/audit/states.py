@@ -1,6 +1,6 @@
 """Where the audit's states come from: starts, counters and actions that bring about what episodes can bring.
 
-A default pose proves little: with all lateral quantities at zero, wrong signs fit. So worlds start as the task starts
+A default pose proves little: with all lateral quantities at zero, wrong signs fit. So envs start as the task starts
 them, with the ball rolling against a foot, in random poses, and thrown; their counters and targets are such that every
 gate opens somewhere; and they move by noise of several sizes, held or fresh, and by swinging every joint.
 """
@@ -127,16 +127,16 @@ def vary_episodes(env: KickEnv, snapshot: Tensors, fresh: Tensor, draws: torch.G
 
 
 class VariedActions:
-    """Actions of several kinds, one a world: none, noise of three sizes, held noise, and swings of every joint."""
+    """Actions of several kinds, one an env: none, noise of three sizes, held noise, and swings of every joint."""
 
     _SIZES = (0.0, 0.3, 1.0, 3.0, 1.0, 2.0)
 
-    def __init__(self, worlds: int, actions: int, seed: int) -> None:
+    def __init__(self, envs: int, actions: int, seed: int) -> None:
         self._draws = _Draws(torch.Generator().manual_seed(seed))
-        self._kind = torch.arange(worlds) // 4 % len(self._SIZES)
+        self._kind = torch.arange(envs) // 4 % len(self._SIZES)
         self._size = torch.tensor(self._SIZES)[self._kind].unsqueeze(1)
-        self._held = torch.zeros(worlds, actions)
-        self._phase = self._draws.uniform(0.0, 2.0 * math.pi, worlds, actions).float()
+        self._held = torch.zeros(envs, actions)
+        self._phase = self._draws.uniform(0.0, 2.0 * math.pi, envs, actions).float()
         self._step = 0
 
     def __call__(self) -> Tensor:

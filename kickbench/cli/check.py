@@ -40,7 +40,7 @@ def audit(
         default=None,
     ),
     policy: cli.Policy = None,
-    states: int | None = cli.count("States to visit (default: 4096)."),
+    states: int = cli.count("States to visit (default: 4096).", default=4096),
     seed: cli.Seed = 0,
     json: cli.Json = False,
     overrides: cli.Set = cli.NONE,
@@ -51,11 +51,9 @@ def audit(
     if method is not None:
         is_table = str(method) in names("representations")
         method = find(method, "representations") if is_table else find_method(method, task, ["robot"])
-    from kickbench.audit.run import STATES, AuditRequest
     from kickbench.audit.run import audit as run_audit
 
-    request = AuditRequest(task, method, policy, states or STATES, seed, tuple(overrides), threads)
-    report = run_audit(request)
+    report = run_audit(task, method, policy, states, seed, overrides, threads)
     print(json_text.dumps(report.as_json(), indent=2) if json else "\n".join(report.lines()))
     return 1 if report.failures else 0
 
@@ -82,8 +80,8 @@ def bench(
     from kickbench.bench.measure import measure, profile_iteration
     from kickbench.bench.report import print_report
     from kickbench.results.atomic import atomic_write_text, check_writable
-    from kickbench.sim.cpu import usable_cores
-    from kickbench.sim.devices import check_device
+    from kickbench.sim.engine import usable_cores
+    from kickbench.sim.engine import check_device
 
     check_device(device)
     threads = threads or usable_cores()
@@ -153,8 +151,8 @@ def _devices() -> tuple[list[tuple[str, str]], str]:
 
     from kickbench.envs.graph import graph_obstacle
     from kickbench.results.provenance import cpu_name
-    from kickbench.sim.cpu import usable_cores
-    from kickbench.sim.devices import check_device
+    from kickbench.sim.engine import usable_cores
+    from kickbench.sim.engine import check_device
 
     cores, names = f"{usable_cores()} core{'s' * (usable_cores() != 1)}", _gpus()
     numbers = range(torch.cuda.device_count() if torch.cuda.is_available() else 0)

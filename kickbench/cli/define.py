@@ -160,10 +160,11 @@ def derive(
     """Print the `symmetry:` block of a robot file, derived from the geometry of its MJCF."""
     if not model.is_file():
         raise KickbenchError(f"{model}: {'a folder, no file' if model.is_dir() else 'no such file'}")
-    from kickbench.sim.read_skeleton import compile_skeleton
-    from kickbench.symmetry.derive import derive, symmetry_block
+    from kickbench.sim.read_parts import compile_parts
+    from kickbench.symmetry.derive import symmetry_block
+    from kickbench.symmetry.derive import derive
 
-    derivation = derive(compile_skeleton(model), plane)
+    derivation = derive(compile_parts(model), plane)
     print(symmetry_block(derivation, model.name))
     return 1 if derivation.unclear else 0
 

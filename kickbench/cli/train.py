@@ -107,8 +107,8 @@ def reproduce(
         raise KickbenchError("--seeds: a seed is there twice")
     from kickbench.launch.jobs import carry_out
     from kickbench.launch.plan import Selection, make_plan
-    from kickbench.sim.cpu import usable_cores
-    from kickbench.sim.devices import check_device
+    from kickbench.sim.engine import usable_cores
+    from kickbench.sim.engine import check_device
     from kickbench.trials.experiment import load_experiment
 
     check_device(device)
@@ -177,7 +177,7 @@ def demo(
     from kickbench.launch.plan import Selection, make_plan
     from kickbench.results.frame import load_runs
     from kickbench.results.table import render_table
-    from kickbench.sim.cpu import usable_cores
+    from kickbench.sim.engine import usable_cores
     from kickbench.trials.experiment import load_experiment
 
     selection = Selection(CONDITIONS, seeds=(0,), scale=scale, out=out)

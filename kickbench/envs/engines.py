@@ -47,7 +47,7 @@ def make_warp_engine(
         deterministic: See `WarpEngine`.
     """
     from kickbench.sim.warp import WarpEngine
-    from kickbench.sim.warp_capacity import Capacity, measure_capacity
+    from kickbench.sim.warp_contacts import Capacity, measure_capacity
 
     given, scene = task.spec.simulation, task.scene
     room = given.max_contacts or 0, given.max_constraints or 0

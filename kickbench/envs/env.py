@@ -21,8 +21,7 @@ from kickbench.envs.randomizations import ModelVariation
 from kickbench.envs.state import EpisodeState, State, StateIndex
 from kickbench.envs.tensors import Tensors, plain
 from kickbench.errors import KickbenchError, shown
-from kickbench.sim.devices import check_device
-from kickbench.sim.engine import Engine
+from kickbench.sim.engine import Engine, check_device
 
 _POOLED = 16
 """Initial states an env that are drawn at a time."""
@@ -70,7 +69,7 @@ class KickEnv(VecEnv):
         if task.spec.terms and not task.is_trusted:
             raise KickbenchError(f"{shown(task.spec.terms)}: code of a run; --trust-code lets it be imported")
         self.task, self.engine = task, engine
-        self.num_envs, self.num_actions = engine.num_worlds, len(task.scene.layout.actuator_names)
+        self.num_envs, self.num_actions = engine.num_envs, len(task.scene.layout.actuator_names)
         self.max_episode_length = task.spec.episode.max_steps
         self.device: torch.device = engine.device
         self.cfg = task.spec

@@ -18,10 +18,9 @@ from kickbench.config.terms import RandomizationParams
 from kickbench.envs.disturbances import ActionDelay, DelayLine, Pushes, PushSchedule, Setting
 from kickbench.envs.initial_states import Draw, InitialStates
 from kickbench.envs.term import randomization
-from kickbench.sim.build import Scene
+from kickbench.sim.build import Scene, servo_law
 from kickbench.sim.engine import ModelField
-from kickbench.sim.layout import NO_SIDE
-from kickbench.sim.servo import servo_law
+from kickbench.sim.layout import NO_SIDE, Servo
 
 
 class FootFriction(RandomizationParams):
@@ -171,15 +170,7 @@ class ModelVariation:
             by_side[name][:, self._actuator_sides] if name in by_side else one for name in _SERVO
         )
         kp, kd, effort = stiffness * self._kp, damping * self._kd, strength * self._effort
-        law = servo_law(self._is_velocity, kp, kd, effort, self._velocity_limit)
-        columns = {
-            ("actuator_gainprm", 0): law.gain,
-            ("actuator_biasprm", 1): law.stiffness,
-            ("actuator_biasprm", 2): law.damping,
-            ("actuator_damping", None): law.back_emf,
-            ("actuator_forcerange", 0): -law.effort,
-            ("actuator_forcerange", 1): law.effort,
-        }
+        law = servo_law(Servo(self._is_velocity, kp, kd, effort, self._velocity_limit))
         envs = max(len(values) for values in by_side.values())
-        for (name, column), values in columns.items():
+        for (name, column), values in law.items():
             yield ModelField(name, self._actuators, values.expand(envs, -1), column)

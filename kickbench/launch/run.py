@@ -25,8 +25,7 @@ from kickbench.results.metrics import Evaluation, Metrics, load_metrics, summari
 from kickbench.results.provenance import ExperimentRef
 from kickbench.results.specs import update_specs
 from kickbench.results.store import RunDirectory
-from kickbench.sim.cpu import usable_cores
-from kickbench.sim.devices import check_device
+from kickbench.sim.engine import check_device, usable_cores
 from kickbench.training.checkpoint import Checkpoints, save_policy
 from kickbench.training.progress import Progress, RunProgress
 from kickbench.training.ranks import Ranks, joined, read_ranks

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 # pyright: reportAttributeAccessIssue=false
 import mujoco
@@ -13,27 +14,17 @@ from kickbench.config.load import Loaded
 from kickbench.config.robot import RobotSpec
 from kickbench.config.task import BallSpec, SimulationSpec, TaskSpec
 from kickbench.errors import SpecError
-from kickbench.sim.check import check_robot, check_start
-from kickbench.sim.layout import SceneLayout, read_layout
-from kickbench.sim.native import compile_native, differences, world_references
-from kickbench.sim.sensors import ALWAYS, ROBOT, SIDES, SensorGroup, plan_sensors, sole_site
-from kickbench.sim.servo import set_servo
+from kickbench.sim.check import check_start, differences, model_error, read_robot
+from kickbench.sim.layout import SceneLayout, Servo, read_layout
+from kickbench.sim.sensors import ALWAYS, ROBOT, SensorGroup, plan_sensors, robot_feet, sole_site
 
-_AXES = {"x": 0, "y": 1, "z": 2, "rx": 3, "ry": 4, "rz": 5}
+_AXES = ("x", "y", "z", "rx", "ry", "rz")
 _BASE_SITE = "kickbench_base"
 _FOOT_PRIORITY = 1
 """Feet decide their contact with the floor, else the larger friction would hide theirs; the ball decides all of its
 own; everything else has priority 0."""
 _EVERYTHING = 0x7FFFFFFF
 """Contact bits of ball and floor: whatever collides at all touches them (full-body contact, Table 3.1)."""
-_ENUMS = {
-    "integrator": {
-        "euler": mujoco.mjtIntegrator.mjINT_EULER,
-        "implicit": mujoco.mjtIntegrator.mjINT_IMPLICIT,
-        "implicitfast": mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
-    },
-    "cone": {"elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC, "pyramidal": mujoco.mjtCone.mjCONE_PYRAMIDAL},
-}
 _INERTIA = {"solid": mujoco.mjtGeomInertia.mjINERTIA_VOLUME, "shell": mujoco.mjtGeomInertia.mjINERTIA_SHELL}
 _SPARSE_FROM = 32
 """Degrees of freedom from which on a sparse Jacobian is faster; also where mujoco_warp draws the line.
@@ -56,41 +47,6 @@ class Scene:
     layout: SceneLayout
 
 
-def read_robot(robot: Loaded[RobotSpec]) -> mujoco.MjSpec:
-    """Reads the robot's MJCF and checks that it has every name the robot file uses.
-
-    Raises:
-        SpecError: The MJCF cannot be read or lacks a name.
-    """
-    try:
-        spec = mujoco.MjSpec.from_file(robot.spec.model)
-    except TypeError:
-        raise robot.document.error(("model",), "its path is not UTF-8, and MuJoCo cannot read it") from None
-    except ValueError as error:
-        raise _model_error(robot, "read this model", error) from None
-    # Bodies that the robot file names would be merged into their parents.
-    spec.compiler.fusestatic = False
-    problems = check_robot(robot, spec)
-    if problems:
-        raise SpecError(problems)
-    return spec
-
-
-def compile_robot(robot: Loaded[RobotSpec], body: mujoco.MjSpec) -> mujoco.MjModel:
-    """Compiles a robot's MJCF by itself.
-
-    Raises:
-        SpecError: MuJoCo cannot, or it has what no scene can carry over.
-    """
-    try:
-        native = compile_native(body)
-    except ValueError as error:
-        raise _model_error(robot, "compile this model", error) from None
-    if lost := [robot.document.problem(("model",), what) for what in world_references(native)]:
-        raise SpecError(lost)
-    return native
-
-
 def files_read_by(model: Path) -> list[Path]:
     """An MJCF file and every file it reads: included and attached models, meshes, textures, height fields, skins."""
     files = mujoco.mju_getXMLDependencies(str(model))
@@ -108,8 +64,7 @@ def build_scene(task: TaskSpec, robot: Loaded[RobotSpec], needs: frozenset[Senso
     Raises:
         SpecError: The MJCF cannot be read, lacks a name or does not compile.
     """
-    body = read_robot(robot)
-    native = compile_robot(robot, body)
+    body, native = read_robot(robot)
     root = body.worldbody.first_body().name or "kickbench_root"
     body.worldbody.first_body().name = root
     _strip(body, robot.spec)
@@ -121,7 +76,7 @@ def build_scene(task: TaskSpec, robot: Loaded[RobotSpec], needs: frozenset[Senso
     body.option, body.memory, body.nuserdata = scene.option, scene.memory, scene.nuserdata
     body.visual, body.stat = scene.visual, scene.stat
     _add_floor(scene, task)
-    _add_soles(body, robot.spec)
+    _add_sites(body, robot.spec)
     scene.attach(body, prefix=ROBOT, frame=scene.worldbody.add_frame())
     _add_ball(scene, task.ball)
     _add_target(scene, task.evaluation.success_radius)
@@ -134,11 +89,11 @@ def build_scene(task: TaskSpec, robot: Loaded[RobotSpec], needs: frozenset[Senso
     try:
         model = physics.compile()
     except ValueError as error:
-        raise _model_error(robot, "compile the scene of this model", error) from None
+        raise model_error(robot, "compile the scene of this model", error) from None
     model.opt.jacobian = jacobian_of(task.simulation, model.nv)
     layout = read_layout(model, robot.spec, plans, needs)
     problems = [robot.document.problem(("model",), what) for what in differences(native, model)]
-    problems += check_start(robot, model, layout, ROBOT + root)
+    problems += check_start(robot, model, layout)
     if problems:
         raise SpecError(problems)
     return Scene(scene, model, layout)
@@ -155,17 +110,17 @@ def _strip(body: mujoco.MjSpec, robot: RobotSpec) -> None:
         geom.priority = 0
     for geom in _foot_geoms(body, robot):
         geom.priority = _FOOT_PRIORITY
-    driven = {spec.joint: spec for spec in robot.actuators.values() if spec.joint is not None}
-    for name, servo in driven.items():
-        joint = body.joint(name)
-        # A limit of the MJCF's own would cut the servo's effort.
-        joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
-        if servo.friction_loss is not None:
-            joint.frictionloss = servo.friction_loss
+    for servo in robot.actuators.values():
+        if servo.joint is not None:
+            joint = body.joint(servo.joint)
+            # A limit of the MJCF's own would cut the servo's effort.
+            joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
+            if servo.friction_loss is not None:
+                joint.frictionloss = servo.friction_loss
 
 
 def _foot_geoms(body: mujoco.MjSpec, robot: RobotSpec) -> list[mujoco.MjsGeom]:
-    feet = [getattr(robot.feet, side) for side in SIDES] if robot.feet else []
+    feet = [foot for _, foot in robot_feet(robot)]
     named = {name for foot in feet for name in foot.geoms}
     whole = {foot.body for foot in feet if not foot.geoms}
     return [geom for geom in body.geoms if geom.name in named or geom.parent.name in whole]
@@ -182,17 +137,12 @@ def _name_body_geoms(body: mujoco.MjSpec, robot: RobotSpec) -> list[str]:
     return names
 
 
-def _model_error(robot: Loaded[RobotSpec], action: str, error: ValueError) -> SpecError:
-    reason = " ".join(str(error).split())
-    return robot.document.error(("model",), f"MuJoCo cannot {action}: {reason}")
-
-
 def _set_options(scene: mujoco.MjSpec, simulation: SimulationSpec) -> None:
     option = scene.option
     option.timestep = simulation.timestep
     option.iterations, option.ls_iterations = simulation.iterations, simulation.ls_iterations
-    for name, table in _ENUMS.items():
-        setattr(option, name, table[getattr(simulation, name)])
+    option.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{simulation.integrator.upper()}")
+    option.cone = getattr(mujoco.mjtCone, f"mjCONE_{simulation.cone.upper()}")
     # An unstable world must be seen and counted; MuJoCo's automatic reset would hide it.
     option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
 
@@ -256,16 +206,12 @@ def _add_target(scene: mujoco.MjSpec, radius: float) -> None:
     )
 
 
-def _add_soles(body: mujoco.MjSpec, robot: RobotSpec) -> None:
-    for side in SIDES if robot.feet else ():
-        foot = getattr(robot.feet, side)
-        _add_site(body, foot.body, sole_site(side), foot.offset)
-    _add_site(body, robot.base, _BASE_SITE, (0.0, 0.0, 0.0))
-
-
-def _add_site(spec: mujoco.MjSpec, body: str, name: str, offset: tuple[float, float, float]) -> None:
-    # Stated in full: what is left out would come from the robot's own defaults.
-    spec.body(body).add_site(name=name, pos=offset, quat=[1.0, 0.0, 0.0, 0.0])
+def _add_sites(body: mujoco.MjSpec, robot: RobotSpec) -> None:
+    """Marks the soles, and the base's origin for the drives along its axes."""
+    sites = [(sole_site(side), foot.body, foot.offset) for side, foot in robot_feet(robot)]
+    for name, owner, offset in (*sites, (_BASE_SITE, robot.base, (0.0, 0.0, 0.0))):
+        # Stated in full: what is left out would come from the robot's own defaults.
+        body.body(owner).add_site(name=name, pos=offset, quat=[1.0, 0.0, 0.0, 0.0])
 
 
 def _add_actuators(scene: mujoco.MjSpec, robot: RobotSpec) -> None:
@@ -273,7 +219,37 @@ def _add_actuators(scene: mujoco.MjSpec, robot: RobotSpec) -> None:
         actuator = scene.add_actuator(name=name)
         if spec.joint is not None:
             actuator.trntype, actuator.target = mujoco.mjtTrn.mjTRN_JOINT, ROBOT + spec.joint
-        elif spec.base_axis is not None:
+        else:
             actuator.trntype, actuator.target = mujoco.mjtTrn.mjTRN_SITE, ROBOT + _BASE_SITE
-            actuator.gear = [float(i == _AXES[spec.base_axis]) for i in range(6)]
-        set_servo(actuator, spec)
+            actuator.gear = [float(axis == spec.base_axis) for axis in _AXES]
+        actuator.gaintype, actuator.biastype = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_AFFINE
+        for (array, column), value in servo_law(Servo.of(spec)).items():
+            getattr(actuator, array.removeprefix("actuator_"))[column or 0] = value
+        actuator.forcelimited = True
+        if spec.limits is not None:
+            actuator.ctrllimited, actuator.ctrlrange = True, spec.limits
+
+
+def servo_law(servo: Servo) -> dict[tuple[str, int | None], Any]:
+    """The law of a servo, of numbers or of arrays of any library, as numbers of MuJoCo's affine actuator.
+
+    A motor's back-EMF: tau = clip(kp (u - q) - (kd - slope) dq, +-effort) - slope dq with
+    slope = effort / velocity_limit. Until the servo saturates this is its own law, and then
+    effort (1 - dq / velocity_limit).
+
+    Returns:
+        (array of the model, column or None) -> its numbers.
+    """
+    is_velocity, kp, kd, effort, velocity_limit = servo
+    slope = effort / velocity_limit
+    return {
+        ("actuator_gainprm", 0): kp + kd * is_velocity,
+        ("actuator_biasprm", 1): -kp,
+        # MuJoCo would read a positive velocity coefficient as a damping ratio, so a servo damps no less than its
+        # back-EMF.
+        ("actuator_biasprm", 2): (slope - kd) * (kd > slope),
+        # MuJoCo applies `damping` outside the force limit.
+        ("actuator_damping", None): slope,
+        ("actuator_forcerange", 0): -effort,
+        ("actuator_forcerange", 1): effort,
+    }

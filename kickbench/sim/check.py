@@ -1,96 +1,283 @@
-"""Cross-references of a robot file against its MJCF."""
+"""Reads a robot's MJCF and checks the robot file against it: names, what a scene carries over, start, reflection."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
-from typing import Any
+from collections.abc import Iterator
+from dataclasses import dataclass
 
 # pyright: reportAttributeAccessIssue=false
 import mujoco
+import numpy as np
 
 from kickbench.config.load import Loaded
-from kickbench.config.robot import RobotSpec
-from kickbench.errors import KeyPath, Problem, nearest
+from kickbench.config.robot import FootSpec, RobotSpec
+from kickbench.errors import KeyPath, Problem, SpecError, nearest, shown
 from kickbench.sim.layout import SceneLayout
-from kickbench.sim.sensors import ROBOT, SIDES
+from kickbench.sim.read_parts import read_parts
+from kickbench.sim.sensors import ROBOT, SIDES, robot_feet
+from kickbench.symmetry.representation import kind_of_coordinate
+from kickbench.symmetry.derive import Derivation, derive
+
+_LEFT_TOLERANCE = 0.02
+"""Angle between the base's y axis and the left, rad: a manufacturer's frames may be off by rounding."""
+_PITCH_TOLERANCE = math.pi / 4
+"""Angle between the base's x axis and straight ahead, rad: a trunk may lean."""
+_AT_LIMIT = 1e-6
+"""How far beyond its range a joint may start, rad or m."""
+_UNUSED_OPTIONS = ("gravity", "wind", "density", "viscosity", "magnetic")
+_FREE = mujoco.mjtJoint.mjJNT_FREE
 
 
-def check_robot(robot: Loaded[RobotSpec], model: mujoco.MjSpec) -> list[Problem]:
-    """Lists what does not fit: names that the MJCF lacks, joints without a symmetry or a mirrored drive.
+def read_robot(robot: Loaded[RobotSpec]) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
+    """Reads and compiles a robot's MJCF by itself, and checks that a scene can be made of it.
+
+    Raises:
+        SpecError: The MJCF cannot be read or compiled, lacks a name, or has what no scene can carry over.
+    """
+    try:
+        spec = mujoco.MjSpec.from_file(robot.spec.model)
+    except TypeError:
+        raise robot.document.error(("model",), "its path is not UTF-8, and MuJoCo cannot read it") from None
+    except ValueError as error:
+        raise model_error(robot, "read this model", error) from None
+    # Bodies that the robot file names would be merged into their parents.
+    spec.compiler.fusestatic = False
+    _raise([*_model_problems(robot, spec), *_name_problems(robot, spec), *_joint_problems(robot, spec)])
+    _raise(_drive_problems(robot))  # a misspelt joint would seem to lack a drive
+    try:
+        native = spec.copy().compile()
+    except ValueError as error:
+        raise model_error(robot, "compile this model", error) from None
+    _raise(robot.document.problem(("model",), what) for what in _lost(spec))
+    return spec, native
+
+
+def model_error(robot: Loaded[RobotSpec], action: str, error: ValueError) -> SpecError:
+    """What MuJoCo says against a robot's model, in one line."""
+    reason = " ".join(str(error).split())
+    return robot.document.error(("model",), f"MuJoCo cannot {action}: {reason}")
+
+
+def _raise(found: Iterator[Problem] | list[Problem]) -> None:
+    if problems := list(found):
+        raise SpecError(problems)
+
+
+# The robot file against the MJCF as read
+
+
+def _model_problems(robot: Loaded[RobotSpec], model: mujoco.MjSpec) -> Iterator[Problem]:
+    """The model is one robot, and attaching it to a scene does not change it."""
+
+    def problem(message: str) -> Problem:
+        return robot.document.problem(("model",), message)
+
+    roots = [body.name or "without a name" for body in model.worldbody.bodies]
+    if not roots:
+        yield problem("the model has no body")
+    if len(roots) > 1:
+        found = f"the model has {len(roots)} bodies in its world ({', '.join(roots)})"
+        yield problem(f"{found}; expected the robot alone")
+    if model.compiler.settotalmass > 0.0:
+        what = "the compiler setting `settotalmass` does not reach a scene"
+        yield problem(f"{what}; expected masses of the bodies")
+    for joint in model.joints:
+        if not joint.name and joint.type != _FREE:
+            where = f"the body '{joint.parent.name}'" if joint.parent.name else "a body without a name"
+            what = f"a joint of {where} has no name"
+            yield problem(f"{what}; pose, actuators and symmetry address joints by name")
+        if joint.type == mujoco.mjtJoint.mjJNT_BALL:
+            yield problem(f"the joint '{joint.name}' is a ball joint; expected hinge, slide or free joints")
+        if joint.name == "ball":
+            yield problem("a joint of the robot is named 'ball', which is the name of the scene's ball")
+
+
+def _name_problems(robot: Loaded[RobotSpec], model: mujoco.MjSpec) -> Iterator[Problem]:
+    """The MJCF has every name that the robot file uses."""
+    known = {
+        "body": [body.name for body in model.bodies if body.name != "world"],
+        "geom": [geom.name for geom in model.geoms if geom.name],
+        "joint": [joint.name for joint in model.joints if joint.type != _FREE],
+    }
+    for path, kind, name in _names(robot.spec):
+        if name not in known[kind]:
+            guess = nearest(name, known[kind])
+            hint = f"did you mean '{guess}'?" if guess else f"the model has: {', '.join(known[kind])}"
+            yield robot.document.problem(path, f"the robot's model has no {kind} '{name}'", hint)
+
+
+def _names(robot: RobotSpec) -> Iterator[tuple[KeyPath, str, str]]:
+    """Where a robot file names something of the MJCF, what kind of thing, and its name."""
+    yield ("base",), "body", robot.base
+    for side, foot in robot_feet(robot):
+        yield ("feet", side, "body"), "body", foot.body
+        yield from ((("feet", side, "geoms", i), "geom", geom) for i, geom in enumerate(foot.geoms))
+    yield from ((("initial", "joints", name), "joint", name) for name in robot.initial.joints)
+    for name, actuator in robot.actuators.items():
+        if actuator.joint is not None:
+            yield ("actuators", name, "joint"), "joint", actuator.joint
+    yield from ((path, "joint", joint) for path, joint in _declared_joints(robot))
+
+
+def _declared_joints(robot: RobotSpec) -> Iterator[tuple[KeyPath, str]]:
+    """Where the symmetry table names each joint."""
+    table = robot.symmetry
+    lists: dict[KeyPath, tuple[str, ...]] = {("trivial",): table.trivial, ("sign",): table.sign}
+    for kind in ("regular", "regular_sign"):
+        lists |= {(kind, side): getattr(getattr(table, kind), side) for side in SIDES}
+    for path, names in lists.items():
+        yield from ((("symmetry", *path, index), name) for index, name in enumerate(names))
+
+
+def _joint_problems(robot: Loaded[RobotSpec], model: mujoco.MjSpec) -> Iterator[Problem]:
+    """Every joint has a symmetry, and a base that is placed can be."""
+    if robot.spec.initial.position is not None and not any(joint.type == _FREE for joint in model.joints):
+        what = "the robot's model has no free joint, so its base cannot be moved"
+        yield robot.document.problem(("initial", "position"), what)
+    declared = set(robot.spec.symmetry.names())
+    names = [joint.name for joint in model.joints if joint.type != _FREE]
+    if missing := [name for name in names if name and name not in declared]:
+        joints = f"{'joints' if len(missing) > 1 else 'joint'} {', '.join(missing)}"
+        yield robot.document.problem(("symmetry",), f"the symmetry table lacks {joints}")
+
+
+def _drive_problems(robot: Loaded[RobotSpec]) -> Iterator[Problem]:
+    """A joint is driven once, and its mirror image is driven too."""
+    image, drivers = robot.spec.symmetry.image(), dict[str, str]()
+    for name, actuator in robot.spec.actuators.items():
+        if actuator.joint is not None:
+            first = drivers.setdefault(actuator.joint, name)
+            if first != name:
+                what = f"the joint '{actuator.joint}' is driven twice, by '{first}' and by '{name}'"
+                yield robot.document.problem(("actuators", name, "joint"), what)
+    for joint, name in drivers.items():
+        partner = image[joint][0]
+        if partner not in drivers:
+            what = f"the joint '{joint}' is driven, but its mirror image '{partner}' is not"
+            yield robot.document.problem(("actuators", name, "joint"), what)
+
+
+# What a scene carries over from the MJCF: nothing of it may vanish, so what cannot be is refused by name
+
+
+def _lost(spec: mujoco.MjSpec) -> Iterator[str]:
+    """What refers to geoms or sites of the MJCF's own world, which a scene leaves out; and drives it cannot have."""
+    world = spec.worldbody
+    own = {"geom": {geom.name for geom in world.geoms}, "site": {site.name for site in world.sites}}
+    for what, kind, names in _references(spec):
+        if lost := next((name for name in names if name in own[kind]), None):
+            yield f"the {what} refers to the {kind} '{lost}' of the MJCF's world, which is no part of the robot"
+    drives = {
+        mujoco.mjtTrn.mjTRN_TENDON: "the tendon",
+        mujoco.mjtTrn.mjTRN_SLIDERCRANK: "a slider-crank",
+    }
+    for index, actuator in enumerate(spec.actuators):
+        if drive := drives.get(actuator.trntype):
+            name = _name(actuator, index)
+            yield f"the actuator {name} drives {drive}; the servos of a robot file drive joints or the base"
+
+
+def _references(spec: mujoco.MjSpec) -> Iterator[tuple[str, str, list[str]]]:
+    """What refers to geoms or sites, to which of the two, and their names."""
+    for index, pair in enumerate(spec.pairs):
+        yield f"contact pair {_name(pair, index)}", "geom", [pair.geomname1, pair.geomname2]
+    for index, equality in enumerate(spec.equalities):
+        if equality.objtype == mujoco.mjtObj.mjOBJ_SITE:
+            kind = mujoco.mjtEq(equality.type).name.removeprefix("mjEQ_").lower()
+            what = f"{kind} constraint {_name(equality, index)}"
+            yield what, "site", [equality.name1, equality.name2]
+    for index, tendon in enumerate(spec.tendons):
+        for wrap in tendon.path:
+            kinds = {mujoco.MjsSite: "site", mujoco.MjsGeom: "geom"}
+            if kind := kinds.get(type(wrap.target)):
+                yield f"tendon {_name(tendon, index)}", kind, [wrap.target.name]
+
+
+def _name(part: mujoco.MjsElement, index: int) -> str:
+    """A name in quotes, or the number of what has none."""
+    return f"'{part.name}'" if part.name else f"number {index}"
+
+
+def differences(native: mujoco.MjModel, scene: mujoco.MjModel) -> Iterator[str]:
+    """In what the robot of a compiled scene differs from the robot by itself, drives and visuals excepted.
 
     Args:
-        robot: The robot file.
-        model: Its MJCF as read, not attached yet.
+        native: The robot's MJCF, compiled by itself.
+        scene: The compiled scene.
     """
-    check = _Checker(robot, model)
-    check.model(model)
-    check.bodies()
-    check.joints()
-    check.symmetry()
-    if not check.problems:  # a misspelt joint would seem to lack a drive
-        check.drives()
-    return check.problems
+    mine = [body for body in range(1, scene.nbody) if scene.body(body).name.startswith(ROBOT)]
+    counts = {
+        "bodies": (native.nbody - 1, len(mine)),
+        "joints": (native.njnt, scene.njnt - 1),
+        "contact pairs": (native.npair, scene.npair),
+        "contact exclusions": (native.nexclude, scene.nexclude),
+        "equality constraints": (native.neq, scene.neq),
+        "tendons": (native.ntendon, scene.ntendon),
+        "flexes": (native.nflex, scene.nflex),
+        "plugin instances": (native.nplugin, scene.nplugin),
+        "mocap bodies": (native.nmocap, scene.nmocap - 1),
+    }
+    for what, (own, there) in counts.items():
+        if own != there:
+            yield f"the model by itself has {own} {what}, in a scene {there}"
+    if len(mine) != native.nbody - 1:
+        return
+    for name, unit in (("mass", "kg"), ("inertia", "kg m^2"), ("gravcomp", "")):
+        own = getattr(native, f"body_{name}")[1:].reshape(len(mine), -1)
+        there = getattr(scene, f"body_{name}")[mine].reshape(len(mine), -1)
+        for row in np.flatnonzero(np.abs(own - there).max(axis=1) > 1e-9 * (1.0 + np.abs(own).max())):
+            body, values = native.body(int(row) + 1).name, (own[row, 0], there[row, 0])
+            by_itself, in_scene = (f"{value:.6g} {unit}" for value in values)
+            yield f"the {name} of the body '{body}' is {by_itself} by itself, {in_scene} in a scene"
 
 
-def check_start(
-    robot: Loaded[RobotSpec], model: mujoco.MjModel, layout: SceneLayout, root: str
-) -> list[Problem]:
+# The start
+
+
+def check_start(robot: Loaded[RobotSpec], model: mujoco.MjModel, layout: SceneLayout) -> list[Problem]:
     """The robot starts at the origin, facing +x, within its joints' ranges, on feet that touch things.
 
     Args:
         robot: The robot file.
         model: The compiled scene.
         layout: Its index maps, with the default pose.
-        root: Name of the robot's first body in it.
     """
     data = mujoco.MjData(model)
     data.qpos[:] = layout.default_qpos
     mujoco.mj_kinematics(model, data)
-    place = _place_problem(robot, data.body(root))
     # A robot that is turned as a whole turns its base with it.
-    first = [place] if place else list(_base_problem(robot, data.body(ROBOT + robot.spec.base)))
-    return [*first, *_range_problems(robot, model, layout), *_feet_problems(robot, model, layout)]
+    frames = list(_place_problem(robot, model, data)) or list(_base_problem(robot, data))
+    return [*frames, *_range_problems(robot, model, layout), *_feet_problems(robot, model, layout)]
 
 
-def _place_problem(robot: Loaded[RobotSpec], body: Any) -> Problem | None:
+def _place_problem(robot: Loaded[RobotSpec], model: mujoco.MjModel, data: mujoco.MjData) -> Iterator[Problem]:
     """Regions and the mirror plane are those of the world."""
-    (x, y), left = body.xpos[:2], body.xmat.reshape(3, 3)[:2, 1]
+    root = next(body for body in range(1, model.nbody) if model.body(body).name.startswith(ROBOT))
+    (x, y), left = data.xpos[root, :2], data.xmat[root].reshape(3, 3)[:2, 1]
     turn = math.degrees(math.atan2(0.0 - left[0], left[1]))
-    if max(abs(x), abs(y)) < 1e-6 and abs(turn) < 1e-3:
-        return None
-    what = f"the robot starts at x = {x:.3g} m, y = {y:.3g} m, turned by {turn:.3g} degrees"
-    path = ("initial", "position") if robot.spec.initial.position and abs(turn) < 1e-3 else ("model",)
-    return robot.document.problem(path, f"{what}; expected x = y = 0 and no turn, facing +x")
+    if max(abs(x), abs(y)) >= 1e-6 or abs(turn) >= 1e-3:
+        what = f"the robot starts at x = {x:.3g} m, y = {y:.3g} m, turned by {turn:.3g} degrees"
+        path = ("initial", "position") if robot.spec.initial.position and abs(turn) < 1e-3 else ("model",)
+        yield robot.document.problem(path, f"{what}; expected x = y = 0 and no turn, facing +x")
 
 
-_LEFT_TOLERANCE = 0.02
-"""Angle between the base's y axis and the left, rad: a manufacturer's frames may be off by rounding."""
-_PITCH_TOLERANCE = math.pi / 4
-"""Angle between the base's x axis and straight ahead, rad: a trunk may lean."""
-
-
-def _base_problem(robot: Loaded[RobotSpec], base: Any) -> Iterator[Problem]:
+def _base_problem(robot: Loaded[RobotSpec], data: mujoco.MjData) -> Iterator[Problem]:
     """Observations are read in the base's frame: x ahead, y to the left, z up in the default pose."""
-    axes = base.xmat.reshape(3, 3)
-    off_left, off_ahead = (math.acos(min(1.0, max(-1.0, axes[i, i]))) for i in (1, 0))
+    axes = data.body(ROBOT + robot.spec.base).xmat.reshape(3, 3)
+    off_left, off_ahead = (math.acos(np.clip(axes[i, i], -1.0, 1.0)) for i in (1, 0))
     if off_left > _LEFT_TOLERANCE or off_ahead > _PITCH_TOLERANCE:
-        names = [
-            f"{axis} along ({', '.join(f'{v:.2g}' for v in axes[:, i])})" for i, axis in enumerate("xyz")
-        ]
-        what = (
-            f"the frame of the body '{robot.spec.base}' has its axes {'; '.join(names)} in the default pose"
-        )
+        vectors = [", ".join(f"{value:.2g}" for value in axes[:, i]) for i in range(3)]
+        named = "; ".join(f"{axis} along ({vector})" for axis, vector in zip("xyz", vectors, strict=True))
+        what = f"the frame of the body '{robot.spec.base}' has its axes {named} in the default pose"
         yield robot.document.problem(("base",), f"{what}; expected x ahead, y to the left and z up")
 
 
 def _range_problems(
     robot: Loaded[RobotSpec], model: mujoco.MjModel, layout: SceneLayout
 ) -> Iterator[Problem]:
-    for joint in range(model.njnt):
-        if not model.jnt_limited[joint] or model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_BALL:
-            continue
-        name = model.joint(joint).name.removeprefix(ROBOT)
+    for joint in np.flatnonzero(model.jnt_limited):
+        name = model.joint(int(joint)).name.removeprefix(ROBOT)
         low, high = model.jnt_range[joint]
         value = layout.default_qpos[model.jnt_qposadr[joint]]
         if not low - _AT_LIMIT <= value <= high + _AT_LIMIT:
@@ -101,123 +288,101 @@ def _range_problems(
             yield robot.document.problem(path, what, hint)
 
 
-_AT_LIMIT = 1e-6
-
-
 def _feet_problems(robot: Loaded[RobotSpec], model: mujoco.MjModel, layout: SceneLayout) -> Iterator[Problem]:
     """A foot has a geom that collides, and nothing keeps it from touching floor and ball."""
     excluded = {(int(sign) >> 16, int(sign) & 0xFFFF) for sign in model.exclude_signature}
-    for side, geoms in zip(SIDES, layout.foot_geoms, strict=False):
+    for (side, foot), geoms in zip(robot_feet(robot.spec), layout.foot_geoms, strict=True):
         touching = [g for g in geoms if model.geom_contype[g] or model.geom_conaffinity[g]]
-        foot = getattr(robot.spec.feet, side)
         if not touching:
             what = f"no geom of the foot '{foot.body}' collides: it can touch neither floor nor ball"
             hint = "contype and conaffinity of its geoms are 0; contact pairs of the MJCF do not name floor or ball"
             yield robot.document.problem(("feet", side), what, hint)
-        elif all({(0, b), (b, 0)} & excluded for b in {int(model.geom_bodyid[g]) for g in touching}):
+        elif all({(0, b), (b, 0)} & excluded for b in model.geom_bodyid[touching].tolist()):
             what = f"a contact exclusion keeps the foot '{foot.body}' from touching the floor"
             yield robot.document.problem(("feet", side), what)
 
 
-class _Checker:
-    def __init__(self, robot: Loaded[RobotSpec], model: mujoco.MjSpec) -> None:
-        self.spec, self.document = robot.spec, robot.document
-        self.problems: list[Problem] = []
-        free, ball = mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_BALL
-        self.joint_names = [joint.name for joint in model.joints if joint.type != free]
-        self.free_names = [joint.name for joint in model.joints if joint.type == free]
-        self.ball_joints = [joint.name for joint in model.joints if joint.type == ball]
-        self.body_names = [body.name for body in model.bodies if body.name != "world"]
-        self.geom_names = [geom.name for geom in model.geoms if geom.name]
+# The declared reflection against the one that follows from the geometry
 
-    def _known(self, path: KeyPath, kind: str, name: str, known: Iterable[str]) -> None:
-        known = list(known)
-        if name in known:
-            return
-        guess = nearest(name, known)
-        hint = f"did you mean '{guess}'?" if guess else f"the model has: {', '.join(known)}"
-        self.problems.append(self.document.problem(path, f"the robot's model has no {kind} '{name}'", hint))
 
-    def model(self, model: mujoco.MjSpec) -> None:
-        """The model is one robot, and attaching it to a scene does not change it."""
-        roots = [body.name or "without a name" for body in model.worldbody.bodies]
-        if not roots:
-            self._report(("model",), "the model has no body")
-        if len(roots) > 1:
-            what = f"the model has {len(roots)} bodies in its world ({', '.join(roots)}); expected the robot alone"
-            self._report(("model",), what)
-        for joint in model.joints:
-            if not joint.name and joint.type != mujoco.mjtJoint.mjJNT_FREE:
-                where = f"the body '{joint.parent.name}'" if joint.parent.name else "a body without a name"
-                what = f"a joint of {where} has no name; pose, actuators and symmetry address joints by name"
-                self._report(("model",), what)
-        if model.compiler.settotalmass > 0.0:
-            what = "the compiler setting `settotalmass` does not reach a scene; expected masses of the bodies"
-            self._report(("model",), what)
+@dataclass(frozen=True)
+class Agreement:
+    """How a declared reflection agrees with the derived one.
 
-    def bodies(self) -> None:
-        self._known(("base",), "body", self.spec.base, self.body_names)
-        for side in ("left", "right") if self.spec.feet else ():
-            foot = getattr(self.spec.feet, side)
-            self._known(("feet", side, "body"), "body", foot.body, self.body_names)
-            for index, geom in enumerate(foot.geoms):
-                self._known(("feet", side, "geoms", index), "geom", geom, self.geom_names)
+    Attributes:
+        problems: Contradictions, each where it is declared.
+        notes: Joints whose image does not follow from the geometry; physics options that a scene does not take over.
+    """
 
-    def joints(self) -> None:
-        for name in self.spec.initial.joints:
-            self._known(("initial", "joints", name), "joint", name, self.joint_names)
-        for name, actuator in self.spec.actuators.items():
-            if actuator.joint is not None:
-                self._known(("actuators", name, "joint"), "joint", actuator.joint, self.joint_names)
-        if self.spec.initial.position is not None and not self.free_names:
-            self._report(
-                ("initial", "position"), "the robot's model has no free joint, so its base cannot be moved"
-            )
-        if "ball" in (*self.joint_names, *self.free_names):
-            self._report(
-                ("model",), "a joint of the robot is named 'ball', which is the name of the scene's ball"
-            )
-        for name in self.ball_joints:
-            self._report(
-                ("model",), f"the joint '{name}' is a ball joint; expected hinge, slide or free joints"
-            )
+    problems: tuple[Problem, ...]
+    notes: tuple[str, ...]
 
-    def drives(self) -> None:
-        """A joint is driven once, and its mirror image is driven too."""
-        image, driver = self.spec.symmetry.image(), dict[str, str]()
-        for name, actuator in self.spec.actuators.items():
-            joint = actuator.joint
-            if joint is None:
-                continue
-            if joint in driver:
-                what = f"the joint '{joint}' is driven twice, by '{driver[joint]}' and by '{name}'"
-                self._report(("actuators", name, "joint"), what)
-            driver.setdefault(joint, name)
-        for joint, name in driver.items():
-            partner = image.get(joint, (joint, 1))[0]
-            if partner not in driver:
-                what = f"the joint '{joint}' is driven, but its mirror image '{partner}' is not"
-                self._report(("actuators", name, "joint"), what)
 
-    def _report(self, path: KeyPath, message: str) -> None:
-        self.problems.append(self.document.problem(path, message))
+def check_symmetry(robot: Loaded[RobotSpec]) -> Agreement:
+    """Compares a robot's declared joint table and feet with its geometry.
 
-    def symmetry(self) -> None:
-        table = self.spec.symmetry
-        lists: dict[KeyPath, tuple[str, ...]] = {
-            ("trivial",): table.trivial,
-            ("sign",): table.sign,
-            ("regular", "left"): table.regular.left,
-            ("regular", "right"): table.regular.right,
-            ("regular_sign", "left"): table.regular_sign.left,
-            ("regular_sign", "right"): table.regular_sign.right,
-        }
-        for path, names in lists.items():
-            for index, name in enumerate(names):
-                self._known(("symmetry", *path, index), "joint", name, self.joint_names)
-        missing = [name for name in self.joint_names if name and name not in set(table.names())]
-        if missing:
-            what = (
-                f"the symmetry table lacks {'joints' if len(missing) > 1 else 'joint'} {', '.join(missing)}"
-            )
-            self.problems.append(self.document.problem(("symmetry",), what))
+    Raises:
+        SpecError: The MJCF cannot be read or compiled.
+    """
+    body, native = read_robot(robot)
+    derivation = derive(read_parts(native))
+    notes = list(_option_notes(body))
+    notes += [f"joint '{m.name}': its mirror image is not derived: {m.reason}" for m in derivation.unclear]
+    problems = (*_contradicted_joints(robot, derivation), *_contradicted_feet(robot, derivation))
+    return Agreement(problems, tuple(notes))
+
+
+def _option_notes(spec: mujoco.MjSpec) -> Iterator[str]:
+    default = mujoco.MjSpec().option
+    for name in _UNUSED_OPTIONS:
+        own, usual = (np.ravel(getattr(option, name)) for option in (spec.option, default))
+        if not np.array_equal(own, usual):
+            values = " ".join(f"{value:g}" for value in own)
+            yield f"the MJCF's option {name}=\"{values}\" is not used: options of physics are the task's"
+
+
+def _contradicted_joints(robot: Loaded[RobotSpec], derivation: Derivation) -> Iterator[Problem]:
+    declared, derived = robot.spec.symmetry.image(), derivation.image
+    model = shown(robot.spec.model)
+    hint: str | None = f"`kickbench symmetry derive {model}` prints the table that the geometry gives"
+    for path, joint in _declared_joints(robot.spec):
+        # The left joint of a pair stands for both.
+        if "right" not in path and joint in derived and declared[joint] != derived[joint]:
+            here, there = (_words(joint, *table[joint]) for table in (declared, derived))
+            what = f"the joint '{joint}' is declared {here}, but by its geometry it is {there}"
+            yield robot.document.problem(path, what, hint)
+            hint = None  # once is enough
+
+
+def _words(joint: str, partner: str, sign: int) -> str:
+    """How a joint transforms: "sign", "regular with 'right_knee'"."""
+    kind = kind_of_coordinate(partner == joint, sign)
+    return kind if partner == joint else f"{kind} with '{partner}'"
+
+
+def _contradicted_feet(robot: Loaded[RobotSpec], derivation: Derivation) -> Iterator[Problem]:
+    feet, parts = robot.spec.feet, derivation.skeleton
+    if feet is None:
+        return
+    bodies = {match.name: match.partner for match in derivation.bodies}
+    shapes = {match.name: match.partner for match in derivation.shapes}
+
+    def geoms(foot: FootSpec) -> set[str]:
+        """Names of a foot's geoms: those listed, or all of its body that can touch anything."""
+        whole = {s.name for s in parts.shapes if s.touches and parts.bodies[s.body].name == foot.body}
+        return set(foot.geoms) or whole
+
+    partner = bodies.get(feet.left.body)
+    if partner not in (None, feet.right.body):
+        what = f"'{feet.right.body}' is declared the right foot, but the mirror image of the left one is '{partner}'"
+        yield robot.document.problem(("feet", "right", "body"), what)
+    images, right = {shapes.get(geom) for geom in geoms(feet.left)}, geoms(feet.right)
+    if None not in images and images != right:
+        found, wanted = (", ".join(sorted(map(str, names))) for names in (right, images))
+        what = f"the right foot's geoms are {found}; the mirror image of the left one's: {wanted}"
+        yield robot.document.problem(("feet", "right"), what)
+    places = {body.name: body.get("place") for body in parts.bodies}
+    for (side, foot), sign in zip(robot_feet(robot.spec), (1, -1), strict=True):
+        if sign * float(places[foot.body][1]) < 0.0:
+            what = f"'{foot.body}' lies on the other side: left is y > 0"
+            yield robot.document.problem(("feet", side, "body"), what)

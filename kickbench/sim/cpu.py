@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import copy
-import os
-from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Sequence
 
 # pyright: reportAttributeAccessIssue=false
 import mujoco
@@ -14,47 +12,40 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from kickbench.sim.engine import HUGE, INERTIAL_FIELDS, ModelField
-from kickbench.sim.frames import FrameSensing
+from kickbench.sim.engine import HUGE, INERTIAL_FIELDS, Engine, ModelField, usable_cores
+from kickbench.sim.frames import FrameSensing, runs
 
 _FULL = mujoco.mjtState.mjSTATE_FULLPHYSICS
 _CTRL = mujoco.mjtState.mjSTATE_CTRL
 _WRENCH = mujoco.mjtState.mjSTATE_XFRC_APPLIED
 
 
-def usable_cores() -> int:
-    """Number of cores this process may use (its affinity, not the machine's size)."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+class CpuEngine(Engine):
+    """Steps B envs with a thread pool.
 
-
-class CpuEngine:
-    """Steps B worlds with a thread pool; implements `physics.engine.Engine`.
-
-    A control step is one rollout of `decimation` substeps from every world's state, with MuJoCo's warm start
+    A control step is one rollout of `decimation` substeps from every env's state, with MuJoCo's warm start
     cleared at its beginning: the outcome is a function of state and controls alone, which resuming and
     mirroring rely on.
 
     MuJoCo evaluates sensors before it integrates, so the sensors of the last substep are one substep old.
-    Instead of a full final forward pass, a skeleton of the model evaluates the frame sensors in the final state, at
-    a fraction of the cost. Contacts are latched over the substeps and need no such pass.
+    Instead of a full final forward pass, `FrameSensing` evaluates the frame sensors in the final state, at a fraction
+    of the cost. Contacts are latched over the substeps and need no such pass.
     """
 
     def __init__(
         self,
         model: mujoco.MjModel,
-        num_worlds: int,
+        num_envs: int,
         decimation: int,
         contact_forces: Sequence[int] = (),
         pushed_body: int | None = None,
         num_threads: int | None = None,
     ) -> None:
-        """Allocates the worlds in the model's reference pose.
+        """Allocates the envs in the model's reference pose.
 
         Args:
-            model: Compiled model, shared by all worlds until `set_model` makes copies.
-            num_worlds: Number of worlds B.
+            model: Compiled model, shared by all envs until `set_model` makes copies.
+            num_envs: Number of envs B.
             decimation: Physics substeps per control step.
             contact_forces: Places of contact sensors in sensordata that are averaged over the substeps; the others
                 are latched by their maximum.
@@ -63,48 +54,42 @@ class CpuEngine:
         """
         self.model = model
         self._stepped = _without_frame_sensors(model)
-        self.num_worlds, self.decimation = num_worlds, decimation
+        self.num_envs, self.decimation = num_envs, decimation
         self.num_threads = num_threads or usable_cores()
         self.device = torch.device("cpu")
-        self._forces = _runs(sorted(contact_forces))
-        self._models = [self._stepped] * num_worlds
-        self._shared = True
+        self._forces = runs(sorted(contact_forces))
+        self._models = [self._stepped] * num_envs
         # External forces travel with the controls; a task without pushes does not pay for them.
         self._spec = int(_CTRL if pushed_body is None else _CTRL | _WRENCH)
         first = model.nu + 6 * (pushed_body or 0)
         self._push = None if pushed_body is None else slice(first, first + 3)
         self._sense_frames = FrameSensing(model, self.num_threads)
-        # Slices are read and written much faster than lists of places.
         self._frames = slice(0, self._sense_frames.size)
         self._contacts = slice(self._sense_frames.size, model.nsensordata)
         self._data = [mujoco.MjData(model) for _ in range(self.num_threads)]
         self._pool = mujoco.rollout.Rollout(nthread=self.num_threads if self.num_threads > 1 else 0)
-        self._allocate(mujoco.mj_stateSize(model, _FULL))
-        self._set_all(model.qpos0)
+        self._allocate()
+        qpos = torch.from_numpy(np.tile(model.qpos0, (num_envs, 1)))
+        self.reset(torch.ones(num_envs, dtype=torch.bool), qpos, torch.zeros(num_envs, model.nv))
 
-    def _allocate(self, nstate: int) -> None:
-        model, worlds, steps = self.model, self.num_worlds, self.decimation
-        self._state = np.zeros((worlds, nstate))
-        self._trajectory = np.zeros((worlds, steps, nstate))
-        width = mujoco.mj_stateSize(model, self._spec)
-        self._control = np.zeros((worlds, steps, width))
-        self._sensed = np.zeros((worlds, steps, model.nsensordata))
-        self._sensors = np.zeros((worlds, model.nsensordata))
+    def _allocate(self) -> None:
+        model, envs, steps = self.model, self.num_envs, self.decimation
+        nstate = mujoco.mj_stateSize(model, _FULL)
+        self._state = np.zeros((envs, nstate))
+        self._trajectory = np.zeros((envs, steps, nstate))
+        self._control = np.zeros((envs, steps, mujoco.mj_stateSize(model, self._spec)))
+        self._sensed = np.zeros((envs, steps, model.nsensordata))
+        self._sensors = np.zeros((envs, model.nsensordata))
         # Full physics state: time, qpos, qvel, act, ...
         self.qpos = torch.from_numpy(self._state)[:, 1 : 1 + model.nq]
         self.qvel = torch.from_numpy(self._state)[:, 1 + model.nq : 1 + model.nq + model.nv]
         self.sensors = torch.from_numpy(self._sensors)
-        self.failed = torch.zeros(worlds, dtype=torch.bool)
-
-    def _set_all(self, qpos: np.ndarray) -> None:
-        rows = torch.from_numpy(np.tile(qpos, (self.num_worlds, 1)))
-        self.reset(torch.ones(self.num_worlds, dtype=torch.bool), rows, torch.zeros(self.qvel.shape))
+        self.failed = torch.zeros(envs, dtype=torch.bool)
 
     def step(self, targets: Tensor) -> None:
         """See `Engine.step`."""
-        self._control[:, :, : self.model.nu] = (
-            targets if targets.dim() == 3 else targets.unsqueeze(1)
-        ).numpy()
+        of_substeps = targets if targets.dim() == 3 else targets.unsqueeze(1)
+        self._control[:, :, : self.model.nu] = of_substeps.numpy()
         self._state[:, 0] = 0.0
         self._pool.rollout(
             self._models, self._data, self._state, self._control, control_spec=self._spec,
@@ -133,7 +118,7 @@ class CpuEngine:
         """Finds rollouts that MuJoCo cut short with a warning (their clock is late) or that are not finite."""
         due = (self.decimation - 0.5) * self.model.opt.timestep
         clock = self._state[:, 0]
-        # One look at all worlds together tells that none has failed, as is nearly always so. NaN compares false.
+        # One look at all envs together shows that none has failed, as is nearly always so. NaN compares false.
         if clock.min() > due and torch.linalg.vector_norm(torch.from_numpy(self._state)) < HUGE:
             self.failed.zero_()
             return
@@ -147,10 +132,8 @@ class CpuEngine:
         rows = np.flatnonzero(mask.numpy())
         if not len(rows):
             return
-        model = self.model
         self._state[rows] = 0.0
-        self._state[rows, 1 : 1 + model.nq] = qpos.numpy()[rows]
-        self._state[rows, 1 + model.nq : 1 + model.nq + model.nv] = qvel.numpy()[rows]
+        self.qpos[mask], self.qvel[mask] = qpos[mask].double(), qvel[mask].double()
         self._sensors[rows] = 0.0
         self._sensors[rows, self._frames] = self._sense_frames(self._state[rows])
         self.failed[rows] = False
@@ -161,10 +144,9 @@ class CpuEngine:
         self._control[:, :, self._push] = force.unsqueeze(1).numpy()
 
     def set_model(self, mask: Tensor, fields: Sequence[ModelField]) -> None:
-        """See `Engine.set_model`. The first call gives every world a model of its own."""
-        if self._shared:
-            self._models = [copy.copy(self._stepped) for _ in range(self.num_worlds)]
-            self._shared = False
+        """See `Engine.set_model`. The first call gives every env a model of its own."""
+        if self._models[0] is self._stepped:
+            self._models = [copy.copy(self._stepped) for _ in range(self.num_envs)]
         rows = np.flatnonzero(mask.numpy())
         for field in fields:
             ids, values = field.ids.numpy(), field.values.numpy()
@@ -175,30 +157,15 @@ class CpuEngine:
             for row in rows:
                 mujoco.mj_setConst(self._models[row], self._data[0])
 
-    def capturing(self) -> AbstractContextManager[None]:
-        """See `Engine.capturing`."""
-        return nullcontext()
-
-    def state_dict(self) -> dict[str, Tensor]:
-        """See `Engine.state_dict`."""
-        return {name: torch.from_numpy(array.copy()) for name, array in self._arrays().items()}
-
-    def load_state_dict(self, state: Mapping[str, Tensor]) -> None:
-        """See `Engine.load_state_dict`."""
-        arrays = self._arrays()
-        expected = {name: array.shape for name, array in arrays.items()}
-        found = {name: tuple(values.shape) for name, values in state.items()}
-        if found != expected:
-            raise ValueError(f"CpuEngine: expected {expected}, found {found}")
-        for name, array in arrays.items():
-            array[:] = state[name].numpy()
-
-    def _arrays(self) -> dict[str, np.ndarray]:
-        """Views of everything that the next step depends on, but for the worlds' models."""
-        arrays = {"state": self._state, "sensors": self._sensors, "failed": self.failed.numpy()}
-        if self._push is not None:
-            arrays["push"] = self._control[:, :, self._push]
-        return arrays
+    def live_state(self) -> dict[str, Tensor]:
+        """See `Engine.live_state`."""
+        push = {} if self._push is None else {"push": torch.from_numpy(self._control[:, :, self._push])}
+        return {
+            "state": torch.from_numpy(self._state),
+            "sensors": self.sensors,
+            "failed": self.failed,
+            **push,
+        }
 
     def full_state(self) -> np.ndarray:
         """A copy of the full physics state [B, nstate]."""
@@ -212,26 +179,15 @@ class CpuEngine:
         """See `Engine.model_field`."""
         return np.stack([getattr(model, name) for model in self._models])
 
-    def take_load(self) -> None:
-        """See `Engine.take_load`: MuJoCo makes room as it needs it."""
-
     def close(self) -> None:
         """See `Engine.close`: ends the threads."""
         self._pool.close()
         self._sense_frames.close()
 
 
-def _runs(places: Sequence[int]) -> list[slice]:
-    """Ascending places as slices of consecutive ones."""
-    starts = [place for place in places if place - 1 not in places]
-    ends = [place + 1 for place in places if place + 1 not in places]
-    return [slice(*run) for run in zip(starts, ends, strict=True)]
-
-
 def _without_frame_sensors(model: mujoco.MjModel) -> mujoco.MjModel:
-    """A copy whose frame sensors belong to no stage of the computation: they are read from the skeleton."""
+    """A copy whose frame sensors belong to no stage of the computation: `FrameSensing` evaluates them."""
     quiet = copy.copy(model)
-    quiet.sensor_needstage[model.sensor_type != mujoco.mjtSensor.mjSENS_CONTACT] = (
-        mujoco.mjtStage.mjSTAGE_NONE
-    )
+    frames = model.sensor_type != mujoco.mjtSensor.mjSENS_CONTACT
+    quiet.sensor_needstage[frames] = mujoco.mjtStage.mjSTAGE_NONE
     return quiet

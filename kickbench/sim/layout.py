@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 # pyright: reportAttributeAccessIssue=false
 import mujoco
 import numpy as np
 
-from kickbench.config.robot import ActuatorSpec, RobotSpec
-from kickbench.sim.sensors import ROBOT, SIDES, SensorGroup, SensorPlan
-from kickbench.sim.servo import ServoTable, servo_table
+from kickbench.config.robot import ActuatorSpec, FootSpec, RobotSpec
+from kickbench.sim.sensors import ROBOT, SensorGroup, SensorPlan, robot_feet
 from kickbench.symmetry.mirror import Coordinate
 
 Indices = np.ndarray
@@ -19,6 +20,30 @@ Indices = np.ndarray
 
 LEFT, RIGHT, MIDDLE, NO_SIDE = 0, 1, 2, -1
 """Which side of the robot a part belongs to; NO_SIDE: it is none of the robot's."""
+
+
+class Servo(NamedTuple):
+    """Gains and limits of a servo: numbers, or arrays with one entry an actuator.
+
+    Attributes:
+        is_velocity: Whether it is a velocity servo.
+        kp: Stiffness; 0 for velocity servos.
+        kd: Damping.
+        effort: Largest torque or force.
+        velocity_limit: No-load speed; infinite without one.
+    """
+
+    is_velocity: Any
+    kp: Any
+    kd: Any
+    effort: Any
+    velocity_limit: Any
+
+    @staticmethod
+    def of(spec: ActuatorSpec) -> Servo:
+        """The servo that a robot file describes."""
+        limit = spec.velocity_limit or np.inf
+        return Servo(spec.kind == "velocity", spec.kp or 0.0, spec.kd, spec.effort, limit)
 
 
 @dataclass(frozen=True)
@@ -44,7 +69,7 @@ class SceneLayout:
         base_body: Body id of the base.
         body_sides: Side of every body [nbody]: that of the nearest joint towards the root.
         actuator_sides: Side of every actuator [nu]: that of its joint.
-        servos: Gains and limits of the actuators.
+        servos: Gains and limits of the actuators, each an array [nu].
         obstacles: What a ball on the floor could overlap in the default pose: ground rectangles of the robot's
             low colliding geoms [K, 4], each x low, x high, y low, y high, m.
     """
@@ -67,7 +92,7 @@ class SceneLayout:
     base_body: int
     body_sides: Indices
     actuator_sides: Indices
-    servos: ServoTable
+    servos: Servo
     obstacles: np.ndarray
 
 
@@ -84,7 +109,9 @@ def read_layout(
     """
     coordinates = tuple(_coordinate(model, j) for j in range(model.njnt))
     by_name = {c.name: c for c in coordinates}
-    driven = [spec.joint for spec in robot.actuators.values() if spec.joint is not None]
+    actuators = list(robot.actuators.values())
+    driven = [spec.joint for spec in actuators if spec.joint is not None]
+    joints = np.array([model.joint(ROBOT + name).id for name in driven], dtype=np.int64)
     default = _default_qpos(model, robot, by_name)
     sides = _body_sides(model, robot)
     frames, contacts, forces = _sensor_maps(model, plans)
@@ -94,24 +121,24 @@ def read_layout(
         coordinates=coordinates,
         actuator_names=tuple(robot.actuators),
         joint_names=tuple(driven),
-        joint_qpos=np.array([by_name[name].qpos for name in driven], dtype=np.int64),
-        joint_qvel=np.array([by_name[name].qvel for name in driven], dtype=np.int64),
-        joint_range=np.array([_range(model, name) for name in driven]).reshape(-1, 2),
+        joint_qpos=model.jnt_qposadr[joints].astype(np.int64),
+        joint_qvel=model.jnt_dofadr[joints].astype(np.int64),
+        joint_range=np.where(model.jnt_limited[joints][:, None], model.jnt_range[joints], [-np.inf, np.inf]),
         ball_qpos=by_name["ball"].qpos,
         ball_qvel=by_name["ball"].qvel,
         default_qpos=default,
         default_target=np.array(
-            [_default_target(spec, default, by_name) for spec in robot.actuators.values()]
+            [default[by_name[str(s.joint)].qpos] if s.kind == "position" else 0.0 for s in actuators]
         ),
-        action_scale=np.array([spec.scale for spec in robot.actuators.values()]),
+        action_scale=np.array([spec.scale for spec in actuators]),
         frames=frames,
         contacts=contacts,
         forces=forces,
-        foot_geoms=tuple(_foot_geoms(model, robot, side) for side in SIDES) if robot.feet else (),
+        foot_geoms=tuple(_foot_geoms(model, foot) for _, foot in robot_feet(robot)),
         base_body=model.body(ROBOT + robot.base).id,
         body_sides=sides,
-        actuator_sides=np.array([_side(spec.joint, robot) for spec in robot.actuators.values()]),
-        servos=servo_table(tuple(robot.actuators.values())),
+        actuator_sides=np.array([_side(spec.joint, robot) for spec in actuators]),
+        servos=Servo(*map(np.array, zip(*map(Servo.of, actuators), strict=True))),
         obstacles=_obstacles(model, default, sides),
     )
 
@@ -120,13 +147,6 @@ def _coordinate(model: mujoco.MjModel, joint: int) -> Coordinate:
     name = model.joint(joint).name.removeprefix(ROBOT)
     free = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE
     return Coordinate(name, free, int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint]))
-
-
-def _range(model: mujoco.MjModel, joint: str) -> tuple[float, float]:
-    found = model.joint(ROBOT + joint)
-    if not model.jnt_limited[found.id]:
-        return -np.inf, np.inf
-    return float(found.range[0]), float(found.range[1])
 
 
 def _default_qpos(model: mujoco.MjModel, robot: RobotSpec, by_name: Mapping[str, Coordinate]) -> np.ndarray:
@@ -141,14 +161,7 @@ def _default_qpos(model: mujoco.MjModel, robot: RobotSpec, by_name: Mapping[str,
     return qpos
 
 
-def _default_target(spec: ActuatorSpec, qpos: np.ndarray, by_name: Mapping[str, Coordinate]) -> float:
-    if spec.kind == "velocity" or spec.joint is None:
-        return 0.0
-    return float(qpos[by_name[spec.joint].qpos])
-
-
-def _foot_geoms(model: mujoco.MjModel, robot: RobotSpec, side: str) -> Indices:
-    foot = getattr(robot.feet, side)
+def _foot_geoms(model: mujoco.MjModel, foot: FootSpec) -> Indices:
     if foot.geoms:
         return np.array([model.geom(ROBOT + geom).id for geom in foot.geoms], dtype=np.int64)
     return np.flatnonzero(model.geom_bodyid == model.body(ROBOT + foot.body).id)
@@ -173,24 +186,21 @@ def _body_sides(model: mujoco.MjModel, robot: RobotSpec) -> Indices:
     return sides
 
 
-def _sensor_maps(
-    model: mujoco.MjModel, plans: Sequence[SensorPlan]
-) -> tuple[dict[str, Indices], dict[str, Indices], dict[str, Indices]]:
-    frames: dict[str, list[int]] = {}
-    found: dict[str, list[int]] = {}
-    force: dict[str, list[np.ndarray]] = {}
+def _sensor_maps(model: mujoco.MjModel, plans: Sequence[SensorPlan]) -> tuple[dict[str, Indices], ...]:
+    """Places in sensordata by channel: of frames, contact counts and forces."""
+    frames, found, forces = defaultdict(list), defaultdict(list), defaultdict(list)
     for plan in plans:
         sensor = model.sensor(plan.name)
-        first = int(sensor.adr[0])
-        if not plan.is_contact:
-            frames.setdefault(plan.channel, []).extend(range(first, first + int(sensor.dim[0])))
-            continue
-        found.setdefault(plan.channel, []).append(first)
-        if plan.force:
-            force.setdefault(plan.channel, []).append(np.arange(first + 1, first + 4))
-    contacts = {name: np.array(places) for name, places in found.items()}
-    places_of_frames = {name: np.array(places) for name, places in frames.items()}
-    return places_of_frames, contacts, {name: np.stack(places) for name, places in force.items()}
+        places = range(int(sensor.adr[0]), int(sensor.adr[0] + sensor.dim[0]))
+        if plan.is_contact:
+            found[plan.channel].append(places[0])
+            if plan.force:
+                forces[plan.channel].append(places[1:4])
+        else:
+            frames[plan.channel] += places
+    return tuple(
+        {name: np.array(places) for name, places in maps.items()} for maps in (frames, found, forces)
+    )
 
 
 def _obstacles(model: mujoco.MjModel, qpos: np.ndarray, sides: Indices) -> np.ndarray:

@@ -6,7 +6,7 @@ step: a kick lasts 4-10 ms, so the last substep alone would miss a third of all 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -27,22 +27,33 @@ FOOT_GROUPS: tuple[SensorGroup, ...] = ("foot_frame", "foot_ball", "foot_floor")
 ALWAYS: tuple[SensorGroup, ...] = ("base", "robot_ball")
 """Groups that every scene has: every task needs the base's frame and whether the ball was touched."""
 
+_Obj, _Sensor = mujoco.mjtObj, mujoco.mjtSensor
 _FOUND = 1 << int(mujoco.mjtConDataField.mjCONDATA_FOUND)
 _FORCE = 1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE)
 _NETFORCE = 3
+"""MuJoCo's `reduce` that adds up all contacts of a sensor, in the world frame."""
 
 
 @dataclass(frozen=True)
 class SensorPlan:
-    """One MuJoCo sensor: `channel` is the name that state views read, `part` tells its sensors apart."""
+    """One MuJoCo sensor.
+
+    Attributes:
+        channel: Name that state views read.
+        part: Tells the sensors of a channel apart.
+        type: Kind of sensor.
+        objtype: Kind of the thing that is sensed.
+        objname: Its name in the scene.
+        other: For contacts: the geom that is touched.
+        force: For contacts: whether the net force is reported, too.
+    """
 
     channel: str
     part: int
     type: mujoco.mjtSensor
     objtype: mujoco.mjtObj
     objname: str
-    reftype: mujoco.mjtObj | None = None
-    refname: str = ""
+    other: str = ""
     force: bool = False
 
     @property
@@ -53,18 +64,14 @@ class SensorPlan:
     @property
     def is_contact(self) -> bool:
         """Whether the sensor reports contacts."""
-        return self.type == mujoco.mjtSensor.mjSENS_CONTACT
+        return self.type == _Sensor.mjSENS_CONTACT
 
     def add_to(self, spec: mujoco.MjSpec) -> None:
         """Adds the sensor to a scene."""
-        sensor = spec.add_sensor()
-        sensor.name, sensor.type = self.name, self.type
-        sensor.objtype, sensor.objname = self.objtype, self.objname
-        if self.reftype is not None:
-            sensor.reftype, sensor.refname = self.reftype, self.refname
+        sensor = spec.add_sensor(name=self.name, type=self.type, objtype=self.objtype, objname=self.objname)
         if self.is_contact:
-            data = _FOUND | (_FORCE if self.force else 0)
-            sensor.intprm[0:3] = [data, _NETFORCE if self.force else 0, 1]
+            sensor.reftype, sensor.refname = _Obj.mjOBJ_GEOM, self.other
+            sensor.intprm[0:3] = [_FOUND | _FORCE, _NETFORCE, 1] if self.force else [_FOUND, 0, 1]
 
 
 def available_groups(robot: RobotSpec) -> frozenset[SensorGroup]:
@@ -84,59 +91,50 @@ def plan_sensors(
         body_geoms: The robot's colliding geoms other than those of its feet.
         groups: Wanted groups; those the robot cannot provide have been rejected before.
     """
-    plans = [*_base(robot.base), _touch("robot_ball", 0, mujoco.mjtObj.mjOBJ_XBODY, ROBOT + root, "ball")]
+    plans = [*_base(robot.base), _touch("robot_ball", 0, (_Obj.mjOBJ_XBODY, ROBOT + root), "ball")]
     if "body_floor" in groups:
-        geom = mujoco.mjtObj.mjOBJ_GEOM
-        plans += [_touch("body_floor", i, geom, ROBOT + name, "floor") for i, name in enumerate(body_geoms)]
-    if robot.feet:
-        plans += _feet({side: getattr(robot.feet, side) for side in SIDES}, groups)
+        geoms = [(_Obj.mjOBJ_GEOM, ROBOT + name) for name in body_geoms]
+        plans += [_touch("body_floor", part, geom, "floor") for part, geom in enumerate(geoms)]
+    plans += _feet(robot, groups)
     # Frames first, contacts after them: each kind is one slice of sensordata.
     return sorted(plans, key=lambda plan: plan.is_contact)
 
 
 def _base(body: str) -> list[SensorPlan]:
     kinds = (
-        ("base_pos", 0, mujoco.mjtSensor.mjSENS_FRAMEPOS),
+        ("base_pos", 0, _Sensor.mjSENS_FRAMEPOS),
         # The three axes are the rotation matrix, which a quaternion would first have to be turned into.
-        ("base_axes", 0, mujoco.mjtSensor.mjSENS_FRAMEXAXIS),
-        ("base_axes", 1, mujoco.mjtSensor.mjSENS_FRAMEYAXIS),
-        ("base_axes", 2, mujoco.mjtSensor.mjSENS_FRAMEZAXIS),
-        ("base_linvel", 0, mujoco.mjtSensor.mjSENS_FRAMELINVEL),
-        ("base_angvel", 0, mujoco.mjtSensor.mjSENS_FRAMEANGVEL),
+        ("base_axes", 0, _Sensor.mjSENS_FRAMEXAXIS),
+        ("base_axes", 1, _Sensor.mjSENS_FRAMEYAXIS),
+        ("base_axes", 2, _Sensor.mjSENS_FRAMEZAXIS),
+        ("base_linvel", 0, _Sensor.mjSENS_FRAMELINVEL),
+        ("base_angvel", 0, _Sensor.mjSENS_FRAMEANGVEL),
     )
-    frame = mujoco.mjtObj.mjOBJ_XBODY
-    return [SensorPlan(name, part, kind, frame, ROBOT + body) for name, part, kind in kinds]
+    return [SensorPlan(name, part, kind, _Obj.mjOBJ_XBODY, ROBOT + body) for name, part, kind in kinds]
 
 
-def _feet(feet: Mapping[str, FootSpec], groups: frozenset[SensorGroup]) -> Iterator[SensorPlan]:
+def _feet(robot: RobotSpec, groups: frozenset[SensorGroup]) -> Iterator[SensorPlan]:
     """Left and right side by side: what is read of both feet is then one slice of sensordata."""
-    if "foot_frame" in groups:
-        for what, kind in (
-            ("pos", mujoco.mjtSensor.mjSENS_FRAMEPOS),
-            ("vel", mujoco.mjtSensor.mjSENS_FRAMELINVEL),
-        ):
-            for side in feet:
-                site = ROBOT + sole_site(side)
-                yield SensorPlan(f"{side}_foot_{what}", 0, kind, mujoco.mjtObj.mjOBJ_SITE, site)
+    frames = {"pos": _Sensor.mjSENS_FRAMEPOS, "vel": _Sensor.mjSENS_FRAMELINVEL}
+    for what, kind in frames.items() if "foot_frame" in groups else ():
+        for side, _ in robot_feet(robot):
+            yield SensorPlan(f"{side}_foot_{what}", 0, kind, _Obj.mjOBJ_SITE, ROBOT + sole_site(side))
     for other in ("ball", "floor"):
-        if f"foot_{other}" not in groups:
-            continue
-        for side, foot in feet.items():
-            for part, (objtype, name) in enumerate(_foot_objects(foot)):
-                yield _touch(f"{side}_foot_{other}", part, objtype, name, other, force=other == "floor")
+        for side, foot in robot_feet(robot) if f"foot_{other}" in groups else ():
+            geoms = [(_Obj.mjOBJ_GEOM, ROBOT + geom) for geom in foot.geoms]
+            for part, thing in enumerate(geoms or [(_Obj.mjOBJ_BODY, ROBOT + foot.body)]):
+                yield _touch(f"{side}_foot_{other}", part, thing, other, force=other == "floor")
 
 
-def _foot_objects(foot: FootSpec) -> list[tuple[mujoco.mjtObj, str]]:
-    if foot.geoms:
-        return [(mujoco.mjtObj.mjOBJ_GEOM, ROBOT + geom) for geom in foot.geoms]
-    return [(mujoco.mjtObj.mjOBJ_BODY, ROBOT + foot.body)]
+def robot_feet(robot: RobotSpec) -> list[tuple[str, FootSpec]]:
+    """Side and foot, left before right; empty for a robot without feet."""
+    return [(side, getattr(robot.feet, side)) for side in SIDES] if robot.feet else []
 
 
 def _touch(
-    channel: str, part: int, objtype: mujoco.mjtObj, objname: str, other: str, *, force: bool = False
+    channel: str, part: int, thing: tuple[mujoco.mjtObj, str], other: str, *, force: bool = False
 ) -> SensorPlan:
-    contact, geom = mujoco.mjtSensor.mjSENS_CONTACT, mujoco.mjtObj.mjOBJ_GEOM
-    return SensorPlan(channel, part, contact, objtype, objname, geom, other, force)
+    return SensorPlan(channel, part, _Sensor.mjSENS_CONTACT, *thing, other, force)
 
 
 def sole_site(side: str) -> str:

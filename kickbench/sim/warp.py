@@ -1,11 +1,13 @@
-"""The CUDA engine: mujoco_warp over all worlds, its state shared with torch.
+"""The CUDA engine: mujoco_warp over all envs, its state shared with torch.
 
 It runs on warp's CPU device too, slowly: for tests.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import copy
+import dataclasses
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 # pyright: reportAttributeAccessIssue=false
@@ -16,17 +18,18 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from kickbench.sim.batched import EngineLoad
-from kickbench.sim.engine import HUGE, ModelField
-from kickbench.sim.warp_capacity import Capacity, LoadWatch
-from kickbench.sim.warp_latch import ContactLatch
-from kickbench.sim.warp_model import DeviceModel
+from kickbench.errors import KickbenchError
+from kickbench.sim.engine import HUGE, INERTIAL_FIELDS, Engine, EngineLoad, ModelField, frame_size
+from kickbench.sim.warp_contacts import Capacity, ContactLatch, LoadWatch
 
 wp.config.log_level = wp.LOG_WARNING
+_DERIVED = ("body_subtreemass", "body_invweight0", "dof_invweight0", "actuator_acc0")
+"""What MuJoCo derives from masses and inertias, and mujoco_warp keeps for each env."""
+_SPECS = {field.name: field.type for field in dataclasses.fields(mjw.Model)}
 
 
-class WarpEngine:
-    """Steps B worlds with mujoco_warp; implements `physics.engine.Engine` in single precision.
+class WarpEngine(Engine):
+    """Steps B envs with mujoco_warp, in single precision.
 
     All tensors are fixed views of device memory that warp writes, and neither `step`, `reset`, `push` nor `set_model`
     waits for the host or reads a tensor there. They can therefore be recorded in a CUDA graph, once each of them has
@@ -46,7 +49,7 @@ class WarpEngine:
     def __init__(
         self,
         model: mujoco.MjModel,
-        num_worlds: int,
+        num_envs: int,
         decimation: int,
         capacity: Capacity,
         contact_forces: Sequence[int] = (),
@@ -54,11 +57,11 @@ class WarpEngine:
         device: str | torch.device = "cuda",
         deterministic: bool = False,
     ) -> None:
-        """Allocates the worlds in the model's reference pose.
+        """Allocates the envs in the model's reference pose.
 
         Args:
             model: Compiled model.
-            num_worlds: Number of worlds B.
+            num_envs: Number of envs B.
             decimation: Physics substeps per control step.
             capacity: Room for contacts and constraints.
             contact_forces: Places of contact sensors in sensordata that are averaged over the substeps; the others
@@ -69,39 +72,34 @@ class WarpEngine:
                 has no influence, at a good part of the speed.
         """
         self.model = model
-        self.num_worlds, self.decimation = num_worlds, decimation
+        self.num_envs, self.decimation = num_envs, decimation
         self.device = _with_number(torch.device(device))
         self._pushed, self._streams = pushed_body, {}
         with self._on_stream():
-            self._model = DeviceModel(model, num_worlds)
+            self._model = DeviceModel(model, num_envs)
             if deterministic:
                 for view in (self._model.substep, self._model.frames):
                     view.opt.deterministic = int(mjw.DeterminismType.ALL)
-            self._data = mjw.make_data(
-                model, num_worlds, nconmax=capacity.contacts, njmax=capacity.constraints
-            )
-            self._latch = ContactLatch(model, num_worlds, decimation, contact_forces)
-            self._watch = LoadWatch(capacity, num_worlds)
+            self._data = mjw.make_data(model, num_envs, nconmax=capacity.contacts, njmax=capacity.constraints)
+            self._latch = ContactLatch(model, num_envs, decimation, contact_forces)
+            self._watch = LoadWatch(capacity, num_envs)
             self._allocate()
-        everywhere = torch.ones(num_worlds, dtype=torch.bool, device=self.device)
+        everywhere = torch.ones(num_envs, dtype=torch.bool, device=self.device)
         self.reset(everywhere, self.qpos.clone(), torch.zeros_like(self.qvel))
 
     def _allocate(self) -> None:
-        model, data, worlds = self.model, self._data, self.num_worlds
+        model, data, envs = self.model, self._data, self.num_envs
         self.qpos, self.qvel = wp.to_torch(data.qpos), wp.to_torch(data.qvel)
         self._act, self._warm = wp.to_torch(data.act), wp.to_torch(data.qacc_warmstart)
         self._sensed = wp.to_torch(data.sensordata)
         self._force = wp.to_torch(data.xfrc_applied)[:, self._pushed or 0, :3]
-        controls = wp.zeros((self.decimation, worlds, model.nu), dtype=wp.float32)
+        controls = wp.zeros((self.decimation, envs, model.nu), dtype=wp.float32)
         self._controls = wp.to_torch(controls)
         self._control_of = [controls[substep] for substep in range(self.decimation)]
-        self._sensor_array = wp.zeros((worlds, model.nsensordata), dtype=wp.float32)
+        self._sensor_array = wp.zeros((envs, model.nsensordata), dtype=wp.float32)
         self.sensors = wp.to_torch(self._sensor_array)
-        self.failed = torch.zeros(worlds, dtype=torch.bool, device=self.device)
-        contact = model.sensor_type == mujoco.mjtSensor.mjSENS_CONTACT
-        self._frames = slice(0, int(model.sensor_dim[~contact].sum()))
-        if (model.sensor_adr[contact] < self._frames.stop).any():
-            raise ValueError("the model's frame sensors must come before its contact sensors")
+        self.failed = torch.zeros(envs, dtype=torch.bool, device=self.device)
+        self._frames = slice(0, frame_size(model))
 
     @contextmanager
     def _on_stream(self) -> Iterator[wp.Stream | None]:
@@ -123,15 +121,12 @@ class WarpEngine:
         return self._streams[present.cuda_stream]
 
     @contextmanager
-    def capturing(self, mode: wp.CaptureMode = wp.CaptureMode.THREAD_LOCAL) -> Iterator[None]:
-        """Tells warp that torch is recording a CUDA graph on its present stream; nothing on the CPU.
-
-        Args:
-            mode: The `capture_error_mode` that torch records with.
-        """
+    def capturing(self) -> Iterator[None]:
+        """See `Engine.capturing`; torch records with the `capture_error_mode` "thread_local"."""
         if self.device.type == "cpu":
             yield
             return
+        mode = wp.CaptureMode.THREAD_LOCAL
         with wp.ScopedCapture(stream=self.stream, external=True, capture_mode=mode):
             yield
 
@@ -173,7 +168,7 @@ class WarpEngine:
             array.masked_fill_(rows, 0.0)
         self.failed.logical_and_(~mask)
         with self._on_stream():
-            # In the other worlds this gives what is there already.
+            # In the other envs this gives what is there already.
             self._sense_frames()
 
     def push(self, force: Tensor) -> None:
@@ -182,37 +177,17 @@ class WarpEngine:
         self._force.copy_(force)
 
     def set_model(self, mask: Tensor, fields: Sequence[ModelField]) -> None:
-        """See `Engine.set_model`.
-
-        Raises:
-            KickbenchError: mujoco_warp shares a field among all worlds.
-        """
+        """See `Engine.set_model`."""
         with self._on_stream():
             self._model.set(mask, fields, self._data)
 
     def take_load(self) -> EngineLoad:
         """See `Engine.take_load`."""
         with self._on_stream():
-            load = self._watch.take()
-        self._watch.check(load)
-        return load
+            return self._watch.take()
 
-    def state_dict(self) -> dict[str, Tensor]:
-        """See `Engine.state_dict`."""
-        return {name: tensor.clone() for name, tensor in self._tensors().items()}
-
-    def load_state_dict(self, state: Mapping[str, Tensor]) -> None:
-        """See `Engine.load_state_dict`."""
-        tensors = self._tensors()
-        expected = {name: tuple(tensor.shape) for name, tensor in tensors.items()}
-        found = {name: tuple(values.shape) for name, values in state.items()}
-        if found != expected:
-            raise ValueError(f"WarpEngine: expected {expected}, found {found}")
-        for name, tensor in tensors.items():
-            tensor.copy_(state[name])
-
-    def _tensors(self) -> dict[str, Tensor]:
-        """Everything that the next step depends on, but for the worlds' models."""
+    def live_state(self) -> dict[str, Tensor]:
+        """See `Engine.live_state`."""
         tensors = {name: getattr(self, name) for name in ("qpos", "qvel", "sensors", "failed")}
         push = {} if self._pushed is None else {"push": self._force}
         return {**tensors, "act": self._act, **push}
@@ -220,10 +195,7 @@ class WarpEngine:
     def model_field(self, name: str) -> np.ndarray:
         """See `Engine.model_field`."""
         values = self._model.field(name)
-        return values.expand(self.num_worlds, *values.shape[1:]).cpu().numpy()
-
-    def close(self) -> None:
-        """See `Engine.close`; device memory is freed with the engine itself."""
+        return values.expand(self.num_envs, *values.shape[1:]).cpu().numpy()
 
 
 def _with_number(device: torch.device) -> torch.device:
@@ -231,3 +203,78 @@ def _with_number(device: torch.device) -> torch.device:
     if device.type == "cuda" and device.index is None:
         return torch.device("cuda", torch.cuda.current_device())
     return device
+
+
+class DeviceModel:
+    """One compiled model for B envs: a field becomes an array over the envs when it is first set.
+
+    There are two views of it. `substep` has no sensors: contacts are sensed by `ContactLatch`, and frames are of
+    interest in the final state only. `frames` has the frame sensors alone.
+    """
+
+    def __init__(self, model: mujoco.MjModel, num_envs: int) -> None:
+        """Copies the model to warp's present device.
+
+        Raises:
+            KickbenchError: mujoco_warp lacks a feature of the model.
+        """
+        self._num_envs = num_envs
+        # mujoco_warp never resets an env by itself, and refuses the flag that asks for just that.
+        plain = copy.copy(model)
+        plain.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+        try:
+            self.substep = mjw.put_model(plain)
+        except NotImplementedError as error:
+            raise KickbenchError(
+                f"mujoco_warp cannot simulate this scene: {error}; use --device cpu"
+            ) from error
+        self.substep.opt.warn_overflow = 0  # counted, not printed by every thread
+        self.frames = copy.copy(self.substep)
+        nothing = wp.zeros(0, dtype=wp.int32)
+        for stage in ("pos", "vel", "acc"):
+            setattr(self.frames, f"sensor_contact_{stage}_adr", nothing)
+        flags = int(self.substep.opt.disableflags) | int(mjw.DisableBit.SENSOR)
+        self.substep.opt = dataclasses.replace(self.substep.opt, disableflags=flags)
+        self._varied: dict[str, Tensor] = {}
+
+    def field(self, name: str) -> Tensor:
+        """A field of the model [1 or B, ...]."""
+        return wp.to_torch(getattr(self.substep, name))
+
+    def set(self, mask: Tensor, fields: Sequence[ModelField], scratch: mjw.Data) -> None:
+        """Sets fields in the envs in `mask` [B] bool; see `Engine.set_model`.
+
+        Args:
+            mask: Envs.
+            fields: What to set.
+            scratch: Data of these envs; everything in it but the state may be overwritten.
+
+        Raises:
+            KickbenchError: mujoco_warp shares a field among all envs.
+        """
+        for field in fields:
+            target = self._vary(field.name)
+            if field.column is not None:
+                target = target[..., field.column]
+            values = field.values.to(target.dtype)
+            chosen = mask.view(-1, *[1] * (values.dim() - 1))
+            rows = torch.where(chosen, values, target.index_select(1, field.ids))
+            target.index_copy_(1, field.ids, rows)
+        if any(field.name in INERTIAL_FIELDS for field in fields):
+            for name in _DERIVED:
+                self._vary(name)
+            mjw.set_const(self.substep, scratch, restore=False)
+
+    def _vary(self, name: str) -> Tensor:
+        """A field as an array over the envs [B, ...]; made when it is first asked for."""
+        if name not in self._varied:
+            shape = getattr(_SPECS.get(name), "shape", ())
+            if not shape or shape[0] != "*":
+                raise KickbenchError(f"mujoco_warp has one {name} for all envs; use --device cpu")
+            shared = getattr(self.substep, name)
+            every = np.repeat(shared.numpy()[:1], self._num_envs, axis=0)
+            array = wp.array(every, dtype=shared.dtype)
+            for view in (self.substep, self.frames):
+                setattr(view, name, array)
+            self._varied[name] = wp.to_torch(array)
+        return self._varied[name]

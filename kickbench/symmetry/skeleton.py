@@ -1,7 +1,7 @@
 """What a model is made of, as far as a reflection has to know: bodies, joints, shapes, sites, actuators and sensors.
 
 Everything is given in one frame, that of the model's first body in its reference pose, so that a reflection of space
-acts on it directly. `sim.read_skeleton` reads it from a compiled model; numpy only.
+acts on it directly. `sim.read_parts` reads it from a compiled model; numpy only.
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ from kickbench.config.yamlio import Document, load_document
 from kickbench.envs.catalog import model_of_task, task_model
 from kickbench.envs.compile import CompiledTask, compile_task
 from kickbench.errors import Mark, Problem, SpecError, did_you_mean
-from kickbench.sim.agree import check_symmetry
+from kickbench.sim.check import check_symmetry
 from kickbench.trials.experiment import LoadedExperiment, load_experiment
 from kickbench.trials.trial import read_symmetry
 

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
+from kickbench.audit.checks import judge
 from kickbench.audit.model import derive_scene
-from kickbench.audit.record import Recording, record
+from kickbench.audit.record import Recording, record, reflection_of
 from kickbench.audit.report import Row
-from kickbench.audit.run import judge, reflection_of
 from kickbench.symmetry.derive import Derivation
 from kickbench.symmetry.mirror import Image
 from kickbench.trials.trial import Symmetry, Trial, load_trial

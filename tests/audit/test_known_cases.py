@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 import torch
 
+from kickbench.audit.checks import judge
 from kickbench.audit.model import derive_scene, model_rows
-from kickbench.audit.record import record
+from kickbench.audit.record import record, reflection_of
 from kickbench.audit.report import Report
-from kickbench.audit.run import judge, reflection_of
 from kickbench.cli import main
 from kickbench.config.load import load
 from kickbench.config.representation import RepresentationSpec
@@ -238,7 +238,7 @@ def test_a_policy_is_measured_and_only_an_equivariant_one_must_be_equivariant(me
 
 
 def test_a_broken_equivariant_policy_fails(mini):
-    from kickbench.audit.policy import policy_rows
+    from kickbench.audit.checks import policy_rows
     from kickbench.training.trained import load_run
 
     loaded = load_run(RUNS / "equivariant/seed0")
@@ -252,7 +252,7 @@ def test_a_broken_equivariant_policy_fails(mini):
 
 
 def test_the_value_is_measured_where_there_is_a_critic(mini):
-    from kickbench.audit.policy import policy_rows
+    from kickbench.audit.checks import policy_rows
     from kickbench.nets.build import build_critic
     from kickbench.training.trained import load_run
 
@@ -264,7 +264,7 @@ def test_the_value_is_measured_where_there_is_a_critic(mini):
 
 
 def test_a_policy_of_another_robot_is_refused(k1):
-    from kickbench.audit.policy import check_run
+    from kickbench.audit.run import check_run
     from kickbench.training.trained import load_run
 
     run = load_run(RUNS / "baseline/seed0").trial

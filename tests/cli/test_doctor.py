@@ -29,7 +29,7 @@ def printed(monkeypatch, capsys):
 @pytest.fixture
 def gpu(monkeypatch):
     """A machine with a GPU that works, as far as `doctor` looks."""
-    monkeypatch.setattr("kickbench.sim.devices.check_device", lambda name: None)
+    monkeypatch.setattr("kickbench.sim.engine.check_device", lambda name: None)
     monkeypatch.setattr("kickbench.envs.graph.graph_obstacle", lambda device: None)
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
     monkeypatch.setattr(torch.cuda, "device_count", lambda: 1)
@@ -59,7 +59,7 @@ def test_without_cuda_the_cpu_is_ready(printed, monkeypatch):
     def refuse(name: str) -> None:
         raise KickbenchError(f"--device {name}: torch 2.9.0 is built without CUDA; use --device cpu")
 
-    monkeypatch.setattr("kickbench.sim.devices.check_device", refuse)
+    monkeypatch.setattr("kickbench.sim.engine.check_device", refuse)
     code, rows, verdict = printed()
     assert (code, verdict) == (
         0,

@@ -55,14 +55,14 @@ def k1(*overrides: str) -> Trial:
 class Drift:
     """An engine of made-up dynamics in a few operations of torch: the same bits every time, on every kind of run."""
 
-    def __init__(self, task: CompiledTask, num_worlds: int, device: str) -> None:
+    def __init__(self, task: CompiledTask, num_envs: int, device: str) -> None:
         model = task.scene.model
-        self.num_worlds, self.device, self._nu = num_worlds, torch.device(device), model.nu
+        self.num_envs, self.device, self._nu = num_envs, torch.device(device), model.nu
         self.qpos, self.qvel, self.sensors, self._force, self._gain = (
-            torch.zeros(num_worlds, width, device=self.device)
+            torch.zeros(num_envs, width, device=self.device)
             for width in (model.nq, model.nv, model.nsensordata, 3, 1)
         )
-        self.failed = torch.zeros(num_worlds, dtype=torch.bool, device=self.device)
+        self.failed = torch.zeros(num_envs, dtype=torch.bool, device=self.device)
         self._phase = torch.arange(model.nsensordata, device=self.device)
 
     def step(self, targets: Tensor) -> None:

@@ -6,23 +6,31 @@ import mujoco
 import numpy as np
 import pytest
 
-from kickbench.sim.frames import FrameSensing
+from kickbench.sim.frames import FrameModel, FrameSensing
 
+# Every kind of joint, joints with a reference, two on one body, a frame on a site, and branches nobody senses.
 XML = """
 <mujoco>
   <worldbody>
     <body name="unsensed" pos="0 5 0"><freejoint/><geom size=".1"/></body>
     <body name="base" pos="0.1 0 1" quat="0.9 0.1 0.3 0.2"><freejoint/><geom size=".1"/>
-      <body name="thigh" pos="0 -0.2 -0.1" euler="10 20 30"><joint axis="0 1 0" pos="0 0 0.02"/><geom size=".05"/>
-        <site name="sole" pos="0.02 0 -0.2" quat="0.5 0.5 0.5 0.5"/>
+      <body name="arm" pos="0 0.3 0"><joint type="ball" pos="0 0.1 0"/><geom size=".05"/></body>
+      <body name="thigh" pos="0 -0.2 -0.1" euler="10 20 30"><geom size=".05"/>
+        <joint axis="0 1 0" ref="20" pos="0 0 0.02"/><joint axis="1 0 0"/>
+        <body name="shank" pos="0 0 -0.3"><joint type="slide" axis="0 0 1" ref="0.1"/><geom size=".05"/>
+          <site name="sole" pos="0.02 0 -0.2" quat="0.5 0.5 0.5 0.5"/>
+        </body>
       </body>
+      <body name="head" pos="0 0 0.3"><joint axis="0 0 1"/><geom size=".05"/></body>
     </body>
   </worldbody>
   <sensor>
     <framepos objtype="xbody" objname="base"/>
-    <frameangvel objtype="xbody" objname="base"/>
     <framexaxis objtype="site" objname="sole"/>
     <framelinvel objtype="site" objname="sole"/>
+    <frameangvel objtype="xbody" objname="shank"/>
+    <framequat objtype="xbody" objname="arm"/>
+    <framelinvel objtype="xbody" objname="base"/>
     <contact body1="base" num="1" data="found"/>
   </sensor>
 </mujoco>
@@ -84,6 +92,19 @@ def test_a_world_of_bad_numbers_does_not_disturb_others(sensing, worlds, place):
     found = sensing(1)(states)
     assert np.isnan(found[place]).any()
     np.testing.assert_allclose(np.delete(found, place, axis=0), expected, atol=1e-12)
+
+
+def test_contacts_and_branches_that_nobody_senses_are_left_out(model):
+    frames = FrameModel(model, 1).model
+    assert frames.nsensordata == model.nsensordata - 1
+    assert frames.ngeom == 0
+    assert frames.nbody - 1 == len({"base", "arm", "thigh", "shank"})
+
+
+def test_a_model_without_sensors_has_an_empty_frame_model():
+    frames = FrameModel(mujoco.MjModel.from_xml_string("<mujoco/>"), 4)
+    assert frames.model.nq == 0
+    assert len(frames.qpos) == len(frames.qvel) == 0
 
 
 def test_frame_sensors_must_come_first():

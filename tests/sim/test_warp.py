@@ -23,8 +23,7 @@ from kickbench.envs.state import EpisodeState, State, StateIndex
 from kickbench.errors import KickbenchError
 from kickbench.sim.cpu import CpuEngine
 from kickbench.sim.engine import ModelField
-from kickbench.sim.warp import WarpEngine
-from kickbench.sim.warp_model import DeviceModel
+from kickbench.sim.warp import DeviceModel, WarpEngine
 from kickbench.symmetry.torch_ops import Mirror
 
 pytestmark = pytest.mark.slow  # kernels are compiled the first time
@@ -358,7 +357,7 @@ def test_a_field_is_set_in_the_masked_worlds_and_given_rows_only():
     expected = np.stack([compiled.geom_friction] * WORLDS)
     expected[:3, ids.numpy(), 0] = friction[:3]
     np.testing.assert_allclose(engine.model_field("geom_friction"), expected, rtol=1e-6)
-    with pytest.raises(KickbenchError, match="one geom_condim for all worlds"):
+    with pytest.raises(KickbenchError, match="one geom_condim for all envs"):
         engine.set_model(mask, [ModelField("geom_condim", ids, friction)])
 
 

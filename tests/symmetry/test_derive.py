@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from kickbench.config.load import load
 from kickbench.config.robot import JointSymmetrySpec, RobotSpec
-from kickbench.sim.read_skeleton import compile_skeleton, read_skeleton
+from kickbench.sim.read_parts import compile_parts, read_parts
 from kickbench.symmetry.derive import Derivation, derive, symmetry_block
 
 ROOT = Path(__file__).parents[2]
@@ -22,7 +22,7 @@ SHIPPED = ("booster_k1/robot", "booster_k1/asymmetric", "mini_kicker/robot")
 
 
 def derived(xml: str, plane="xz") -> Derivation:
-    return derive(read_skeleton(mujoco.MjModel.from_xml_string(xml)), plane)
+    return derive(read_parts(mujoco.MjModel.from_xml_string(xml)), plane)
 
 
 def table(matches) -> dict[str, tuple[str | None, int]]:
@@ -36,7 +36,7 @@ def reasons(matches) -> dict[str, str]:
 @pytest.mark.parametrize("name", SHIPPED)
 def test_the_geometry_gives_the_declared_table_of_every_shipped_robot(name):
     robot = load(RobotSpec, ROOT / f"assets/{name}.yaml").spec
-    found = derive(compile_skeleton(robot.model))
+    found = derive(compile_parts(robot.model))
     assert found.image == robot.symmetry.image()
     assert not found.unclear
     for group in (found.bodies, found.shapes):
@@ -47,7 +47,7 @@ def test_the_geometry_gives_the_declared_table_of_every_shipped_robot(name):
 @pytest.mark.parametrize("name", SHIPPED)
 def test_the_printed_block_is_the_robot_files_own(name):
     robot = load(RobotSpec, ROOT / f"assets/{name}.yaml").spec
-    block = symmetry_block(derive(compile_skeleton(robot.model)), "robot.xml")
+    block = symmetry_block(derive(compile_parts(robot.model)), "robot.xml")
     spec = JointSymmetrySpec.model_validate(yaml.safe_load(block)["symmetry"])
     assert {frozenset(spec.trivial), frozenset(spec.sign)} == {
         frozenset(robot.symmetry.trivial),
@@ -61,7 +61,7 @@ def test_the_printed_block_is_the_robot_files_own(name):
 
 @pytest.fixture(scope="module")
 def quadruped() -> Derivation:
-    return derive(compile_skeleton(QUADRUPED))
+    return derive(compile_parts(QUADRUPED))
 
 
 def test_quadruped_joints(quadruped):
@@ -122,7 +122,7 @@ def test_the_derived_map_mirrors_the_motion_of_the_quadruped():
     model = spec.compile()
     # Where convex shapes overlap deeply, as thigh and chest would here, MuJoCo's contacts do not mirror.
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
-    image = derive(read_skeleton(model)).image
+    image = derive(read_parts(model)).image
     assert len(image) == model.njnt - 1
     here, there = mujoco.MjData(model), mujoco.MjData(model)
     generator = np.random.default_rng(0)

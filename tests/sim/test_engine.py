@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from kickbench.errors import KickbenchError
-from kickbench.sim.devices import check_device
+from kickbench.sim.engine import check_device
 
 
 @pytest.fixture

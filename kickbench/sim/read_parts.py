@@ -1,8 +1,9 @@
-"""Reads the skeleton of a compiled model: its parts in the frame of its first body, in the reference pose."""
+"""Reads the parts of a compiled model in the frame of its first body, in the reference pose."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from functools import cached_property
 from pathlib import Path
 
 # pyright: reportAttributeAccessIssue=false
@@ -32,7 +33,7 @@ _JOINT_KINDS: dict[int, JointKind] = {
 _OBJECTS = {
     int(mujoco.mjtObj.mjOBJ_BODY): "body",
     int(mujoco.mjtObj.mjOBJ_XBODY): "body",
-    int(mujoco.mjtObj.mjOBJ_GEOM): "shape",
+    int(mujoco.mjtObj.mjOBJ_GEOM): "geom",
     int(mujoco.mjtObj.mjOBJ_SITE): "site",
     int(mujoco.mjtObj.mjOBJ_JOINT): "joint",
     int(mujoco.mjtObj.mjOBJ_ACTUATOR): "actuator",
@@ -53,10 +54,11 @@ _LOCAL = {
     for name in ["ACCELEROMETER", "VELOCIMETER", "GYRO", "FORCE", "TORQUE", "MAGNETOMETER"]
 }
 """Sensors whose vector is in the frame of their site."""
+_UNLIMITED = np.array([-np.inf, np.inf])
 
 
-def read_skeleton(model: mujoco.MjModel, prefix: str = "") -> Skeleton:
-    """Reads a model's skeleton.
+def read_parts(model: mujoco.MjModel, prefix: str = "") -> Skeleton:
+    """Reads a model's parts.
 
     The frame is that of the first body: its own axes if a free joint carries it, else the world's axes through its
     origin. Parts that belong to no body (a floor) are left out.
@@ -68,8 +70,8 @@ def read_skeleton(model: mujoco.MjModel, prefix: str = "") -> Skeleton:
     return _Reader(model, prefix).read()
 
 
-def compile_skeleton(path: str | Path) -> Skeleton:
-    """Reads the skeleton of an MJCF file.
+def compile_parts(path: str | Path) -> Skeleton:
+    """Reads the parts of an MJCF file.
 
     Raises:
         KickbenchError: MuJoCo cannot read or compile the model, or it has no body.
@@ -77,28 +79,24 @@ def compile_skeleton(path: str | Path) -> Skeleton:
     try:
         model = mujoco.MjSpec.from_file(str(path)).compile()
     except ValueError as error:
-        raise KickbenchError(
-            f"{path}: MuJoCo cannot read this model: {' '.join(str(error).split())}"
-        ) from None
-    skeleton = read_skeleton(model)
-    if not skeleton.bodies:
+        reason = " ".join(str(error).split())
+        raise KickbenchError(f"{path}: MuJoCo cannot read this model: {reason}") from None
+    parts = read_parts(model)
+    if not parts.bodies:
         raise KickbenchError(f"{path}: the model has no body")
-    return skeleton
+    return parts
 
 
-@dataclass
 class _Reader:
-    model: mujoco.MjModel
-    prefix: str
-    data: mujoco.MjData = field(init=False)
-
-    def __post_init__(self) -> None:
-        model = self.model
-        self.data = mujoco.MjData(model)
+    def __init__(self, model: mujoco.MjModel, prefix: str) -> None:
+        self.model, self.prefix, self.data = model, prefix, mujoco.MjData(model)
         mujoco.mj_kinematics(model, self.data)
-        named = [(b, model.body(b).name) for b in range(1, model.nbody)]
-        self.bodies = [b for b, name in named if name.startswith(self.prefix)]
+        self.bodies = [b for b in range(1, model.nbody) if model.body(b).name.startswith(prefix)]
         self.index = {b: i for i, b in enumerate(self.bodies)}
+        self.joints, self.geoms, self.sites = (
+            np.flatnonzero(np.isin(owners, self.bodies)).tolist()
+            for owners in (model.jnt_bodyid, model.geom_bodyid, model.site_bodyid)
+        )
         self.origin, self.rotation = np.zeros(3), np.eye(3)
         if self.bodies:
             root = self.bodies[0]
@@ -106,39 +104,35 @@ class _Reader:
             joint = model.body_jntadr[root]
             if joint >= 0 and _JOINT_KINDS[model.jnt_type[joint]] == "free":
                 self.rotation = self.data.xmat[root].reshape(3, 3).copy()
-        places = [self.data.xpos[self.bodies], self.data.xipos[self.bodies]]
-        geoms = [g for g in range(model.ngeom) if model.geom_bodyid[g] in self.index]
-        places.append(self.data.geom_xpos[geoms])
-        distances = [np.linalg.norm(p - self.origin, axis=1).max(initial=0.0) for p in places]
-        self.size = float(max(distances, default=0.0)) or 1.0
 
     def read(self) -> Skeleton:
-        model = self.model
-        of_robot = self.index
-        joints = [j for j in range(model.njnt) if model.jnt_bodyid[j] in of_robot]
-        geoms = [g for g in range(model.ngeom) if model.geom_bodyid[g] in of_robot]
-        sites = [s for s in range(model.nsite) if model.site_bodyid[s] in of_robot]
         return Skeleton(
             size=self.size,
-            bodies=tuple(self._body(b) for b in self.bodies),
-            joints=tuple(self._joint(j) for j in joints),
-            shapes=tuple(self._shape(g) for g in geoms),
-            sites=tuple(self._site(s) for s in sites),
-            actuators=tuple(self._actuator(a) for a in range(model.nu)),
-            sensors=tuple(self._sensor(s) for s in range(model.nsensor)),
+            bodies=tuple(map(self._body, self.bodies)),
+            joints=tuple(map(self._joint, self.joints)),
+            shapes=tuple(map(self._shape, self.geoms)),
+            sites=tuple(map(self._site, self.sites)),
+            actuators=tuple(map(self._actuator, range(self.model.nu))),
+            sensors=tuple(map(self._sensor, range(self.model.nsensor))),
             exclusions=frozenset(self._exclusions()),
             left_out=tuple(self._left_out()),
         )
+
+    @cached_property
+    def size(self) -> float:
+        """Largest distance of a part from the origin, m."""
+        data = self.data
+        places = [data.xpos[self.bodies], data.xipos[self.bodies], data.geom_xpos[self.geoms]]
+        return float(np.linalg.norm(np.concatenate(places) - self.origin, axis=1).max(initial=0.0)) or 1.0
+
+    # Names, and what is given in the world's frame in the frame of the first body
 
     def _name(self, kind: str, index: int) -> str:
         name = getattr(self.model, kind)(index).name
         return name.removeprefix(self.prefix) or f"{kind} {index}"
 
-    def _vector(self, vector: np.ndarray) -> np.ndarray:
-        return self.rotation.T @ vector
-
-    def _point(self, place: np.ndarray) -> np.ndarray:
-        return self._vector(place - self.origin)
+    def _place(self, point: np.ndarray, name: str = "place") -> Quantity:
+        return Quantity(name, self.rotation.T @ (point - self.origin), "point", "m", self.size)
 
     def _frame(self, matrix: np.ndarray) -> np.ndarray:
         return self.rotation.T @ matrix.reshape(3, 3)
@@ -147,13 +141,15 @@ class _Reader:
         frame = self._frame(matrix)
         return frame @ np.diag(principal) @ frame.T
 
+    # The parts
+
     def _body(self, b: int) -> Body:
         model, data = self.model, self.data
         inertia = self._spread(data.ximat[b], model.body_inertia[b])
         quantities = (
-            Quantity("place", self._point(data.xpos[b]), "point", "m", self.size),
+            self._place(data.xpos[b]),
             Quantity("mass", model.body_mass[b], "scalar", "kg"),
-            Quantity("centre of mass", self._point(data.xipos[b]), "point", "m", self.size),
+            self._place(data.xipos[b], "centre of mass"),
             Quantity("inertia", inertia, "tensor", "kg m^2"),
             Quantity("gravity compensation", model.body_gravcomp[b], "scalar"),
         )
@@ -162,18 +158,16 @@ class _Reader:
 
     def _joint(self, j: int) -> Joint:
         model, data = self.model, self.data
-        kind = _JOINT_KINDS[model.jnt_type[j]]
-        body, dof, place = self.index[model.jnt_bodyid[j]], model.jnt_dofadr[j], model.jnt_qposadr[j]
+        kind, name, body = _JOINT_KINDS[model.jnt_type[j]], self._name("joint", j), model.jnt_bodyid[j]
         if kind in ("free", "ball"):
-            return Joint(self._name("joint", j), body, (), kind)
+            return Joint(name, self.index[body], (), kind)
         law, angle = ("axial", "rad") if kind == "hinge" else ("polar", "m")
-        limits = model.jnt_range[j] if model.jnt_limited[j] else np.array([-np.inf, np.inf])
-        effort = np.array([-np.inf, np.inf])
-        if model.jnt_actfrclimited[j]:
-            effort = model.jnt_actfrcrange[j]
+        dof, place = model.jnt_dofadr[j], model.jnt_qposadr[j]
+        limits = model.jnt_range[j] if model.jnt_limited[j] else _UNLIMITED
+        effort = model.jnt_actfrcrange[j] if model.jnt_actfrclimited[j] else _UNLIMITED
         quantities = (
-            Quantity("axis", self._vector(data.xaxis[j]), law, "", 1.0),
-            Quantity("anchor", self._point(data.xanchor[j]), "point", "m", self.size),
+            Quantity("axis", self.rotation.T @ data.xaxis[j], law, "", 1.0),
+            self._place(data.xanchor[j], "anchor"),
             Quantity("range", limits, "range", angle),
             Quantity("reference", model.qpos0[place], "signed", angle, 1.0),
             Quantity("spring reference", model.qpos_spring[place], "signed", angle, 1.0),
@@ -185,16 +179,13 @@ class _Reader:
             Quantity("limit solref", model.jnt_solref[j], "scalar"),
             Quantity("limit solimp", model.jnt_solimp[j], "scalar"),
         )
-        return Joint(self._name("joint", j), body, quantities, kind)
+        return Joint(name, self.index[body], quantities, kind)
 
     def _shape(self, g: int) -> Shape:
-        model, data = self.model, self.data
+        model = self.model
         kind = mujoco.mjtGeom(int(model.geom_type[g])).name.removeprefix("mjGEOM_").lower()
-        place, extent = self._point(data.geom_xpos[g]), self._extent(g, kind)
-        quantities = [
-            Quantity("place", place, "point", "m", self.size),
-            Quantity("extent", extent, "tensor", "m^2"),
-        ]
+        extent = Quantity("extent", self._extent(g, kind), "tensor", "m^2")
+        quantities = [self._place(self.data.geom_xpos[g]), extent]
         touches = bool(model.geom_contype[g] or model.geom_conaffinity[g])
         if touches:
             names = ["friction", "solref", "solimp", "margin", "gap"]
@@ -218,29 +209,28 @@ class _Reader:
         return self._spread(matrix, np.square(sizes))
 
     def _site(self, s: int) -> Site:
-        place = Quantity("place", self._point(self.data.site_xpos[s]), "point", "m", self.size)
-        return Site(self._name("site", s), self.index[self.model.site_bodyid[s]], (place,))
+        body = self.index[self.model.site_bodyid[s]]
+        return Site(self._name("site", s), body, (self._place(self.data.site_xpos[s]),))
 
     def _actuator(self, a: int) -> Actuator:
         model = self.model
         target, gear = int(model.actuator_trnid[a, 0]), model.actuator_gear[a]
         name, transmission = self._name("actuator", a), int(model.actuator_trntype[a])
         if transmission == mujoco.mjtTrn.mjTRN_JOINT:
-            kind, what, wrench = "joint", self._name("joint", target), (float(gear[0]),)
-            body = self.index.get(model.jnt_bodyid[target], -1)
+            kind, body, wrench = "joint", model.jnt_bodyid[target], gear[:1]
         elif transmission == mujoco.mjtTrn.mjTRN_SITE and model.actuator_trnid[a, 1] < 0:
             frame = self._frame(self.data.site_xmat[target])
-            kind, what = "site", self._name("site", target)
-            wrench = (*(frame @ gear[:3]), *(frame @ gear[3:]))
-            body = self.index.get(model.site_bodyid[target], -1)
+            kind, body = "site", model.site_bodyid[target]
+            wrench = np.concatenate([frame @ gear[:3], frame @ gear[3:]])
         else:
-            kind, what, wrench, body = "another transmission", "", (), -1
-        return Actuator(name, body, self._servo(a), kind, what, tuple(map(float, wrench)))
+            return Actuator(name, -1, self._servo(a), "another transmission", "", ())
+        what = self._name(kind, target)
+        return Actuator(name, self.index.get(body, -1), self._servo(a), kind, what, tuple(wrench.tolist()))
 
     def _servo(self, a: int) -> tuple[Quantity, ...]:
-        model, unlimited = self.model, np.array([-np.inf, np.inf])
-        force = model.actuator_forcerange[a] if model.actuator_forcelimited[a] else unlimited
-        control = model.actuator_ctrlrange[a] if model.actuator_ctrllimited[a] else unlimited
+        model = self.model
+        force = model.actuator_forcerange[a] if model.actuator_forcelimited[a] else _UNLIMITED
+        control = model.actuator_ctrlrange[a] if model.actuator_ctrllimited[a] else _UNLIMITED
         bias = model.actuator_biasprm[a]
         return (
             Quantity("gain", model.actuator_gainprm[a], "scalar"),
@@ -253,42 +243,35 @@ class _Reader:
         )
 
     def _sensor(self, s: int) -> Sensor:
-        model = self.model
-        kind, objects = int(model.sensor_type[s]), []
-        for types, ids in (
-            (model.sensor_objtype, model.sensor_objid),
-            (model.sensor_reftype, model.sensor_refid),
-        ):
-            if ids[s] >= 0 and int(types[s]) in _OBJECTS:
-                what = _OBJECTS[int(types[s])]
-                objects.append((what, self._name({"shape": "geom"}.get(what, what), int(ids[s]))))
-        name = mujoco.mjtSensor(kind).name.removeprefix("mjSENS_").lower()
-        return Sensor(
-            self._name("sensor", s),
-            -1,
-            (),
-            name,
-            _LAW_OF.get(kind),
-            tuple(objects),
-            self._sensor_frame(s, kind),
+        model, kind = self.model, int(self.model.sensor_type[s])
+        ends = (
+            (_OBJECTS.get(int(model.sensor_objtype[s]), ""), int(model.sensor_objid[s])),
+            (_OBJECTS.get(int(model.sensor_reftype[s]), ""), int(model.sensor_refid[s])),
         )
+        objects = tuple(
+            ("shape" if what == "geom" else what, self._name(what, thing))
+            for what, thing in ends
+            if what and thing >= 0
+        )
+        name = mujoco.mjtSensor(kind).name.removeprefix("mjSENS_").lower()
+        frame = self._sensor_frame(kind, ends)
+        return Sensor(self._name("sensor", s), -1, (), name, _LAW_OF.get(kind), objects, frame)
 
-    def _sensor_frame(self, s: int, kind: int) -> np.ndarray:
-        model, data = self.model, self.data
+    def _sensor_frame(self, kind: int, ends: tuple[tuple[str, int], tuple[str, int]]) -> np.ndarray:
+        """Axes of a sensor's vector: those of its site, of what it is relative to, or the world's."""
+        (_, site), (reference, thing) = ends
         if kind in _LOCAL:
-            return self._frame(data.site_xmat[model.sensor_objid[s]])
-        reference = int(model.sensor_reftype[s]), int(model.sensor_refid[s])
-        frames = {"body": data.xmat, "shape": data.geom_xmat, "site": data.site_xmat}
-        what = _OBJECTS.get(reference[0], "")
-        if reference[1] >= 0 and what in frames:
-            return self._frame(frames[what][reference[1]])
+            return self._frame(self.data.site_xmat[site])
+        frames = {"body": self.data.xmat, "geom": self.data.geom_xmat, "site": self.data.site_xmat}
+        if thing >= 0 and reference in frames:
+            return self._frame(frames[reference][thing])
         return self.rotation.T
 
-    def _exclusions(self) -> list[frozenset[str]]:
-        pairs = [(int(sign) >> 16, int(sign) & 0xFFFF) for sign in self.model.exclude_signature]
-        return [
-            frozenset(self._name("body", b) for b in pair) for pair in pairs if set(pair) & set(self.index)
-        ]
+    def _exclusions(self) -> Iterator[frozenset[str]]:
+        for sign in self.model.exclude_signature.tolist():
+            pair = sign >> 16, sign & 0xFFFF
+            if set(pair) & set(self.index):
+                yield frozenset(self._name("body", body) for body in pair)
 
     def _left_out(self) -> list[str]:
         counts = {

@@ -11,7 +11,7 @@ import pytest
 
 from kickbench.config.load import load
 from kickbench.config.robot import RobotSpec
-from kickbench.sim.agree import check_symmetry
+from kickbench.sim.check import check_symmetry
 
 MJCF = """
 <mujoco><compiler angle="radian"/>{settings}
@@ -242,7 +242,7 @@ def test_a_robot_whose_feet_alone_collide_never_touches_the_floor_with_the_rest(
 
 def test_the_compiled_scene_has_the_masses_of_the_robot_by_itself(build):
     """The check of what differs would otherwise be an error; here it sees a difference that is made."""
-    from kickbench.sim.native import differences
+    from kickbench.sim.check import differences
 
     scene = build(mjcf(), robot()).model
     native = mujoco.MjModel.from_xml_string(mjcf())

@@ -9,7 +9,7 @@ import pytest
 pytest.importorskip("mujoco_warp", reason="the gpu extra is not installed")
 
 from kickbench.envs.engines import rehearsal
-from kickbench.sim.warp_capacity import measure_capacity
+from kickbench.sim.warp_contacts import measure_capacity
 
 RESTING = """<mujoco><option cone="elliptic"/><worldbody><geom type="plane" size="0 0 1"/>
   <body pos="0 0 0.0499"><freejoint/><geom type="box" size=".05 .05 .05"/></body></worldbody></mujoco>"""

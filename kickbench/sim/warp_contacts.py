@@ -1,0 +1,333 @@
+"""Contacts on the device: how much room they need, and which sensors count them, latched over the substeps.
+
+mujoco_warp allocates contacts for all envs together and constraint rows for each env; what does not fit is left
+out of the physics. The room is measured, its use is watched, and a run in which it is short too often ends.
+
+mujoco_warp's own contact sensors search all contacts once a sensor and keep up to 64 of them an env and sensor, in
+every substep. Here every contact finds the sensors that count it in a table of geom pairs and adds itself to them:
+one launch a substep, whatever the number of sensors.
+"""
+
+# Kernels read their annotations, so they must not be strings: no `from __future__ import annotations` here.
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+# pyright: reportAttributeAccessIssue=false, reportIndexIssue=false, reportInvalidTypeForm=false
+# pyright: reportOperatorIssue=false, reportAssignmentType=false, reportGeneralTypeIssues=false
+import mujoco
+import numpy as np
+import warp as wp
+from mujoco_warp import Data, OverflowType
+
+from kickbench.errors import KickbenchError
+from kickbench.sim.engine import EngineLoad, frame_size
+
+HEADROOM = 1.5
+"""Room over the measured 95th percentile."""
+_STEP_OF_SIZES = 8
+_SHORT = int(
+    OverflowType.NEFC | OverflowType.NJMAX_NNZ | OverflowType.BROADPHASE | OverflowType.NARROWPHASE
+    | OverflowType.CCD | OverflowType.EPA_HORIZON
+)  # fmt: skip
+"""Overflows that leave something out of the physics."""
+
+
+@dataclass(frozen=True)
+class Capacity:
+    """Room of an engine.
+
+    Attributes:
+        contacts: Contacts an env, on average over the envs, which share them.
+        constraints: Constraint rows of every env.
+        allowed_share: Largest share of the control steps that may run short of either.
+    """
+
+    contacts: int
+    constraints: int
+    allowed_share: float = 1e-3
+
+
+def measure_capacity(
+    model: mujoco.MjModel, qpos: np.ndarray, targets: Sequence[np.ndarray], decimation: int
+) -> Capacity:
+    """Measures with MuJoCo how many contacts and constraints envs have, and adds head-room.
+
+    A size is `HEADROOM` times the 95th percentile over envs and substeps, and no less than the largest value seen.
+
+    Args:
+        model: Compiled model.
+        qpos: Where envs start [N, nq].
+        targets: Control targets of the control steps, each [N, nu].
+        decimation: Substeps of a control step.
+    """
+    data, seen = mujoco.MjData(model), []
+    for world, start in enumerate(qpos):
+        mujoco.mj_resetData(model, data)
+        data.qpos[:] = start
+        for target in targets:
+            data.ctrl[:] = target[world]
+            for _ in range(decimation):
+                mujoco.mj_step(model, data)
+                seen.append((data.ncon, data.nefc))
+    contacts, constraints = (_size(np.array(values)) for values in zip(*seen, strict=True))
+    return Capacity(contacts, constraints)
+
+
+def _size(seen: np.ndarray) -> int:
+    wanted = max(HEADROOM * float(np.quantile(seen, 0.95)), float(seen.max()), 1.0)
+    return _STEP_OF_SIZES * math.ceil(wanted / _STEP_OF_SIZES)
+
+
+@wp.kernel(enable_backward=False)
+def _note(
+    nacon: wp.array(dtype=wp.int32),
+    nefc: wp.array(dtype=wp.int32),
+    most_contacts: wp.array(dtype=wp.int32),
+    most_constraints: wp.array(dtype=wp.int32),
+):
+    world = wp.tid()
+    most_constraints[world] = wp.max(most_constraints[world], nefc[world])
+    if world == 0:
+        most_contacts[0] = wp.max(most_contacts[0], nacon[0])
+
+
+@wp.kernel(enable_backward=False)
+def _count(
+    bits: int,
+    overflow: wp.array(dtype=wp.int32),
+    short_steps: wp.array(dtype=wp.int32),
+    steps: wp.array(dtype=wp.int32),
+):
+    world = wp.tid()
+    if overflow[world] & bits:
+        short_steps[world] += 1
+    overflow[world] = 0
+    if world == 0:
+        steps[0] += 1
+
+
+class LoadWatch:
+    """Watches on the device how much room the envs use; the host looks at it once in a while."""
+
+    def __init__(self, capacity: Capacity, num_envs: int) -> None:
+        """Allocates the counters on warp's present device."""
+        self.capacity = capacity
+        self._num_envs = num_envs
+        self._contacts, self._steps = wp.zeros(1, dtype=wp.int32), wp.zeros(1, dtype=wp.int32)
+        self._constraints = wp.zeros(num_envs, dtype=wp.int32)
+        self._short_steps = wp.zeros(num_envs, dtype=wp.int32)
+
+    def note(self, data: Data) -> None:
+        """Notes what a substep has used."""
+        wp.launch(
+            _note,
+            dim=self._num_envs,
+            inputs=[data.nacon, data.nefc],
+            outputs=[self._contacts, self._constraints],
+        )
+
+    def count(self, data: Data) -> None:
+        """Counts the envs that ran short in a control step, and clears mujoco_warp's overflow bits."""
+        wp.launch(
+            _count,
+            dim=self._num_envs,
+            inputs=[_SHORT],
+            outputs=[data.overflow, self._short_steps, self._steps],
+        )
+
+    def take(self) -> EngineLoad:
+        """What has been seen since the last call; waits for the device.
+
+        Raises:
+            KickbenchError: Too often something did not fit; with the figure to raise.
+        """
+        load = EngineLoad(
+            contacts=float(self._contacts.numpy()[0]) / self._num_envs,
+            constraints=int(self._constraints.numpy().max()),
+            contact_room=self.capacity.contacts,
+            constraint_room=self.capacity.constraints,
+            short_share=float(self._short_steps.numpy().mean() / max(self._steps.numpy()[0], 1)),
+        )
+        for counter in (self._contacts, self._constraints, self._steps, self._short_steps):
+            counter.zero_()
+        allowed = self.capacity.allowed_share
+        if load.short_share > allowed:
+            raise KickbenchError(
+                f"in {load.short_share:.2%} of the control steps an env ran out of room for contacts or constraints, "
+                f"which were left out of its physics ({allowed:.2%} are allowed): {_advice(load)}"
+            )
+        return load
+
+
+def _advice(load: EngineLoad) -> str:
+    use = {
+        "max_contacts": (load.contact_room, math.ceil(load.contacts)),
+        "max_constraints": (load.constraint_room, load.constraints),
+    }
+    raised = [
+        f"{name} from {room} to {_size(np.array([needed]))}"
+        for name, (room, needed) in use.items()
+        if needed > room
+    ]
+    return (
+        f"raise {' and '.join(raised)}" if raised else "collisions need more than mujoco_warp's own buffers"
+    )
+
+
+@wp.kernel(enable_backward=False)
+def _sense(
+    elliptic: bool,
+    ngeom: int,
+    pair_first: wp.array(dtype=wp.int32),
+    entry_place: wp.array(dtype=wp.int32),
+    entry_sign: wp.array(dtype=wp.float32),
+    entry_force: wp.array(dtype=wp.bool),
+    count: wp.array(dtype=wp.int32),
+    worldid: wp.array(dtype=wp.int32),
+    geom: wp.array(dtype=wp.vec2i),
+    dim: wp.array(dtype=wp.int32),
+    frame: wp.array(dtype=wp.mat33),
+    friction: wp.array(dtype=wp.types.vector(length=5, dtype=wp.float32)),
+    address: wp.array2d(dtype=wp.int32),
+    efc_force: wp.array2d(dtype=wp.float32),
+    sensed: wp.array2d(dtype=wp.float32),
+):
+    """Adds contact `i` to every sensor that counts it: 1 to its count, its force on the second geom to its force."""
+    i = wp.tid()
+    if i >= wp.min(count[0], geom.shape[0]):
+        return
+    world = worldid[i]
+    pair = geom[i][0] * ngeom + geom[i][1]
+    for entry in range(pair_first[pair], pair_first[pair + 1]):
+        place = entry_place[entry]
+        wp.atomic_add(sensed, world, place, 1.0)
+        if not entry_force[entry]:
+            continue
+        force = wp.vec3(0.0, 0.0, 0.0)
+        first = address[i, 0]
+        if elliptic:
+            # Rows of a contact: along the normal and the tangents.
+            for k in range(wp.min(dim[i], 3)):
+                row = address[i, k]
+                if row >= 0 and row < efc_force.shape[1]:
+                    force[k] = efc_force[world, row]
+        elif first >= 0 and dim[i] == 1:
+            if first < efc_force.shape[1]:
+                force[0] = efc_force[world, first]
+        elif first >= 0:
+            # Rows are the edges of the pyramid, two a friction direction: normal +- mu tangent.
+            for k in range(dim[i] - 1):
+                row = first + 2 * k
+                if row + 1 < efc_force.shape[1]:
+                    force[0] += efc_force[world, row] + efc_force[world, row + 1]
+                    if k < 2:
+                        force[k + 1] = (efc_force[world, row] - efc_force[world, row + 1]) * friction[i][k]
+        in_world = entry_sign[entry] * (wp.transpose(frame[i]) @ force)
+        for k in range(3):
+            wp.atomic_add(sensed, world, place + 1 + k, in_world[k])
+
+
+@wp.kernel(enable_backward=False)
+def _latch(
+    first: int, is_force: wp.array(dtype=wp.bool), sensed: wp.array3d(dtype=wp.float32),
+    sensors: wp.array2d(dtype=wp.float32),
+):  # fmt: skip
+    """Counts keep their largest value over the substeps, forces their mean."""
+    world, place = wp.tid()
+    largest, total = float(0.0), float(0.0)  # noqa: UP018 (warp: a literal would be a constant)
+    for substep in range(sensed.shape[0]):
+        value = sensed[substep, world, place]
+        largest = wp.max(largest, value)
+        total += value
+    if is_force[place]:
+        sensors[world, first + place] = total / float(sensed.shape[0])
+    else:
+        sensors[world, first + place] = largest
+
+
+class ContactLatch:
+    """Senses the contacts of every substep of a control step and latches them; nothing is allocated on the way."""
+
+    def __init__(
+        self, model: mujoco.MjModel, num_envs: int, decimation: int, contact_forces: Sequence[int]
+    ) -> None:
+        """Makes the table of geom pairs on warp's present device.
+
+        Args:
+            model: Compiled model, its contact sensors after all others: `found`, or `found` and the net `force`, of
+                geoms, bodies and subtrees against a geom.
+            num_envs: Number of envs.
+            decimation: Substeps of a control step.
+            contact_forces: Places in sensordata that are averaged over the substeps.
+        """
+        self._first = frame_size(model)
+        width = model.nsensordata - self._first
+        self._elliptic = model.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC
+        self._ngeom = model.ngeom
+        self._make_table(model)
+        averaged = np.zeros(width, dtype=bool)
+        averaged[np.asarray(contact_forces, dtype=int) - self._first] = True
+        self._is_force = wp.array(averaged, dtype=wp.bool)
+        self._sensed = wp.zeros((decimation, num_envs, max(width, 1)), dtype=wp.float32)
+        self._of_substep = [self._sensed[substep] for substep in range(decimation)]
+        self._shape = (num_envs, width)
+
+    def _make_table(self, model: mujoco.MjModel) -> None:
+        entries = [
+            (pair, model.sensor_adr[sensor] - self._first, sign, model.sensor_dim[sensor] > 1)
+            for sensor in np.flatnonzero(model.sensor_type == mujoco.mjtSensor.mjSENS_CONTACT).tolist()
+            for pair, sign in _pairs(model, sensor)
+        ]
+        entries.sort(key=lambda entry: entry[0])
+        pairs, places, signs, forces = np.array(entries, dtype=np.float64).reshape(-1, 4).T
+        self._pair_first = wp.array(np.searchsorted(pairs, np.arange(model.ngeom**2 + 1)), dtype=wp.int32)
+        self._entry_place = wp.array(places.astype(np.int32), dtype=wp.int32)
+        self._entry_sign = wp.array(signs.astype(np.float32), dtype=wp.float32)
+        self._entry_force = wp.array(forces.astype(bool), dtype=wp.bool)
+
+    def clear(self) -> None:
+        """Forgets the last control step; before its first substep."""
+        self._sensed.zero_()
+
+    def sense(self, data: Data, substep: int) -> None:
+        """Senses the contacts of a substep, after it."""
+        contact = data.contact
+        wp.launch(
+            _sense,
+            dim=data.naconmax,
+            inputs=[
+                self._elliptic, self._ngeom, self._pair_first, self._entry_place, self._entry_sign,
+                self._entry_force, data.nacon, contact.worldid, contact.geom, contact.dim, contact.frame,
+                contact.friction, contact.efc_address, data.efc.force,
+            ],
+            outputs=[self._of_substep[substep]],
+        )  # fmt: skip
+
+    def latch(self, sensors: wp.array) -> None:
+        """Writes the contact sensors of the control step into sensor data [B, ns], after its last substep."""
+        wp.launch(
+            _latch, dim=self._shape, inputs=[self._first, self._is_force, self._sensed], outputs=[sensors]
+        )
+
+
+def _pairs(model: mujoco.MjModel, sensor: int) -> Iterator[tuple[int, float]]:
+    """Pairs geom1 * ngeom + geom2 that a contact sensor counts; -1 where the second geom is its object."""
+    first = _geoms(model, int(model.sensor_objtype[sensor]), int(model.sensor_objid[sensor]))
+    second = _geoms(model, int(model.sensor_reftype[sensor]), int(model.sensor_refid[sensor]))
+    forward = np.outer(first, second)
+    backward = forward.T & ~forward
+    for counted, sign in ((forward, 1.0), (backward, -1.0)):
+        yield from ((int(pair), sign) for pair in np.flatnonzero(counted))
+
+
+def _geoms(model: mujoco.MjModel, kind: int, thing: int) -> np.ndarray:
+    """Whether each geom belongs to an object of a contact sensor [ngeom] bool."""
+    if kind == mujoco.mjtObj.mjOBJ_GEOM:
+        return np.arange(model.ngeom) == thing
+    inside = np.arange(model.nbody) == thing
+    if kind == mujoco.mjtObj.mjOBJ_XBODY:
+        for body in range(thing + 1, model.nbody):
+            inside[body] = inside[model.body_parentid[body]]
+    return inside[model.geom_bodyid]
