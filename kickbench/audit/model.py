@@ -13,8 +13,8 @@ from kickbench.sim.read_skeleton import read_skeleton
 from kickbench.sim.sensors import ROBOT
 from kickbench.symmetry.derive import Derivation, Match, derive
 from kickbench.symmetry.mirror import Image
+from kickbench.symmetry.model_parts import PLANES, Element, Quantity
 from kickbench.symmetry.representation import kind_of_coordinate
-from kickbench.symmetry.skeleton import PLANES, Element, Quantity
 
 _TOLERANCE = 1e-5
 """Relative; model files round to six or seven digits."""
@@ -41,12 +41,12 @@ def model_rows(task: CompiledTask, derivation: Derivation, declared: Image) -> I
     yield from _actuators(task, derivation)
     yield from _sites(derivation)
     yield _exclusions(derivation)
-    for what in derivation.skeleton.left_out:
+    for what in derivation.parts.left_out:
         yield Row("model", what, "not compared", detail="the audit does not know how they mirror")
 
 
 def _bodies(derivation: Derivation) -> Iterator[Row]:
-    skeleton = derivation.skeleton
+    skeleton = derivation.parts
     images = _by_name(derivation.shapes)
     for match, body in zip(derivation.bodies, skeleton.bodies, strict=True):
         if not _stands_for_orbit(match, skeleton.bodies):
@@ -63,7 +63,7 @@ def _bodies(derivation: Derivation) -> Iterator[Row]:
 
 
 def _joints(derivation: Derivation, declared: Image) -> Iterator[Row]:
-    joints = derivation.skeleton.joints
+    joints = derivation.parts.joints
     for match, joint in zip(derivation.joints, joints, strict=True):
         if joint.kind == "free":
             continue
@@ -77,7 +77,7 @@ def _joints(derivation: Derivation, declared: Image) -> Iterator[Row]:
 
 
 def _actuators(task: CompiledTask, derivation: Derivation) -> Iterator[Row]:
-    layout, actuators = task.scene.layout, derivation.skeleton.actuators
+    layout, actuators = task.scene.layout, derivation.parts.actuators
     targets = dict(zip(layout.actuator_names, layout.default_target, strict=True))
     scales = dict(zip(layout.actuator_names, layout.action_scale, strict=True))
     extra = {
@@ -97,15 +97,15 @@ def _actuators(task: CompiledTask, derivation: Derivation) -> Iterator[Row]:
 
 def _sites(derivation: Derivation) -> Iterator[Row]:
     for match in derivation.sites:
-        if match.name.startswith("kickbench_") and _stands_for_orbit(match, derivation.skeleton.sites):
-            site = next(s for s in derivation.skeleton.sites if s.name == match.name)
+        if match.name.startswith("kickbench_") and _stands_for_orbit(match, derivation.parts.sites):
+            site = next(s for s in derivation.parts.sites if s.name == match.name)
             name = f"site {_orbit(match)}".replace("kickbench_", "")
-            yield _row(name, match, _compare(site, match, derivation.skeleton.sites))
+            yield _row(name, match, _compare(site, match, derivation.parts.sites))
 
 
 def _exclusions(derivation: Derivation) -> Row:
     images = {match.name: match.partner for match in derivation.bodies}
-    pairs = derivation.skeleton.exclusions
+    pairs = derivation.parts.exclusions
     odd = [pair for pair in pairs if frozenset(images.get(name, name) for name in pair) not in pairs]
     detail = "; ".join(" and ".join(sorted(pair)) for pair in odd)
     detail = f"no mirror image among them: {detail}" if odd else ""

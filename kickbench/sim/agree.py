@@ -13,8 +13,8 @@ from kickbench.sim.native import option_notes
 from kickbench.sim.read_skeleton import read_skeleton
 from kickbench.sim.sensors import SIDES
 from kickbench.symmetry.derive import Derivation, derive
+from kickbench.symmetry.model_parts import ModelParts
 from kickbench.symmetry.representation import kind_of_coordinate
-from kickbench.symmetry.skeleton import Skeleton
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ def _places(robot: RobotSpec) -> Iterator[tuple[KeyPath, str]]:
             yield ("symmetry", *path, index), name
 
 
-def _geoms(foot: FootSpec, skeleton: Skeleton) -> set[str]:
+def _geoms(foot: FootSpec, skeleton: ModelParts) -> set[str]:
     """Names of a foot's geoms: those listed, or all of its body that can touch anything."""
     whole = (s.name for s in skeleton.shapes if s.touches and skeleton.bodies[s.body].name == foot.body)
     return set(foot.geoms) or set(whole)
@@ -92,7 +92,7 @@ def _feet(robot: Loaded[RobotSpec], derivation: Derivation) -> Iterator[Problem]
     if partner not in (None, feet.right.body):
         what = f"'{feet.right.body}' is declared the right foot, but the mirror image of the left one is '{partner}'"
         yield robot.document.problem(("feet", "right", "body"), what)
-    left, right = (_geoms(getattr(feet, side), derivation.skeleton) for side in SIDES)
+    left, right = (_geoms(getattr(feet, side), derivation.parts) for side in SIDES)
     images = {shapes.get(geom) for geom in left}
     if None not in images and images != right:
         found, wanted = (", ".join(sorted(map(str, names))) for names in (right, images))
@@ -100,7 +100,7 @@ def _feet(robot: Loaded[RobotSpec], derivation: Derivation) -> Iterator[Problem]
         yield robot.document.problem(("feet", "right"), what)
     for side, sign in zip(SIDES, (1, -1), strict=True):
         name = getattr(feet, side).body
-        body = next(body for body in derivation.skeleton.bodies if body.name == name)
+        body = next(body for body in derivation.parts.bodies if body.name == name)
         if sign * float(body.get("place")[1]) < 0.0:
             yield robot.document.problem(
                 ("feet", side, "body"), f"'{name}' lies on the other side: left is y > 0"

@@ -10,17 +10,17 @@ import mujoco
 import numpy as np
 
 from kickbench.errors import KickbenchError
-from kickbench.symmetry.skeleton import (
+from kickbench.symmetry.model_parts import (
     Actuator,
     Body,
     Joint,
     JointKind,
     Law,
+    ModelParts,
     Quantity,
     Sensor,
     Shape,
     Site,
-    Skeleton,
 )
 
 _JOINT_KINDS: dict[int, JointKind] = {
@@ -55,7 +55,7 @@ _LOCAL = {
 """Sensors whose vector is in the frame of their site."""
 
 
-def read_skeleton(model: mujoco.MjModel, prefix: str = "") -> Skeleton:
+def read_skeleton(model: mujoco.MjModel, prefix: str = "") -> ModelParts:
     """Reads a model's skeleton.
 
     The frame is that of the first body: its own axes if a free joint carries it, else the world's axes through its
@@ -68,7 +68,7 @@ def read_skeleton(model: mujoco.MjModel, prefix: str = "") -> Skeleton:
     return _Reader(model, prefix).read()
 
 
-def compile_skeleton(path: str | Path) -> Skeleton:
+def compile_skeleton(path: str | Path) -> ModelParts:
     """Reads the skeleton of an MJCF file.
 
     Raises:
@@ -112,13 +112,13 @@ class _Reader:
         distances = [np.linalg.norm(p - self.origin, axis=1).max(initial=0.0) for p in places]
         self.size = float(max(distances, default=0.0)) or 1.0
 
-    def read(self) -> Skeleton:
+    def read(self) -> ModelParts:
         model = self.model
         of_robot = self.index
         joints = [j for j in range(model.njnt) if model.jnt_bodyid[j] in of_robot]
         geoms = [g for g in range(model.ngeom) if model.geom_bodyid[g] in of_robot]
         sites = [s for s in range(model.nsite) if model.site_bodyid[s] in of_robot]
-        return Skeleton(
+        return ModelParts(
             size=self.size,
             bodies=tuple(self._body(b) for b in self.bodies),
             joints=tuple(self._joint(j) for j in joints),
