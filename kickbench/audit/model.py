@@ -14,8 +14,7 @@ from kickbench.sim.read_parts import read_parts
 from kickbench.sim.sensors import ROBOT
 from kickbench.symmetry.derive import Derivation, Match, derive
 from kickbench.symmetry.mirror import Image
-from kickbench.symmetry.representation import kind_of_coordinate
-from kickbench.symmetry.skeleton import PLANES, Element, Quantity
+from kickbench.symmetry.model_parts import PLANES, Element, Quantity
 
 _TOLERANCE = 1e-5
 """Relative; model files round to six or seven digits."""
@@ -29,7 +28,7 @@ def derive_scene(task: CompiledTask) -> Derivation:
 
 def model_rows(task: CompiledTask, derivation: Derivation, declared: Image) -> Iterator[Row]:
     """Rows of bodies, joints, actuators, soles and contact exclusions, in the model's order."""
-    parts = derivation.skeleton
+    parts = derivation.parts
     yield from _bodies(derivation)
     yield from _joints(derivation, declared)
     servos = _complete_servos(task, derivation)
@@ -45,7 +44,7 @@ def model_rows(task: CompiledTask, derivation: Derivation, declared: Image) -> I
 
 
 def _bodies(derivation: Derivation) -> Iterator[Row]:
-    parts, images = derivation.skeleton, {match.name: match for match in derivation.shapes}
+    parts, images = derivation.parts, {match.name: match for match in derivation.shapes}
     for match, body in _speakers(derivation.bodies, parts.bodies):
         compared = list(_compare(body, match, parts.bodies))
         for shape in (s for s in parts.shapes if s.body == body.body and s.touches):
@@ -57,7 +56,7 @@ def _bodies(derivation: Derivation) -> Iterator[Row]:
 
 
 def _joints(derivation: Derivation, declared: Image) -> Iterator[Row]:
-    joints = derivation.skeleton.joints
+    joints = derivation.parts.joints
     speakers = {match.name for match, _ in _speakers(derivation.joints, joints)}
     for match, joint in zip(derivation.joints, joints, strict=True):
         if joint.kind == "free":
@@ -81,13 +80,13 @@ def _complete_servos(task: CompiledTask, derivation: Derivation) -> list[Element
         )
         for name, target, scale in of_action
     }
-    actuators = derivation.skeleton.actuators
+    actuators = derivation.parts.actuators
     return [Element(a.name, a.body, (*a.quantities, *extra[a.name])) for a in actuators]
 
 
 def _exclusions(derivation: Derivation) -> Row:
     images = {match.name: match.partner for match in derivation.bodies}
-    pairs = derivation.skeleton.exclusions
+    pairs = derivation.parts.exclusions
     odd = [pair for pair in pairs if frozenset(images.get(name, name) for name in pair) not in pairs]
     detail = "; ".join(" and ".join(sorted(pair)) for pair in odd)
     detail = f"no mirror image among them: {detail}" if odd else ""

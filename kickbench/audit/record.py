@@ -201,7 +201,9 @@ class _Recorder:
         envs = max(min(_ENVS, states // _STEPS), _KINDS, 2 * actions + 1)
         starts = VariedStarts(task, seed)
         self.env, self.other = (
-            KickEnv(task, make_engine(task, envs, num_threads=threads), seed, noise=False, initial_states=starts)
+            KickEnv(
+                task, make_engine(task, envs, num_threads=threads), seed, noise=False, initial_states=starts
+            )
             for _ in range(2)
         )
         self.actions = VariedActions(envs, actions, seed)

@@ -80,8 +80,7 @@ def bench(
     from kickbench.bench.measure import measure, profile_iteration
     from kickbench.bench.report import print_report
     from kickbench.results.atomic import atomic_write_text, check_writable
-    from kickbench.sim.engine import usable_cores
-    from kickbench.sim.engine import check_device
+    from kickbench.sim.engine import check_device, usable_cores
 
     check_device(device)
     threads = threads or usable_cores()
@@ -151,8 +150,7 @@ def _devices() -> tuple[list[tuple[str, str]], str]:
 
     from kickbench.envs.graph import graph_obstacle
     from kickbench.results.provenance import cpu_name
-    from kickbench.sim.engine import usable_cores
-    from kickbench.sim.engine import check_device
+    from kickbench.sim.engine import check_device, usable_cores
 
     cores, names = f"{usable_cores()} core{'s' * (usable_cores() != 1)}", _gpus()
     numbers = range(torch.cuda.device_count() if torch.cuda.is_available() else 0)

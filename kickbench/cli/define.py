@@ -161,8 +161,7 @@ def derive(
     if not model.is_file():
         raise KickbenchError(f"{model}: {'a folder, no file' if model.is_dir() else 'no such file'}")
     from kickbench.sim.read_parts import compile_parts
-    from kickbench.symmetry.derive import symmetry_block
-    from kickbench.symmetry.derive import derive
+    from kickbench.symmetry.derive import derive, symmetry_block
 
     derivation = derive(compile_parts(model), plane)
     print(symmetry_block(derivation, model.name))

@@ -83,8 +83,7 @@ def render(
         raise KickbenchError(f"{out}: pictures are .png, .webp or .mp4")
     from kickbench.envs.compile import read_task
     from kickbench.results.atomic import atomic_file
-    from kickbench.view.pictures import contact_sheet
-    from kickbench.view.pictures import film_runs
+    from kickbench.view.pictures import contact_sheet, film_runs
 
     compiled = read_task(file, overrides)
     out = out or Path(f"{compiled.name}.png")

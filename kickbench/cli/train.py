@@ -107,8 +107,7 @@ def reproduce(
         raise KickbenchError("--seeds: a seed is there twice")
     from kickbench.launch.jobs import carry_out
     from kickbench.launch.plan import Selection, make_plan
-    from kickbench.sim.engine import usable_cores
-    from kickbench.sim.engine import check_device
+    from kickbench.sim.engine import check_device, usable_cores
     from kickbench.trials.experiment import load_experiment
 
     check_device(device)

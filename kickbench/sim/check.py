@@ -16,8 +16,8 @@ from kickbench.errors import KeyPath, Problem, SpecError, nearest, shown
 from kickbench.sim.layout import SceneLayout
 from kickbench.sim.read_parts import read_parts
 from kickbench.sim.sensors import ROBOT, SIDES, robot_feet
-from kickbench.symmetry.representation import kind_of_coordinate
 from kickbench.symmetry.derive import Derivation, derive
+from kickbench.symmetry.representation import kind_of_coordinate
 
 _LEFT_TOLERANCE = 0.02
 """Angle between the base's y axis and the left, rad: a manufacturer's frames may be off by rounding."""
@@ -361,7 +361,7 @@ def _words(joint: str, partner: str, sign: int) -> str:
 
 
 def _contradicted_feet(robot: Loaded[RobotSpec], derivation: Derivation) -> Iterator[Problem]:
-    feet, parts = robot.spec.feet, derivation.skeleton
+    feet, parts = robot.spec.feet, derivation.parts
     if feet is None:
         return
     bodies = {match.name: match.partner for match in derivation.bodies}

@@ -11,17 +11,17 @@ import mujoco
 import numpy as np
 
 from kickbench.errors import KickbenchError
-from kickbench.symmetry.skeleton import (
+from kickbench.symmetry.model_parts import (
     Actuator,
     Body,
     Joint,
     JointKind,
     Law,
+    ModelParts,
     Quantity,
     Sensor,
     Shape,
     Site,
-    Skeleton,
 )
 
 _JOINT_KINDS: dict[int, JointKind] = {
@@ -57,7 +57,7 @@ _LOCAL = {
 _UNLIMITED = np.array([-np.inf, np.inf])
 
 
-def read_parts(model: mujoco.MjModel, prefix: str = "") -> Skeleton:
+def read_parts(model: mujoco.MjModel, prefix: str = "") -> ModelParts:
     """Reads a model's parts.
 
     The frame is that of the first body: its own axes if a free joint carries it, else the world's axes through its
@@ -70,7 +70,7 @@ def read_parts(model: mujoco.MjModel, prefix: str = "") -> Skeleton:
     return _Reader(model, prefix).read()
 
 
-def compile_parts(path: str | Path) -> Skeleton:
+def compile_parts(path: str | Path) -> ModelParts:
     """Reads the parts of an MJCF file.
 
     Raises:
@@ -105,8 +105,8 @@ class _Reader:
             if joint >= 0 and _JOINT_KINDS[model.jnt_type[joint]] == "free":
                 self.rotation = self.data.xmat[root].reshape(3, 3).copy()
 
-    def read(self) -> Skeleton:
-        return Skeleton(
+    def read(self) -> ModelParts:
+        return ModelParts(
             size=self.size,
             bodies=tuple(map(self._body, self.bodies)),
             joints=tuple(map(self._joint, self.joints)),

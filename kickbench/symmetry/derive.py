@@ -15,20 +15,20 @@ from typing import TypeVar
 import numpy as np
 
 from kickbench.config.yamldump import flow_yaml
-from kickbench.symmetry.representation import BY_NAME, kind_of_coordinate
-from kickbench.symmetry.skeleton import (
+from kickbench.symmetry.model_parts import (
     PLANES,
     Actuator,
     Body,
     Element,
     Joint,
+    ModelParts,
     Plane,
     Sensor,
     Shape,
     Site,
-    Skeleton,
     mirror_value,
 )
+from kickbench.symmetry.representation import BY_NAME, kind_of_coordinate
 
 E = TypeVar("E", bound=Element)
 _PLACE, _MASS, _INERTIA, _AXIS = 0.01, 0.1, 0.2, 0.02
@@ -61,7 +61,7 @@ class Derivation:
     """What a model's geometry says about its reflection.
 
     Attributes:
-        skeleton: The model.
+        parts: The model.
         plane: The mirror plane, through the origin of the model's frame.
         bodies: One match per body, in the model's order; likewise the others.
         joints: Free joints are their own images, without a sign.
@@ -71,7 +71,7 @@ class Derivation:
         sensors: Signs are those of joint and actuator sensors.
     """
 
-    skeleton: Skeleton
+    parts: ModelParts
     plane: Plane
     bodies: tuple[Match, ...]
     joints: tuple[Match, ...]
@@ -88,36 +88,36 @@ class Derivation:
     @property
     def unclear(self) -> tuple[Match, ...]:
         """Joints with a coordinate whose image is not certain."""
-        free = {joint.name for joint in self.skeleton.joints if joint.kind == "free"}
+        free = {joint.name for joint in self.parts.joints if joint.kind == "free"}
         return tuple(match for match in self.joints if not match.sign and match.name not in free)
 
 
-def derive(skeleton: Skeleton, plane: Plane = "xz") -> Derivation:
+def derive(parts: ModelParts, plane: Plane = "xz") -> Derivation:
     """Derives the reflection of a model from its geometry.
 
     Args:
-        skeleton: The model.
+        parts: The model.
         plane: Mirror plane of the model's frame.
     """
-    finder = _Finder(skeleton, PLANES[plane])
+    finder = _Finder(parts, PLANES[plane])
     bodies = finder.bodies()
     joints = finder.joints()
-    shapes = [finder.part(shape, skeleton.shapes, finder.shape_cost)[0] for shape in skeleton.shapes]
-    sites = [finder.part(site, skeleton.sites, finder.site_cost)[0] for site in skeleton.sites]
+    shapes = [finder.part(shape, parts.shapes, finder.shape_cost)[0] for shape in parts.shapes]
+    sites = [finder.part(site, parts.sites, finder.site_cost)[0] for site in parts.sites]
     images = {
         kind: {match.name: match for match in matches}
         for kind, matches in {"body": bodies, "joint": joints, "shape": shapes, "site": sites}.items()
     }
-    actuators = [finder.actuator(actuator, images) for actuator in skeleton.actuators]
+    actuators = [finder.actuator(actuator, images) for actuator in parts.actuators]
     images["actuator"] = {match.name: match for match in actuators}
-    sensors = [finder.sensor(sensor, images) for sensor in skeleton.sensors]
+    sensors = [finder.sensor(sensor, images) for sensor in parts.sensors]
     groups = (bodies, joints, shapes, sites, actuators, sensors)
-    return Derivation(skeleton, plane, *map(tuple, groups))
+    return Derivation(parts, plane, *map(tuple, groups))
 
 
 class _Finder:
-    def __init__(self, skeleton: Skeleton, reflection: np.ndarray) -> None:
-        self.skeleton, self.reflection = skeleton, reflection
+    def __init__(self, parts: ModelParts, reflection: np.ndarray) -> None:
+        self.parts, self.reflection = parts, reflection
         self.body_of: dict[int, int | None] = {-1: -1}
         """Body -> its partner."""
 
@@ -125,9 +125,9 @@ class _Finder:
 
     def bodies(self) -> list[Match]:
         found: dict[int, Match] = {}
-        for parent in range(-1, len(self.skeleton.bodies)):
-            mine, image = self.skeleton.children(parent), self.body_of[parent]
-            theirs = [] if image is None else self.skeleton.children(image)
+        for parent in range(-1, len(self.parts.bodies)):
+            mine, image = self.parts.children(parent), self.body_of[parent]
+            theirs = [] if image is None else self.parts.children(image)
             for child in mine:
                 match = self._body(child, mine, theirs)
                 if image is None:
@@ -135,7 +135,7 @@ class _Finder:
                 found[child.body], self.body_of[child.body] = match, None
                 if match.partner is not None:
                     self.body_of[child.body] = next(b.body for b in theirs if b.name == match.partner)
-        return [found[index] for index in range(len(self.skeleton.bodies))]
+        return [found[index] for index in range(len(self.parts.bodies))]
 
     def _body(self, body: Body, siblings: Sequence[Body], candidates: Sequence[Body]) -> Match:
         match, partner = self._best_body(body, candidates)
@@ -148,7 +148,7 @@ class _Finder:
         return Match(match.name, reason=what)
 
     def _best_body(self, body: Body, candidates: Sequence[Body]) -> tuple[Match, Body | None]:
-        subtrees = self.skeleton.signatures
+        subtrees = self.parts.signatures
         return self._best(
             body, candidates, self._body_cost, lambda other: subtrees[body.body] == subtrees[other.body]
         )
@@ -186,8 +186,8 @@ class _Finder:
 
     def joints(self) -> list[Match]:
         matches = []
-        for joint in self.skeleton.joints:
-            match, other = self.part(joint, self.skeleton.joints, self._joint_cost, alike=False)
+        for joint in self.parts.joints:
+            match, other = self.part(joint, self.parts.joints, self._joint_cost, alike=False)
             if other is not None and joint.kind in ("hinge", "slide"):
                 same = joint.get("axis") @ other.mirrored("axis", self.reflection) > 0
                 match = replace(match, sign=1 if same else -1)
@@ -206,7 +206,7 @@ class _Finder:
         # Along its axis, the anchor of a hinge is of no account.
         apart = joint.get("anchor") - other.mirrored("anchor", self.reflection)
         apart = apart - (apart @ axis) * axis
-        return max(float(angle) / _AXIS, float(np.linalg.norm(apart)) / (_PLACE * self.skeleton.size))
+        return max(float(angle) / _AXIS, float(np.linalg.norm(apart)) / (_PLACE * self.parts.size))
 
     def shape_cost(self, shape: Shape, other: Shape) -> float:
         if shape.kind != other.kind or shape.touches != other.touches:
@@ -218,7 +218,7 @@ class _Finder:
 
     def _far(self, element: Element, other: Element, name: str) -> float:
         apart = element.get(name) - other.mirrored(name, self.reflection)
-        return float(np.linalg.norm(apart)) / (_PLACE * self.skeleton.size)
+        return float(np.linalg.norm(apart)) / (_PLACE * self.parts.size)
 
     def _unequal(self, element: Element, other: Element, name: str) -> float:
         mine, theirs = element.get(name), other.mirrored(name, self.reflection)
@@ -255,7 +255,7 @@ class _Finder:
         target = images[actuator.kind].get(actuator.target)
         if target is None or target.partner is None:
             return Match(actuator.name, reason=f"its {actuator.kind} '{actuator.target}' has no partner")
-        for other in self.skeleton.actuators:
+        for other in self.parts.actuators:
             drives = (other.kind, other.target) == (actuator.kind, target.partner)
             if drives and (sign := self._wrench_sign(actuator, other, target.sign)):
                 return Match(actuator.name, other.name, sign)
@@ -279,7 +279,7 @@ class _Finder:
             if match.partner is None:
                 return Match(sensor.name, reason=f"its {kind} '{match.name}' has no partner")
         wanted = [(kind, match.partner) for kind, match in found]
-        for other in self.skeleton.sensors:
+        for other in self.parts.sensors:
             if other.kind == sensor.kind and list(other.objects) == wanted:
                 return Match(sensor.name, other.name, found[0][1].sign if sensor.law == "signed" else 0)
         what = " and ".join(f"'{name}'" for _, name in wanted)
@@ -303,7 +303,7 @@ def symmetry_block(derivation: Derivation, title: str) -> str:
         derivation: What was derived.
         title: Name of the model.
     """
-    root = derivation.skeleton.bodies[0].name
+    root = derivation.parts.bodies[0].name
     lines = [f"# Derived from {title}: reflection in the {derivation.plane} plane of '{root}'."]
     lines += [f"# {line}" for line in _comments(derivation)]
     return "\n".join([*lines, "symmetry:", *_tables(derivation)])
@@ -327,14 +327,14 @@ def _tables(derivation: Derivation) -> Iterator[str]:
 
 def _is_left(derivation: Derivation, name: str, partner: str) -> bool:
     """Whether the first of a pair is on the left: at positive y for a robot that looks along x."""
-    skeleton = derivation.skeleton
-    joints = {joint.name: joint for joint in skeleton.joints}
+    parts = derivation.parts
+    joints = {joint.name: joint for joint in parts.joints}
     one, other = joints[name], joints[partner]
     # Facing y, the left is at negative x.
     normal = np.diag((np.eye(3) - PLANES[derivation.plane]) / 2) * (-1 if derivation.plane == "yz" else 1)
-    bodies = [skeleton.bodies[joint.body].get("centre of mass") for joint in (one, other)]
+    bodies = [parts.bodies[joint.body].get("centre of mass") for joint in (one, other)]
     for apart in (one.get("anchor") - other.get("anchor"), bodies[0] - bodies[1]):
-        if abs(float(normal @ apart)) > 1e-6 * skeleton.size:
+        if abs(float(normal @ apart)) > 1e-6 * parts.size:
             return bool(normal @ apart > 0)
     return True
 
@@ -361,4 +361,4 @@ def _comments(derivation: Derivation) -> Iterator[str]:
         yield from (
             f"NOT DERIVED: {kind} '{match.name}': {match.reason}" for match in matches if match.reason
         )
-    yield from (f"NOT COMPARED: {what}" for what in derivation.skeleton.left_out)
+    yield from (f"NOT COMPARED: {what}" for what in derivation.parts.left_out)

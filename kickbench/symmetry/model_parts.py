@@ -99,7 +99,7 @@ class Element:
 
     Attributes:
         name: Its name; one made up from its place where the model gives none.
-        body: Index of its body in the skeleton.
+        body: Index of its body.
         quantities: Everything physical about it.
     """
 
@@ -126,7 +126,7 @@ class Body(Element):
     """A body; quantities: "place", "mass", "centre of mass", "inertia" (about the centre of mass).
 
     Attributes:
-        parent: Index of its parent in the skeleton, -1 for the topmost bodies.
+        parent: Index of its parent in the model, -1 for the topmost bodies.
     """
 
     parent: int = -1
@@ -191,7 +191,7 @@ class Sensor(Element):
 
 
 @dataclass(frozen=True)
-class Skeleton:
+class ModelParts:
     """A model's parts in the frame of its first body.
 
     Attributes:
