@@ -20,7 +20,7 @@ from kickbench.report.remarks import evidence, verdict_words, warnings
 from kickbench.report.study import Study, studies
 from kickbench.report.style import Picture, looks_of, style
 from kickbench.results.atomic import atomic_write_text
-from kickbench.results.frame import HOME
+from kickbench.results.frame import HOME, SIDES
 from kickbench.results.verdicts import Verdict
 from kickbench.trials.experiment import load_experiment
 
@@ -67,6 +67,8 @@ def measured_results(root: Path) -> list[Study]:
         spec = root / "results/reported" / f"{folder.name}.yaml"
         experiment = load_experiment(spec) if spec.is_file() else None
         found += [replace(study, name=folder.name) for study in studies(folder, experiment)]
+        if found[-1].unjudged:
+            raise KickbenchError(found[-1].unjudged)
     return found
 
 
@@ -119,25 +121,18 @@ def summary(results: Sequence[Study], drawn: dict[str, Picture]) -> str:
     """The text between the marks of `README.md`: success of every planned condition, and what it loses."""
     rows = []
     for study in (study for study in results if study.plans):
-        success, distance = study.estimates(SUCCESS), study.estimates(DISTANCE)
+        means = {
+            (measure.title, row.condition, row.side): measure.text(row["mean"], row["std"])
+            for measure in (SUCCESS, DISTANCE)
+            for _, row in study.estimates(measure).iterrows()
+            if row.seeds > 0
+        }
         for condition in study.conditions:
-            if len(runs := study.counted(condition)):
-                rows.append(
-                    {
-                        "Task": study.name,
-                        "Method": condition,
-                        "Seeds": runs.seed.nunique(),
-                        "Success [%]": _mean(success, condition, HOME, SUCCESS),
-                        "Mirrored [%]": _mean(success, condition, "mirrored", SUCCESS),
-                        "Distance [m]": _mean(distance, condition, HOME, DISTANCE),
-                    }
-                )
-    return "\n".join([*_table(pd.DataFrame(rows)), "", _image("home-field", drawn, PICTURES)])
-
-
-def _mean(estimates: pd.DataFrame, condition: str, side: str, measure: Measure) -> str:
-    own = estimates[(estimates.condition == condition) & (estimates.side == side) & (estimates.seeds > 0)]
-    return measure.text(own["mean"].iloc[0], own["std"].iloc[0]) if len(own) else "-"
+            keys = [("Success", condition, side) for side in SIDES] + [("Distance", condition, HOME)]
+            if seeds := study.counted(condition).seed.nunique():
+                rows.append([study.name, condition, seeds, *(means.get(key, "-") for key in keys)])
+    head = ["Task", "Method", "Seeds", "Success [%]", "Mirrored [%]", "Distance [m]"]
+    return "\n".join([*_table(pd.DataFrame(rows, columns=head)), "", _image("home-field", drawn, PICTURES)])
 
 
 def section(results: Sequence[Study], drawn: dict[str, Picture]) -> str:
@@ -169,14 +164,10 @@ def _study_text(study: Study) -> str:
 def _claim_lines(verdicts: Sequence[Verdict]) -> list[str]:
     """The claims that something was measured for, and how many others there are."""
     told = [of for of in verdicts if of.figure is not None]
-    lines = [
-        f"- {_plain(of.claim.statement)}: **{verdict_words(of)}**, {_plain(evidence(of))}" for of in told
-    ]
-    if rest := len(verdicts) - len(told):
-        lines.append(
-            f"- {rest} more {'claim is' if rest == 1 else 'claims are'} about runs that are missing."
-        )
-    return lines
+    lines = [f"{_plain(of.claim.statement)}: **{verdict_words(of)}**, {_plain(evidence(of))}" for of in told]
+    rest = len(verdicts) - len(told)
+    more = f"{rest} more {'claim is' if rest == 1 else 'claims are'} about runs that are missing."
+    return [f"- {line}" for line in [*lines, *[more] * bool(rest)]]
 
 
 def _with_effort(study: Study, table: pd.DataFrame) -> pd.DataFrame:
@@ -192,14 +183,13 @@ def _effort(study: Study, condition: str) -> dict[str, str]:
         "Iterations": [tables.iterations_text(study, run) for _, run in runs.iterrows()],
         "Steps a run": [f"{steps:,.0f}" for steps in runs.env_steps],
         "Training a run": [
-            " to ".join(
-                dict.fromkeys(map(tables.hours, (runs.training_seconds.min(), runs.training_seconds.max())))
-            )
+            tables.hours(of) for of in (runs.training_seconds.min(), runs.training_seconds.max())
         ],
         "Hardware": [tables.hardware(of) for of in runs.provenance],
         "Commit": [tables.commit_text(of) for of in runs.provenance],
     }
-    return {name: "; ".join(dict.fromkeys(values)) for name, values in columns.items()}
+    separators = {"Training a run": " to "}
+    return {name: separators.get(name, "; ").join(dict.fromkeys(values)) for name, values in columns.items()}
 
 
 def _table(table: pd.DataFrame) -> list[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,6 @@ from kickbench.results.verdicts import Verdict, judge
 from kickbench.trials.experiment import Arm, LoadedExperiment
 
 SIDE_WORDS: dict[Side, str] = {"in_distribution": "in distribution", "mirrored": "mirrored"}
-_NOTES = "README.md"
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +39,7 @@ class Study:
         file_problems: What is wrong with files of a run, by its path: sentences.
         experiment: The experiment, if it is one.
         verdicts: The verdicts on its claims.
+        unjudged: Why the claims cannot be judged; empty if they can.
     """
 
     name: str
@@ -51,6 +51,7 @@ class Study:
     file_problems: Mapping[Path, list[str]]
     experiment: LoadedExperiment | None = None
     verdicts: tuple[Verdict, ...] = ()
+    unjudged: str = ""
 
     @property
     def plans(self) -> Mapping[str, Arm]:
@@ -129,24 +130,30 @@ def studies(root: Path, experiment: LoadedExperiment | None = None) -> list[Stud
 
 
 def _planned_study(root: Path, frame: pd.DataFrame, experiment: LoadedExperiment) -> Study:
-    problems, verdicts = unplanned_lines(frame, lambda path: _place(root, path)), ()
+    unplanned = unplanned_lines(frame, lambda path: _place(root, path))
+    study = _study(root, experiment.name, frame[frame.condition.notna()], unplanned, experiment)
     try:
         refuse_contradictions(frame, str)
-        verdicts = judge(experiment, frame)
+        return replace(study, verdicts=judge(experiment, frame))
     except KickbenchError as error:
-        problems.append(f"The claims cannot be judged: {_in_folder(root, error)}")
-    rows = frame[frame.condition.notna()]
-    return _study(root, experiment.name, rows, problems, experiment=experiment, verdicts=verdicts)
+        return replace(study, unjudged=f"The claims cannot be judged: {_in_folder(root, error)}")
 
 
-def _study(root: Path, name: str, rows: pd.DataFrame, problems: Iterable[str], **own: Any) -> Study:
+def _study(
+    root: Path,
+    name: str,
+    rows: pd.DataFrame,
+    problems: Iterable[str],
+    experiment: LoadedExperiment | None = None,
+) -> Study:
     def place(path: Path) -> str:
         return _place(root, path)
 
     lines = [*problems, *repeat_lines(rows, place), *left_out_lines(rows[rows.state == "damaged"], place)]
     wrong: dict[Path, list[str]] = {}
     curves, episodes = _files(root, runs_of(rows), wrong)
-    return Study(name, rows, tuple(lines), _notes(root, rows.path.unique()), curves, episodes, wrong, **own)
+    notes = _notes(root, rows.path.unique())
+    return Study(name, rows, tuple(lines), notes, curves, episodes, wrong, experiment)
 
 
 def _place(root: Path, path: Path) -> str:
@@ -183,14 +190,11 @@ def _read(reader: Callable[[Path], Any], path: Path) -> tuple[Any, list[Kickbenc
         return None, [error]
 
 
-def _notes(root: Path, folders: Iterable[Path]) -> tuple[tuple[str, str], ...]:
+def _notes(root: Path, runs: Iterable[Path]) -> tuple[tuple[str, str], ...]:
     """Texts beside the runs and in the folders between them and the root."""
-    above = {
-        root,
-        *(parent for folder in folders for parent in (folder, *folder.parents) if root in parent.parents),
-    }
-    files = sorted(place / _NOTES for place in above if (place / _NOTES).is_file())
-    return tuple(
-        (file.relative_to(root).as_posix(), file.read_text(encoding="utf-8", errors="replace"))
-        for file in files
-    )
+    files = [
+        file
+        for file in sorted(root.rglob("README.md"))
+        if any(run.is_relative_to(file.parent) for run in runs)
+    ]
+    return tuple((_place(root, file), file.read_text(encoding="utf-8", errors="replace")) for file in files)

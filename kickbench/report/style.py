@@ -43,29 +43,24 @@ STYLE = {
 
 
 class Look(NamedTuple):
-    """How a condition is drawn: colour, marker, and the dashes of its line (points; solid without)."""
+    """How a condition is drawn: colour, marker and line style, as matplotlib takes them."""
 
     colour: str
     marker: str
-    dash: tuple[float, ...] = ()
-
-    @property
-    def line(self) -> Any:
-        """Style of the line, as matplotlib takes it."""
-        return (0, self.dash) if self.dash else "-"
+    line: Any = "-"
 
 
 _KNOWN = {
-    "baseline": Look("#c94f00", "o", (1.5, 1.2)),
-    "augmentation": Look("#0072b2", "s", (5, 1.5)),
+    "baseline": Look("#c94f00", "o", (0, (1.5, 1.2))),
+    "augmentation": Look("#0072b2", "s", (0, (5, 1.5))),
     "equivariant": Look("#00805e", "D"),
-    "mirror_loss": Look("#b5578c", "^", (5, 1.5, 1.2, 1.5)),
-    "relaxed_equivariant": Look("#b07d00", "v", (3, 3)),
+    "mirror_loss": Look("#b5578c", "^", (0, (5, 1.5, 1.2, 1.5))),
+    "relaxed_equivariant": Look("#b07d00", "v", (0, (3, 3))),
 }
 _SPARE = (
-    Look("#3d8fc2", "P", (8, 2)),
-    Look("#6b6b6b", "X", (1.2, 3)),
-    Look("#8c5a3c", "h", (5, 1.5, 5, 4)),
+    Look("#3d8fc2", "P", (0, (8, 2))),
+    Look("#6b6b6b", "X", (0, (1.2, 3))),
+    Look("#8c5a3c", "h", (0, (5, 1.5, 5, 4))),
 )
 
 

@@ -112,6 +112,15 @@ def test_a_readme_without_the_marks_is_an_error(tmp_path, readme):
         replaced(tmp_path / "README.md", "body")
 
 
+def test_claims_that_cannot_be_judged_are_an_error(monkeypatch):
+    def refuse(*_):
+        raise KickbenchError("progress.csv: damaged")
+
+    monkeypatch.setattr("kickbench.report.study.judge", refuse)
+    with pytest.raises(KickbenchError, match=r"The claims cannot be judged: progress\.csv: damaged"):
+        measured_results(ROOT)
+
+
 def test_without_results_nothing_is_written(tmp_path):
     (tmp_path / "README.md").write_text(f"{BEGIN}\n{END}\n")
     with pytest.raises(KickbenchError, match="no results"):
