@@ -20,8 +20,7 @@ from kickbench.envs.engines import make_engine
 from kickbench.envs.env import KickEnv
 from kickbench.envs.episode import FOOT_NAMES
 from kickbench.envs.starts import Starts, StartSampler
-from kickbench.evaluation.equivariance import EquivarianceProbe
-from kickbench.evaluation.kick import KickRecord
+from kickbench.evaluation.probes import EquivarianceProbe, KickRecord
 from kickbench.evaluation.progress import EVALUATING, Steps
 from kickbench.nets.threads import torch_threads
 from kickbench.results.asymmetry import EquivarianceError
@@ -243,12 +242,12 @@ def _ended(env: KickEnv, running: Tensor, before: Tensor, kick: dict[str, Tensor
     ending = torch.where(outcome.failed, outcome.terminated.shape[1], outcome.terminated.int().argmax(dim=1))
     columns = {
         "running": running,
-        "ball_x": ball[:, 0],
-        "ball_y": ball[:, 1],
+        "final_ball_x": ball[:, 0],
+        "final_ball_y": ball[:, 1],
         "success": outcome.success,
-        "ending": ending,
+        "termination": ending,
         "steps": outcome.steps,
-        "returned": outcome.rewards.sum(dim=1),
+        "episode_return": outcome.rewards.sum(dim=1),
         "kick_foot": record.kick_foot,
         "kick_step": record.kick_step,
         "peak_ball_speed": record.peak_ball_speed,
@@ -258,31 +257,24 @@ def _ended(env: KickEnv, running: Tensor, before: Tensor, kick: dict[str, Tensor
 
 
 def _table(task: CompiledTask, starts: Starts, ended: list[dict[str, np.ndarray]]) -> EpisodeTable:
+    """Episodes in the order of their starts; terminations and feet by name."""
     merged = {name: np.concatenate([chunk[name] for chunk in ended]) for name in ended[0]}
     order = np.argsort(merged["running"])
     rows = {name: column[order] for name, column in merged.items()}
-    assert (rows["running"] == np.arange(len(starts))).all(), "every episode is counted exactly once"
+    assert (rows.pop("running") == np.arange(len(starts))).all(), "every episode is counted exactly once"
     place = task.scene.layout.ball_qpos
     start_ball, target = starts.qpos[:, place : place + 2].numpy(), starts.target.numpy()
     endings = np.array([*(bound.name for bound in task.terminations), NON_FINITE])
-    final = np.stack([rows["ball_x"], rows["ball_y"]], axis=1).astype(np.float64)
+    final = np.stack([rows["final_ball_x"], rows["final_ball_y"]], axis=1).astype(np.float64)
+    names = {
+        "termination": endings[rows["termination"]],
+        "kick_foot": np.array(FOOT_NAMES)[rows["kick_foot"]],
+    }
     return EpisodeTable(
         start_ball_x=start_ball[:, 0],
         start_ball_y=start_ball[:, 1],
         target_x=target[:, 0],
         target_y=target[:, 1],
-        final_ball_x=final[:, 0],
-        final_ball_y=final[:, 1],
         distance=np.linalg.norm(final - target, axis=1),
-        success=rows["success"],
-        termination=endings[rows["ending"]],
-        steps=rows["steps"],
-        episode_return=rows["returned"],
-        kick_foot=np.array(FOOT_NAMES)[rows["kick_foot"]],
-        kick_step=rows["kick_step"],
-        peak_ball_speed=rows["peak_ball_speed"],
-        touches=rows["touches"],
-        walked_after_touch=rows["walked_after_touch"],
-        launch_speed=rows["launch_speed"],
-        direction_error=rows["direction_error"],
+        **{**rows, **names},
     )
