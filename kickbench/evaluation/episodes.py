@@ -1,8 +1,8 @@
 """Runs exactly the episodes asked for, none counted twice, none preferred for being short.
 
-All starts are drawn before the first step, and every one of them is run to its end. (Recording the first N episodes to
-*finish* would prefer short ones.) An env that finishes an episode begins the next start that no env has begun. What
-happens in an episode does not depend on when or where it runs.
+All starts are drawn before the first step, and every one of them is run to its end. (Recording the first N
+episodes to *finish* would prefer short ones.) An env that finishes an episode begins the next start that no env has
+begun. What happens in an episode does not depend on when or where it runs.
 """
 
 from __future__ import annotations
@@ -120,7 +120,7 @@ class _Evaluation:
         self.observations = self.observations[rows]
 
     def step(self, actions: Tensor) -> dict[str, np.ndarray]:
-        """Advances all envs by one control step, and returns the columns of the episodes that it has ended."""
+        """Advances all envs by one control step; the columns of the episodes that it has ended."""
         env, running, before = self.env, self.schedule.running, self.env.state()
         state = env.advance(actions)
         self.kick.note(before, state, env.engine.failed, self.task.spec.simulation.control_interval)
@@ -144,8 +144,8 @@ def run_episodes(
 ) -> EpisodeTable:
     """Runs one episode from each start with a deterministic policy, on the CPU.
 
-    An episode depends on its start, the seed and its number alone, not on `num_envs` or `num_threads`; but a policy may
-    answer up to three observations at a time with other last bits than more (BLAS).
+    An episode depends on its start, the seed and its number alone, not on `num_envs` or `num_threads`; but a policy
+    may answer up to three observations at a time with other last bits than more (BLAS).
 
     Args:
         task: Compiled task.
@@ -188,8 +188,8 @@ def run_sides(
     Args:
         task: Compiled task.
         policy: As for `run_episodes`.
-        symmetry: The reflection by which the policy's equivariance error is measured at the states that it visits;
-            None: it is not measured.
+        symmetry: The reflection by which the policy's equivariance error is measured at the states that it
+            visits; None: it is not measured.
         episodes: Episodes a side; default: the task's.
         seed: Seed of the starts; default: the task's.
         num_threads: Physics threads.
@@ -214,7 +214,7 @@ def run_sides(
 
 
 def success_by_side(task: CompiledTask, policy: Policy, num_threads: int | None = None) -> dict[str, float]:
-    """Success by side of a policy, in the first episodes of the evaluation: as many as the task's `every_episodes`."""
+    """Success by side of a policy in the first `every_episodes` episodes of the task's evaluation."""
     protocol = task.spec.evaluation
     starts = draw_starts(task, max(protocol.episodes, protocol.every_episodes), protocol.seed)
     home = starts.take(torch.arange(protocol.every_episodes))

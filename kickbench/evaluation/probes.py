@@ -1,4 +1,4 @@
-"""What is measured while episodes run: the kick of every episode, and how far the policy is from equivariant."""
+"""What is measured while episodes run: the kick of each, and how far the policy is from equivariant."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from kickbench.symmetry.representation import Representation
 from kickbench.symmetry.torch_ops import Mirror
 
 LAUNCH_WINDOW = 0.2
-"""Time from the beginning of the first touch within which the ball is launched, s. A kick takes a few control steps;
-a ball that the foot overtakes and hits again is still the same kick."""
+"""Time from the beginning of the first touch within which the ball is launched, s. A kick takes a few control
+steps; a ball that the foot overtakes and hits again is still the same kick."""
 EVERY = 5
 """Control steps of an episode between two states that are looked at: neighbours say nearly the same."""
 
@@ -32,12 +32,12 @@ class KickRecord:
     Attributes:
         touches: Control steps with contact of robot and ball whose preceding control step had none [B] int64.
             Contacts are latched over the substeps.
-        walked_after_touch: Sum of :math:`\max(0, (p_t - p_{t-1}) \cdot u_{t-1})` over the control steps after that
-            of the first touch, where u is the unit vector from p to b [B], m.
-        launch_speed: Largest :math:`|v_t|` within `LAUNCH_WINDOW` from the first touch [B], m/s; 0 without a touch.
+        walked_after_touch: Sum of :math:`\max(0, (p_t - p_{t-1}) \cdot u_{t-1})` over the control steps after
+            that of the first touch, where u is the unit vector from p to b [B], m.
+        launch_speed: Largest :math:`|v_t|` within `LAUNCH_WINDOW` from the first touch [B], m/s; 0 without one.
             The episode's `peak_ball_speed` has no such limit.
-        launch: Dot and cross product of the vector from b to the target with v in the control step of that largest
-            speed [B, 2]; the angle from the one to the other is the direction error, positive to the left.
+        launch: Dot and cross product of the vector from b to the target with v in the control step of that
+            largest speed [B, 2]; the angle from the one to the other is the direction error, positive to the left.
     """
 
     touches: Tensor
@@ -91,7 +91,7 @@ class KickRecord:
             stop_speed: A ball slower than that has not been launched: its direction means nothing, m/s.
         """
         dot, cross = self.launch.double().T.numpy()
-        # In numpy: the last bits of torch's do not depend on the numbers alone, but on their place in the tensor.
+        # In numpy: the last bits of torch's depend on the place of the numbers in the tensor, too.
         error = torch.from_numpy(np.arctan2(cross, dot))
         return {
             "touches": self.touches,
@@ -104,8 +104,8 @@ class KickRecord:
 class EquivarianceProbe:
     r"""Accumulates :math:`\pi(\rho o) - \rho\pi(o)` over visited observations o.
 
-    Only sums are kept, whatever the number of states. Which states count depends on each episode's own step alone: the
-    same episodes give the same states on any number of envs. The error at o is that at :math:`\rho o` as well.
+    Only sums are kept, whatever the number of states. Which states count depends on each episode's own step alone:
+    the same episodes give the same states on any number of envs. The error at o is that at :math:`\rho o` as well.
 
     Args:
         policy: Deterministic policy.

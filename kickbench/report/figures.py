@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 
 from kickbench.report.measures import Measure
 from kickbench.report.style import INK, LEFT_FOOT, MUTED, OTHER, RIGHT_FOOT, Look, subplots
@@ -16,7 +17,8 @@ from kickbench.results.statistics import wilson
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Looks = Mapping[str, Look]
+Looks = Mapping[Any, Look]
+"""The look of each condition."""
 
 SPLIT = 300
 """Iteration at which the thesis splits its curves in two panels (4.3.1)."""
@@ -37,7 +39,7 @@ QUANTITIES = {
     "termination/fell_down": "Fall down",
     "termination/fell_over": "Fell over",
 }
-"""Columns of `progress.csv` that the thesis shows, in its order (Figs. 4.5 to 4.7); and evaluations in training."""
+"""Columns of `progress.csv` that the thesis shows, in its order (Figs. 4.5 to 4.7); and evaluations."""
 
 
 def dots(found: Mapping[Measure, pd.DataFrame], runs: pd.DataFrame, looks: Looks, width: float) -> Figure:
@@ -98,7 +100,7 @@ def both_sides(estimates: pd.DataFrame) -> pd.DataFrame:
 
 
 def slopes(estimates: pd.DataFrame, runs: pd.DataFrame, looks: Looks, width: float) -> Figure:
-    """What conditions lose on the mirrored side: thin lines are seeds, thick ones means with their 95 % interval.
+    """What conditions lose on the mirrored side: thin lines are seeds, thick ones means with 95 % intervals.
 
     Args:
         estimates: Rows of `both_sides`, of success.
@@ -114,7 +116,7 @@ def slopes(estimates: pd.DataFrame, runs: pd.DataFrame, looks: Looks, width: flo
         for condition, sides in of_study.groupby("condition", sort=False):
             own = runs[(runs.study == study) & (runs.condition == condition)]
             _draw_slope(axes, place, sides, own, looks[condition])
-            ticks[place] = condition.replace("_", "_\n")
+            ticks[place] = str(condition).replace("_", "_\n")
             place += 1.0
         place += 0.4
     axes.set_xticks(list(ticks), list(ticks.values()))
@@ -198,7 +200,7 @@ def resting_places(episodes: pd.DataFrame, looks: Looks) -> Figure:
             own.final_ball_y, own.final_ball_x, size, colours, alpha=0.6, linewidth=0, rasterized=True
         )
         axes.plot(0.0, 0.0, "^", ms=8, color=INK)
-        axes.set(title=f"{condition}, {side.replace('_', ' ')}", aspect="equal")
+        axes.set(title=f"{condition}, {str(side).replace('_', ' ')}", aspect="equal")
     low, high = np.quantile(episodes.final_ball_x, [_OUTSIDE, 1 - _OUTSIDE])
     reach = 1.05 * max(np.quantile(episodes.final_ball_y.abs(), 1 - _OUTSIDE), 0.1)
     # As wide to the left as to the right: the eye compares the two.
@@ -244,7 +246,7 @@ def success_by_target(episodes: pd.DataFrame, looks: Looks) -> Figure:
     return figure
 
 
-def binned(episodes: pd.DataFrame, values: pd.Series, count: int) -> pd.DataFrame:
+def binned(episodes: pd.DataFrame, values: ArrayLike, count: int) -> pd.DataFrame:
     """Success of every condition and side, seeds pooled, in bins that all of them share.
 
     Args:
@@ -255,7 +257,9 @@ def binned(episodes: pd.DataFrame, values: pd.Series, count: int) -> pd.DataFram
     Returns:
         Columns condition, side, middle, episodes; rate, low and high (Wilson's 95 % interval) in percent.
     """
-    middle = pd.cut(values, count).map(lambda interval: interval.mid).astype(float).rename("middle")
+    middle = (
+        pd.cut(pd.Series(values), count).map(lambda interval: interval.mid).astype(float).rename("middle")
+    )
     groups = episodes.groupby(["condition", "side", middle], sort=False).success
     found = groups.agg(episodes="count", hits="sum").reset_index()
     found = found[found.episodes >= LEAST_EPISODES].sort_values("middle", kind="stable")
@@ -289,10 +293,10 @@ def kicking_feet(kicks: pd.DataFrame) -> Figure:
 
 
 def first_touches(counts: pd.DataFrame, width: float) -> Figure:
-    """Which foot kicks, in shares of the balls that were touched; a row per run, a column per side of the ball.
+    """Which foot kicks, in shares of the balls that were touched; a column per side of the ball.
 
     Args:
-        counts: Numbers of first touches: the index names the runs, the columns are `<ball>, <what touched it>`.
+        counts: What `tables.first_touches` returns.
         width: CSS pixels.
     """
     figure, (panels,) = subplots(width, 70 + 22 * len(counts), 1, 2, sharey=True)
@@ -310,7 +314,7 @@ def first_touches(counts: pd.DataFrame, width: float) -> Figure:
 
 
 def equivariance_errors(runs: pd.DataFrame, looks: Looks) -> Figure:
-    """The equivariance error of every run's policy; the broken line is where two actions have nothing in common.
+    """The equivariance error of every run's policy; at the broken line two actions have nothing in common.
 
     Args:
         runs: Rows of the runs.

@@ -65,8 +65,9 @@ class Measure:
         """A row of `over_seeds`: mean, standard deviation, interval and number of seeds."""
         if not estimate.seeds > 0:
             return NOT_MEASURED
+        interval = self.interval(estimate.low, estimate.high)
         seeds = "1 seed" if estimate.seeds == 1 else f"{estimate.seeds:.0f} seeds"
-        note = f"95 % {self.interval(estimate.low, estimate.high)}, {seeds}{non_finite_note(estimate.non_finite)}"
+        note = f"95 % {interval}, {seeds}{non_finite_note(estimate.non_finite)}"
         return f"{self.text(estimate['mean'], estimate['std'])} ({note})"
 
 
@@ -103,11 +104,11 @@ def over_seeds(rows: pd.DataFrame, measure: Measure) -> pd.DataFrame:
         measure: The figure; a run without it is no seed.
 
     Returns:
-        Columns seeds, mean, std (of a sample; NaN of one seed), low and high, non_finite. The 95 % interval is
+        Columns seeds, mean, std (of a sample; NaN of one seed), low, high, non_finite. The 95 % interval is
         Student's of the mean, clipped to what is possible; of one seed that of its episodes.
     """
     groups = rows[rows[measure.column].notna()].groupby(["condition", "side"], sort=False)
-    found = groups[measure.column].agg(seeds="count", mean="mean", std="std")
+    found = pd.DataFrame(groups[measure.column].agg(seeds="count", mean="mean", std="std"))
     found["non_finite"] = groups.non_finite.mean()
     half = stats.t.ppf(0.975, found.seeds - 1) * found["std"] / np.sqrt(found.seeds)
     most = 1.0 if measure.unit == "%" else inf

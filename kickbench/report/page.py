@@ -1,4 +1,4 @@
-"""`kickbench report DIR`: from a folder of runs to one HTML file that needs no other, no network and no JavaScript."""
+"""`kickbench report DIR`: from a folder of runs to one HTML file without JavaScript that needs no other."""
 
 from __future__ import annotations
 

@@ -54,7 +54,7 @@ def write_readme(root: Path) -> list[Path]:
 
 
 def measured_results(root: Path) -> list[Study]:
-    """Every folder of `results/measured`: as its experiment plans it, if `results/reported` has one of its name.
+    """Every folder of `results/measured`, as the experiment of its name in `results/reported` plans it.
 
     Raises:
         KickbenchError: There is none, or the claims of one cannot be judged.
@@ -89,7 +89,7 @@ def replaced(file: Path, body: str) -> str:
 
 
 def pictures(results: Sequence[Study]) -> dict[str, Picture]:
-    """The pictures by name: what conditions lose on the mirrored side, their success, and which foot kicked."""
+    """The pictures by name: what conditions lose on the mirrored side, success, and which foot kicked."""
     looks = looks_of(name for study in results for name in study.conditions)
     runs = pd.concat([study.measured for study in results])
     estimates = pd.concat([study.estimates(SUCCESS) for study in results])
@@ -136,7 +136,7 @@ def summary(results: Sequence[Study], drawn: dict[str, Picture]) -> str:
 
 
 def section(results: Sequence[Study], drawn: dict[str, Picture]) -> str:
-    """The text between the marks of `results/README.md`: tables, verdicts, what to know before believing them."""
+    """The text between the marks of `results/README.md`: tables, verdicts, and what does not count."""
     images = [_image(name, drawn, "pictures") for name in ("success", "feet")]
     return "\n\n".join([*map(_study_text, results), *images])
 
@@ -171,7 +171,7 @@ def _claim_lines(verdicts: Sequence[Verdict]) -> list[str]:
 
 
 def _with_effort(study: Study, table: pd.DataFrame) -> pd.DataFrame:
-    """Rows, indexed by condition, with what its runs took, each value once; conditions without runs are left out."""
+    """Rows, indexed by condition, with what its runs took; conditions without runs are left out."""
     table = table[[len(study.counted(condition)) > 0 for condition in table.index]]
     effort = pd.DataFrame([_effort(study, condition) for condition in table.index], table.index)
     return pd.concat([table, effort], axis=1)

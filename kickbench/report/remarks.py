@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import get_args
+from typing import Any, get_args
 
 import pandas as pd
 
@@ -11,34 +11,20 @@ from kickbench.report.study import SIDE_WORDS, Study
 from kickbench.results.columns import non_finite_note
 from kickbench.results.frame import known
 from kickbench.results.notes import unfinished_words
-from kickbench.results.provenance import Provenance
 from kickbench.results.verdicts import Outcome, Verdict
 
 
 def outcome(study: Study) -> list[str]:
     """How many claims are met, and the success of every condition."""
-    estimates = study.estimates(SUCCESS)
-    rates = (_rates(name, rows[rows.seeds > 0]) for name, rows in estimates.groupby("condition", sort=False))
-    return [*_counts(study.verdicts), *filter(None, rates)]
-
-
-def _counts(verdicts: tuple[Verdict, ...]) -> list[str]:
-    """`Of 3 claims: 2 met, 1 without enough data to say.`."""
     words = {"not enough data": "without enough data to say"}
-    counts = {word: sum(verdict.outcome == word for verdict in verdicts) for word in get_args(Outcome)}
+    counts = {word: sum(verdict.outcome == word for verdict in study.verdicts) for word in get_args(Outcome)}
     said = ", ".join(f"{count} {words.get(word, word)}" for word, count in counts.items() if count)
-    return [f"Of {len(verdicts)} claims: {said}."] if verdicts else []
-
-
-def _rates(condition: str, sides: pd.DataFrame) -> str:
-    """`equivariant: success 84.8 % in distribution, 84.9 % mirrored (mean of 3 seeds).`."""
-    seeds = [f" ({'1 seed' if count == 1 else f'mean of {count:.0f} seeds'})" for count in sides.seeds]
-    alike = len(set(seeds)) == 1
-    rates = [
-        f"{SUCCESS.text(row['mean'])} % {SIDE_WORDS[row.side]}{non_finite_note(row.non_finite)}{'' if alike else of}"
-        for (_, row), of in zip(sides.iterrows(), seeds, strict=True)
-    ]
-    return f"{condition}: success {', '.join(rates)}{seeds[0] if alike else ''}." if rates else ""
+    found = [f"Of {len(study.verdicts)} claims: {said}."] if study.verdicts else []
+    estimates = study.estimates(SUCCESS)
+    for condition, sides in estimates[estimates.seeds > 0].groupby("condition", sort=False):
+        rates = (f"{SUCCESS.of_seeds(row)} {SIDE_WORDS[row.side]}" for _, row in sides.iterrows())
+        found.append(f"{condition}: success in % {', '.join(rates)}.")
+    return found
 
 
 def verdict_words(verdict: Verdict) -> str:
@@ -58,7 +44,7 @@ def warnings(study: Study, commit: str | None = None) -> list[str]:
     """What is unfinished, smaller, other than planned or of other code: each remark once, with its runs."""
     finished = int((study.runs.state == "finished").sum())
     found = [] if finished == len(study.runs) else [f"{finished} of {len(study.runs)} runs are finished."]
-    about: dict[str, list[int]] = {}
+    about: dict[str, list[Any]] = {}
     for index, run in study.runs.iterrows():
         for remark in remarks(study, run, commit):
             about.setdefault(remark, []).append(index)
@@ -74,18 +60,32 @@ def remarks(study: Study, run: pd.Series, commit: str | None = None) -> list[str
         run: The row of the run.
         commit: Commit of the present code; None: do not compare.
     """
-    files = study.file_problems.get(run.path, [])
     if run.state == "missing":
         return ["not run"]
     if run.state == "damaged":
-        return ["damaged, and not shown", *files]
-    deviation = [] if run.deviation is None else [run.deviation]
+        return ["damaged, and not shown"]
     if run.state != "finished":
-        return [f"{unfinished_words(run)}, not evaluated", *deviation, *files]
-    found = [*(deviation if study.plans else _size(run)), *_not_counted(run), *_code(run.provenance, commit)]
-    if (ran := known(run, "schedule_iterations")) is not None:
-        found.append(f"its schedules ran over {ran:,.0f} iterations")
-    return [*found, *_non_finite(study.rows[study.rows.path == run.path]), *files]
+        return [f"{unfinished_words(run)}, not evaluated", *filter(None, [run.deviation])]
+    planned, ran = known(run, "iterations_planned"), known(run, "schedule_iterations")
+    smaller = not study.plans and planned not in (None, run.iterations)
+    made_by = run.provenance.commit or "unknown"
+    found = [
+        (run.deviation is not None, str(run.deviation)),
+        (run.scale > 0 and not study.plans, f"scaled down to {run.scale:g} of its size"),
+        (smaller, f"{run.iterations:,.0f} of {planned or 0:,.0f} iterations"),
+        (run.copy_of is not None, "a copy of another run, counted once"),
+        (run.contradicts is not None, "another result than a run of the same seed"),
+        (not run.counted and run.copy_of is None, "not counted"),
+        (commit not in (None, made_by), f"run by other code than this page's, commit {made_by[:10]}"),
+        (run.provenance.dirty, "run by code with uncommitted changes"),
+        (ran is not None, f"its schedules ran over {ran or 0:,.0f} iterations"),
+    ]
+    rows = study.rows[(study.rows.path == run.path) & (study.rows.evaluated_on == run.task)]
+    lost = (
+        f"episodes {SIDE_WORDS[of.side]}:{non_finite_note(of.non_finite)}"
+        for _, of in rows[rows.non_finite > 0].iterrows()
+    )
+    return [*(words for holds, words in found if holds), *lost]
 
 
 def listed(runs: pd.DataFrame) -> str:
@@ -97,32 +97,3 @@ def listed(runs: pd.DataFrame) -> str:
             f"{condition} seeds {', '.join(most)} and {last}" if most else f"{condition} seed {last}"
         )
     return ", ".join(parts)
-
-
-def _not_counted(run: pd.Series) -> list[str]:
-    if run.counted:
-        return []
-    if run.copy_of is not None:
-        return ["a copy of another run, counted once"]
-    return ["another result than a run of the same seed; not counted" if run.contradicts else "not counted"]
-
-
-def _code(provenance: Provenance, commit: str | None) -> list[str]:
-    found = ["run by code with uncommitted changes"] if provenance.dirty else []
-    if commit is not None and provenance.commit != commit:
-        found.append(f"run by other code than this page's, commit {(provenance.commit or 'unknown')[:10]}")
-    return found
-
-
-def _size(run: pd.Series) -> list[str]:
-    """Of a run that no experiment plans: in what it is smaller than its own method and task."""
-    found = [f"scaled down to {run.scale:g} of its size"] if run.scale > 0 else []
-    planned = known(run, "iterations_planned")
-    if planned not in (None, run.iterations):
-        found.append(f"{run.iterations:,.0f} of {planned:,.0f} iterations")
-    return found
-
-
-def _non_finite(rows: pd.DataFrame) -> list[str]:
-    own = rows[(rows.evaluated_on == rows.task) & (rows.non_finite > 0)]
-    return [f"episodes {SIDE_WORDS[row.side]}:{non_finite_note(row.non_finite)}" for _, row in own.iterrows()]

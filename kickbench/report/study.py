@@ -1,8 +1,8 @@
-"""What one part of a page is about: runs from the table of runs, and the files of theirs that only a page reads."""
+"""What one part of a page is about: rows of the table of runs, and files of runs that only a page reads."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
@@ -34,9 +34,8 @@ class Study:
         rows: Rows of `load_runs`, `condition` being the heading that a run is shown under.
         problems: What could not be shown, and why: sentences.
         notes: Place and text of the notes that lie beside the runs.
-        curves: A row per training iteration of the runs of which it is known, with their condition, seed and path.
+        curves: A row per training iteration, with condition, seed and path of the run.
         episodes: A row per episode of the evaluations, with condition, seed, path and side.
-        file_problems: What is wrong with files of a run, by its path: sentences.
         experiment: The experiment, if it is one.
         verdicts: The verdicts on its claims.
         unjudged: Why the claims cannot be judged; empty if they can.
@@ -48,7 +47,6 @@ class Study:
     notes: tuple[tuple[str, str], ...]
     curves: pd.DataFrame
     episodes: pd.DataFrame
-    file_problems: Mapping[Path, list[str]]
     experiment: LoadedExperiment | None = None
     verdicts: tuple[Verdict, ...] = ()
     unjudged: str = ""
@@ -81,8 +79,8 @@ class Study:
         """A figure of every condition, on every side that was measured or reported for any of them.
 
         Returns:
-            Columns study, condition, side, label, those of `over_seeds`, reported and reported_std; NaN where there
-            is nothing.
+            Columns study, condition, side, label, those of `over_seeds`, reported and reported_std; NaN where
+            there is nothing.
         """
         keys = pd.MultiIndex.from_tuples(product(self.conditions, SIDES), names=["condition", "side"])
         found = over_seeds(self.measured, measure).reindex(keys)
@@ -105,7 +103,7 @@ def studies(root: Path, experiment: LoadedExperiment | None = None) -> list[Stud
     """What a folder holds: one study of the experiment, or without it one of every setting.
 
     Args:
-        root: A run directory, or any folder above some; with an experiment the one that holds `<condition>/seed<k>`.
+        root: A run directory, or any folder above some; of an experiment the one with `<condition>/seed<k>`.
         experiment: What should be there.
 
     Raises:
@@ -136,7 +134,7 @@ def _planned_study(root: Path, frame: pd.DataFrame, experiment: LoadedExperiment
         refuse_contradictions(frame, str)
         return replace(study, verdicts=judge(experiment, frame))
     except KickbenchError as error:
-        return replace(study, unjudged=f"The claims cannot be judged: {_in_folder(root, error)}")
+        return replace(study, unjudged=f"The claims cannot be judged: {error}".replace(f"{root}/", ""))
 
 
 def _study(
@@ -150,10 +148,8 @@ def _study(
         return _place(root, path)
 
     lines = [*problems, *repeat_lines(rows, place), *left_out_lines(rows[rows.state == "damaged"], place)]
-    wrong: dict[Path, list[str]] = {}
-    curves, episodes = _files(root, runs_of(rows), wrong)
     notes = _notes(root, rows.path.unique())
-    return Study(name, rows, tuple(lines), notes, curves, episodes, wrong, experiment)
+    return Study(name, rows, tuple(lines), notes, *_files(runs_of(rows)), experiment)
 
 
 def _place(root: Path, path: Path) -> str:
@@ -161,33 +157,26 @@ def _place(root: Path, path: Path) -> str:
     return path.relative_to(root).as_posix() if path != root else path.resolve().name
 
 
-def _in_folder(root: Path, error: KickbenchError) -> str:
-    return str(error).replace(f"{root}/", "")
-
-
-def _files(root: Path, runs: pd.DataFrame, wrong: dict[Path, list[str]]) -> tuple[pd.DataFrame, pd.DataFrame]:
+def _files(runs: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Curves and episodes of runs that count, or are not finished and may."""
-    curves, episodes = ([pd.DataFrame(columns=["condition", "seed", "path"])] for _ in range(2))
+    curves, episodes = [], []
     unfinished = runs.state.isin(["unfinished", "running"]) & runs.deviation.isna()
     for _, run in runs[runs.counted | unfinished].iterrows():
         directory, own = RunDirectory(run.path), {name: run[name] for name in ("condition", "seed", "path")}
-        progress, progress_problems = _read(read_progress, directory.progress)
-        sides, episode_problems = _read(read_episodes, directory.episodes)
-        wrong[run.path] = [_in_folder(root, error) for error in (*progress_problems, *episode_problems)]
-        if progress is not None:
+        if directory.progress.exists():
+            progress = read_progress(directory.progress)
             curves.append(pd.DataFrame({**own, "iteration": progress.iteration, **progress.columns}))
-        for side, table in zip(SIDES, sides or (), strict=False):
+        sides = read_episodes(directory.episodes) if directory.episodes.exists() else ()
+        for side, table in zip(SIDES, sides, strict=False):
             if table is not None:
                 episodes.append(pd.DataFrame({**own, "side": side, **table.columns()}))
-    return tuple(pd.concat(found[1:] or found, ignore_index=True) for found in (curves, episodes))
+    return _joined(curves), _joined(episodes)
 
 
-def _read(reader: Callable[[Path], Any], path: Path) -> tuple[Any, list[KickbenchError]]:
-    """The content of a file, None if there is none; and what is wrong with it."""
-    try:
-        return reader(path) if path.exists() else None, []
-    except KickbenchError as error:
-        return None, [error]
+def _joined(found: list[pd.DataFrame]) -> pd.DataFrame:
+    return (
+        pd.concat(found, ignore_index=True) if found else pd.DataFrame(columns=["condition", "seed", "path"])
+    )
 
 
 def _notes(root: Path, runs: Iterable[Path]) -> tuple[tuple[str, str], ...]:

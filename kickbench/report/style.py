@@ -65,7 +65,7 @@ _SPARE = (
 
 
 def looks_of(conditions: Iterable[str]) -> dict[str, Look]:
-    """The look of each condition: that of the method it is named after, others what is left, in their order."""
+    """The look of each condition: that of the method it is named after, or what is left, in their order."""
     conditions = list(dict.fromkeys(conditions))
     free = [*_SPARE, *(look for name, look in _KNOWN.items() if name not in conditions)]
     rest = [name for name in conditions if name not in _KNOWN]

@@ -32,7 +32,8 @@ def _reported(study: Study, estimate: pd.Series, measure: Measure) -> str:
     """A reported figure with its section."""
     if pd.isna(estimate.reported):
         return "not reported"
-    section = study.plans[estimate.condition].reported.section
+    reported = study.plans[estimate.condition].reported
+    section = reported.section if reported else ""
     return f"{measure.text(estimate.reported, estimate.reported_std)}{f' ({section})' if section else ''}"
 
 
@@ -130,7 +131,7 @@ def commit_text(provenance: Provenance) -> str:
 
 
 def first_touches(runs: pd.DataFrame) -> pd.DataFrame:
-    """Numbers of first touches by the side of the ball and the foot, both sides of each evaluation together."""
+    """Numbers of first touches by side of the ball and foot, both sides of each evaluation together."""
     names = runs.study + ": " + runs.condition + ", seed " + runs.seed.astype(str)
     feet = {"left foot": "left_foot", "no foot": "other", "right foot": "right_foot", "never": "none"}
     touches = {

@@ -118,7 +118,8 @@ def test_every_figure_is_there(whole):
 
 def test_figures_stand_beside_what_they_rest_on(whole):
     page, _ = whole
-    assert "equivariant: success 66.7 % in distribution, 66.7 % mirrored (1 seed)." in page.text
+    one = "66.7 (95 % [54.1, 77.3], 1 seed)"
+    assert f"equivariant: success in % {one} in distribution, {one} mirrored." in page.text
     assert "A Processor, 2 threads" in page.text
     assert "2,764,800" in page.text
     assert "The kick in figures" in page.text
@@ -209,7 +210,8 @@ def test_a_mean_says_of_how_many_seeds_it_is(folder):
         folder.add("baseline", seed, identity=identity if seed else None, curves=None, table=False)
     page, _ = page_of(folder.path, "--experiment", str(REPORTED))
     assert "3 of 25 runs are finished." in page.text
-    assert "baseline: success 66.7 % in distribution, 66.7 % mirrored (mean of 2 seeds)." in page.text
+    two = "66.7 ± 0.0 (95 % [66.7, 66.7], 2 seeds)"
+    assert f"baseline: success in % {two} in distribution, {two} mirrored." in page.text
     assert "another identity: baseline seed 0." in page.text
 
 
@@ -221,7 +223,7 @@ def test_episodes_that_became_non_finite_are_told(folder):
     write_metrics(run / "metrics.json", metrics.model_copy(update={"evaluation": evaluation}))
     seal(run)
     page, _ = page_of(folder.path)
-    assert "66.7 % in distribution (100.0 % non-finite), 66.7 % mirrored (1 seed)." in page.text
+    assert "1 seed (100.0 % non-finite)) in distribution, 66.7 (95 % [54.1, 77.3], 1 seed) mirrored." in page.text
     assert "Episodes in distribution: (100.0 % non-finite): baseline seed 0." in page.text
 
 
@@ -247,7 +249,7 @@ def test_the_same_runs_make_the_same_page(folder):
 def test_a_single_run_has_a_page(folder):
     run = folder.add("baseline", curves=None, table=False)
     assert main(["report", str(run)]) == 0
-    assert "baseline: success 66.7 %" in Page((run / "report.html").read_text()).text
+    assert "baseline: success in % 66.7" in Page((run / "report.html").read_text()).text
 
 
 @pytest.mark.parametrize(
