@@ -58,7 +58,7 @@ class Study:
 
     @property
     def runs(self) -> pd.DataFrame:
-        """A row a run."""
+        """A row per run."""
         return runs_of(self.rows)
 
     @property
