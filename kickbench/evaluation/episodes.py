@@ -23,9 +23,9 @@ from kickbench.envs.starts import Starts, StartSampler
 from kickbench.evaluation.probes import EquivarianceProbe, KickRecord
 from kickbench.evaluation.progress import EVALUATING, Steps
 from kickbench.nets.threads import torch_threads
-from kickbench.results.asymmetry import EquivarianceError
 from kickbench.results.episodes import NON_FINITE, EpisodeSides, EpisodeTable
 from kickbench.results.frame import SIDES
+from kickbench.results.metrics import EquivarianceError
 from kickbench.symmetry.torch_ops import Mirror
 from kickbench.trials.trial import Symmetry, state_symmetry
 

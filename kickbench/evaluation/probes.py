@@ -12,7 +12,7 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from kickbench.envs.state import State
-from kickbench.results.asymmetry import EquivarianceError
+from kickbench.results.metrics import EquivarianceError
 from kickbench.symmetry.representation import Representation
 from kickbench.symmetry.torch_ops import Mirror
 

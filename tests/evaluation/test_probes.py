@@ -13,7 +13,7 @@ from tensordict import TensorDict
 from kickbench.evaluation.episodes import draw_starts, run_episodes
 from kickbench.evaluation.probes import EVERY, LAUNCH_WINDOW, EquivarianceProbe, KickRecord
 from kickbench.nets.build import build_actor
-from kickbench.results.asymmetry import EquivarianceError
+from kickbench.results.metrics import EquivarianceError
 from kickbench.symmetry import REGULAR, SIGN, TRIVIAL
 from kickbench.symmetry.torch_ops import Mirror
 
