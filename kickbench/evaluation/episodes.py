@@ -1,8 +1,8 @@
 """Runs exactly the episodes asked for, none counted twice, none preferred for being short.
 
-All starts are drawn before the first step, and every one of them is run to its end. (Recording the first N episodes to
-*finish* would prefer short ones.) An env that finishes an episode begins the next start that no env has begun. What
-happens in an episode does not depend on when or where it runs.
+All starts are drawn before the first step, and every one of them is run to its end. (Recording the first N
+episodes to *finish* would prefer short ones.) An env that finishes an episode begins the next start that no env has
+begun. What happens in an episode does not depend on when or where it runs.
 """
 
 from __future__ import annotations
@@ -20,13 +20,12 @@ from kickbench.envs.engines import make_engine
 from kickbench.envs.env import KickEnv
 from kickbench.envs.episode import FOOT_NAMES
 from kickbench.envs.initial_states import InitialStates, InitialStateSampler
-from kickbench.evaluation.equivariance import EquivarianceProbe
-from kickbench.evaluation.kick import KickRecord
+from kickbench.evaluation.probes import EquivarianceProbe, KickRecord
 from kickbench.evaluation.progress import EVALUATING, Steps
 from kickbench.nets.threads import torch_threads
-from kickbench.results.asymmetry import EquivarianceError
 from kickbench.results.episodes import NON_FINITE, EpisodeSides, EpisodeTable
 from kickbench.results.frame import SIDES
+from kickbench.results.metrics import EquivarianceError
 from kickbench.symmetry.torch_ops import Mirror
 from kickbench.trials.trial import Symmetry, state_symmetry
 
@@ -121,7 +120,7 @@ class _Evaluation:
         self.observations = self.observations[rows]
 
     def step(self, actions: Tensor) -> dict[str, np.ndarray]:
-        """Advances all envs by one control step, and returns the columns of the episodes that it has ended."""
+        """Advances all envs by one control step; the columns of the episodes that it has ended."""
         env, running, before = self.env, self.schedule.running, self.env.state()
         state = env.advance(actions)
         self.kick.note(before, state, env.engine.failed, self.task.spec.simulation.control_interval)
@@ -145,8 +144,8 @@ def run_episodes(
 ) -> EpisodeTable:
     """Runs one episode from each start with a deterministic policy, on the CPU.
 
-    An episode depends on its start, the seed and its number alone, not on `num_envs` or `num_threads`; but a policy may
-    answer up to three observations at a time with other last bits than more (BLAS).
+    An episode depends on its start, the seed and its number alone, not on `num_envs` or `num_threads`; but a policy
+    may answer up to three observations at a time with other last bits than more (BLAS).
 
     Args:
         task: Compiled task.
@@ -189,8 +188,8 @@ def run_sides(
     Args:
         task: Compiled task.
         policy: As for `run_episodes`.
-        symmetry: The reflection by which the policy's equivariance error is measured at the states that it visits;
-            None: it is not measured.
+        symmetry: The reflection by which the policy's equivariance error is measured at the states that it
+            visits; None: it is not measured.
         episodes: Episodes a side; default: the task's.
         seed: Seed of the starts; default: the task's.
         num_threads: Physics threads.
@@ -215,7 +214,7 @@ def run_sides(
 
 
 def success_by_side(task: CompiledTask, policy: Policy, num_threads: int | None = None) -> dict[str, float]:
-    """Success by side of a policy, in the first episodes of the evaluation: as many as the task's `every_episodes`."""
+    """Success by side of a policy in the first `every_episodes` episodes of the task's evaluation."""
     protocol = task.spec.evaluation
     starts = draw_starts(task, max(protocol.episodes, protocol.every_episodes), protocol.seed)
     home = starts.take(torch.arange(protocol.every_episodes))
@@ -243,12 +242,12 @@ def _ended(env: KickEnv, running: Tensor, before: Tensor, kick: dict[str, Tensor
     ending = torch.where(outcome.failed, outcome.terminated.shape[1], outcome.terminated.int().argmax(dim=1))
     columns = {
         "running": running,
-        "ball_x": ball[:, 0],
-        "ball_y": ball[:, 1],
+        "final_ball_x": ball[:, 0],
+        "final_ball_y": ball[:, 1],
         "success": outcome.success,
-        "ending": ending,
+        "termination": ending,
         "steps": outcome.steps,
-        "returned": outcome.rewards.sum(dim=1),
+        "episode_return": outcome.rewards.sum(dim=1),
         "kick_foot": record.kick_foot,
         "kick_step": record.kick_step,
         "peak_ball_speed": record.peak_ball_speed,
@@ -258,31 +257,24 @@ def _ended(env: KickEnv, running: Tensor, before: Tensor, kick: dict[str, Tensor
 
 
 def _table(task: CompiledTask, starts: InitialStates, ended: list[dict[str, np.ndarray]]) -> EpisodeTable:
+    """Episodes in the order of their starts; terminations and feet by name."""
     merged = {name: np.concatenate([chunk[name] for chunk in ended]) for name in ended[0]}
     order = np.argsort(merged["running"])
     rows = {name: column[order] for name, column in merged.items()}
-    assert (rows["running"] == np.arange(len(starts))).all(), "every episode is counted exactly once"
+    assert (rows.pop("running") == np.arange(len(starts))).all(), "every episode is counted exactly once"
     place = task.scene.layout.ball_qpos
     start_ball, target = starts.qpos[:, place : place + 2].numpy(), starts.target.numpy()
     endings = np.array([*(bound.name for bound in task.terminations), NON_FINITE])
-    final = np.stack([rows["ball_x"], rows["ball_y"]], axis=1).astype(np.float64)
+    final = np.stack([rows["final_ball_x"], rows["final_ball_y"]], axis=1).astype(np.float64)
+    names = {
+        "termination": endings[rows["termination"]],
+        "kick_foot": np.array(FOOT_NAMES)[rows["kick_foot"]],
+    }
     return EpisodeTable(
         start_ball_x=start_ball[:, 0],
         start_ball_y=start_ball[:, 1],
         target_x=target[:, 0],
         target_y=target[:, 1],
-        final_ball_x=final[:, 0],
-        final_ball_y=final[:, 1],
         distance=np.linalg.norm(final - target, axis=1),
-        success=rows["success"],
-        termination=endings[rows["ending"]],
-        steps=rows["steps"],
-        episode_return=rows["returned"],
-        kick_foot=np.array(FOOT_NAMES)[rows["kick_foot"]],
-        kick_step=rows["kick_step"],
-        peak_ball_speed=rows["peak_ball_speed"],
-        touches=rows["touches"],
-        walked_after_touch=rows["walked_after_touch"],
-        launch_speed=rows["launch_speed"],
-        direction_error=rows["direction_error"],
+        **{**rows, **names},
     )

@@ -1,1 +1,1 @@
-"""The report: one self-contained page that puts measured results beside reported ones, and the README's part."""
+"""The report: one self-contained page of measured beside reported results, and the READMEs' parts."""

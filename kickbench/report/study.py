@@ -1,35 +1,28 @@
-"""What one part of a page is about: runs from the table of runs, and the files of theirs that only a page reads."""
+"""What one part of a page is about: rows of the table of runs, and files of runs that only a page reads."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
-from typing import TypeVar
+from typing import Any
 
 import pandas as pd
 
 from kickbench.config.claims import Side
 from kickbench.errors import KickbenchError
-from kickbench.results.episodes import EpisodeSides, read_episodes
-from kickbench.results.frame import load_runs, runs_of
+from kickbench.report.measures import Measure, over_seeds
+from kickbench.results.episodes import read_episodes
+from kickbench.results.frame import SIDES, load_runs, runs_of
 from kickbench.results.groups import group_lines, setting_lines, with_groups
-from kickbench.results.notes import left_out_lines, repeat_lines, unplanned_lines
-from kickbench.results.progress import Progress, read_progress
+from kickbench.results.notes import left_out_lines, refuse_contradictions, repeat_lines, unplanned_lines
+from kickbench.results.progress import read_progress
 from kickbench.results.store import RunDirectory
+from kickbench.results.verdicts import Verdict, judge
 from kickbench.trials.experiment import Arm, LoadedExperiment
 
-T = TypeVar("T")
 SIDE_WORDS: dict[Side, str] = {"in_distribution": "in distribution", "mirrored": "mirrored"}
-_NOTES = "README.md"
-
-
-@dataclass(frozen=True)
-class Note:
-    """A text that lies beside the runs and says more about them: its place, and what it says."""
-
-    place: str
-    text: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,50 +31,79 @@ class Study:
 
     Attributes:
         name: Its name.
-        question: What was asked, in a line; empty if nothing says so.
-        section: Where the thesis describes it; empty if it does not.
         rows: Rows of `load_runs`, `condition` being the heading that a run is shown under.
-        plans: The conditions that an experiment plans, by name; empty without one.
-        notes: Texts that lie beside the runs.
         problems: What could not be shown, and why: sentences.
-        curves: Seed and training curve of the runs of each condition, where they have one.
-        episodes: Seed and evaluation, episode by episode, where they have them.
-        file_problems: What is wrong with files of a run, by its path: sentences.
+        notes: Place and text of the notes that lie beside the runs.
+        curves: A row per training iteration, with condition, seed and path of the run.
+        episodes: A row per episode of the evaluations, with condition, seed, path and side.
+        experiment: The experiment, if it is one.
+        verdicts: The verdicts on its claims.
+        unjudged: Why the claims cannot be judged; empty if they can.
     """
 
     name: str
-    question: str
-    section: str
     rows: pd.DataFrame
-    plans: Mapping[str, Arm] = field(default_factory=dict)
-    notes: tuple[Note, ...] = ()
-    problems: tuple[str, ...] = ()
-    curves: Mapping[str, list[tuple[int, Progress]]] = field(default_factory=dict)
-    episodes: Mapping[str, list[tuple[int, EpisodeSides]]] = field(default_factory=dict)
-    file_problems: Mapping[Path, list[str]] = field(default_factory=dict)
+    problems: tuple[str, ...]
+    notes: tuple[tuple[str, str], ...]
+    curves: pd.DataFrame
+    episodes: pd.DataFrame
+    experiment: LoadedExperiment | None = None
+    verdicts: tuple[Verdict, ...] = ()
+    unjudged: str = ""
+
+    @property
+    def plans(self) -> Mapping[str, Arm]:
+        """The conditions that an experiment plans, by name; empty without one."""
+        return self.experiment.arms if self.experiment else {}
 
     @property
     def runs(self) -> pd.DataFrame:
-        """A row a run."""
+        """A row per run."""
         return runs_of(self.rows)
 
     @property
-    def conditions(self) -> dict[str, str]:
-        """Method of each condition."""
-        planned = {name: arm.method.name for name, arm in self.plans.items()}
-        return planned or dict(zip(self.runs.condition, self.runs.method, strict=True))
+    def conditions(self) -> list[str]:
+        """The conditions in their order."""
+        return list(self.plans) or list(dict.fromkeys(self.runs.condition))
 
-    def counted(self, condition: str | None = None) -> pd.DataFrame:
-        """A row a run that counts, of one condition or of all."""
-        runs = self.runs[self.runs.counted]
-        return runs if condition is None else runs[runs.condition == condition]
+    @property
+    def measured(self) -> pd.DataFrame:
+        """A row per side of every run that counts, on its own task; with the columns study and label."""
+        return self._labelled(self.rows[self.rows.counted & (self.rows.evaluated_on == self.rows.task)])
+
+    def counted(self, condition: str) -> pd.DataFrame:
+        """A row per run of a condition that counts."""
+        return self.runs[self.runs.counted & (self.runs.condition == condition)]
+
+    def estimates(self, measure: Measure) -> pd.DataFrame:
+        """A figure of every condition, on every side that was measured or reported for any of them.
+
+        Returns:
+            Columns study, condition, side, label, those of `over_seeds`, reported and reported_std; NaN where
+            there is nothing.
+        """
+        keys = pd.MultiIndex.from_tuples(product(self.conditions, SIDES), names=["condition", "side"])
+        found = over_seeds(self.measured, measure).reindex(keys)
+        reported = [self._reported(*key) for key in keys]
+        for name, column in (("reported", measure.column), ("reported_std", f"{measure.column}_std")):
+            found[name] = pd.Series([getattr(of, column, None) for of in reported], keys, dtype=float)
+        known = (found["mean"].notna() | found.reported.notna()).groupby("side").transform("any")
+        return self._labelled(found[known].reset_index())
+
+    def _labelled(self, rows: pd.DataFrame) -> pd.DataFrame:
+        mirrored = rows.side.map({"in_distribution": "", "mirrored": ", mirrored"})
+        return rows.assign(study=self.name, label=rows.condition + mirrored)
+
+    def _reported(self, condition: str, side: Side) -> Any:
+        reported = self.plans[condition].reported if condition in self.plans else None
+        return reported and reported.of_side(side)
 
 
-def studies(root: Path, experiment: LoadedExperiment | None = None) -> tuple[Study, ...]:
+def studies(root: Path, experiment: LoadedExperiment | None = None) -> list[Study]:
     """What a folder holds: one study of the experiment, or without it one of every setting.
 
     Args:
-        root: A run directory, or any folder above some; with an experiment the one that holds `<condition>/seed<k>`.
+        root: A run directory, or any folder above some; of an experiment the one with `<condition>/seed<k>`.
         experiment: What should be there.
 
     Raises:
@@ -91,11 +113,7 @@ def studies(root: Path, experiment: LoadedExperiment | None = None) -> tuple[Stu
         raise KickbenchError(f"{root}: no such folder")
     frame = load_runs(root, experiment)
     if experiment is not None:
-        name, spec = experiment.name, experiment.spec
-        planned = frame[frame.condition.notna()]
-        unplanned = unplanned_lines(frame, lambda path: place(root, path))
-        whole = _study(root, name, spec.description, spec.section, planned, unplanned, experiment.arms)
-        return (whole,)
+        return [_planned_study(root, frame, experiment)]
     if frame.empty:
         raise KickbenchError(f"{root}: no run in it, finished or not")
     finished = with_groups(frame)
@@ -103,84 +121,69 @@ def studies(root: Path, experiment: LoadedExperiment | None = None) -> tuple[Stu
     settings = finished.setting_name.reindex(frame.index).fillna(frame.task)
     found = []
     for name in dict.fromkeys(settings):
-        own = finished[finished.setting_name == name]
+        own, rows = finished[finished.setting_name == name], frame[settings == name]
         problems = [*setting_lines(finished[finished.task.isin(own.task)]), *group_lines(own)]
-        found.append(_study(root, name, "", "", frame[settings == name], problems))
-    return tuple(found)
+        found.append(_study(root, name, rows.sort_values("seed", kind="stable"), problems))
+    return found
 
 
-def place(root: Path, path: Path) -> str:
-    """A run's folder as the page calls it: relative to the page's."""
-    return path.relative_to(root).as_posix() if path != root else path.resolve().name
+def _planned_study(root: Path, frame: pd.DataFrame, experiment: LoadedExperiment) -> Study:
+    unplanned = unplanned_lines(frame, lambda path: _place(root, path))
+    study = _study(root, experiment.name, frame[frame.condition.notna()], unplanned, experiment)
+    try:
+        refuse_contradictions(frame, str)
+        return replace(study, verdicts=judge(experiment, frame))
+    except KickbenchError as error:
+        return replace(study, unjudged=f"The claims cannot be judged: {error}".replace(f"{root}/", ""))
 
 
 def _study(
     root: Path,
     name: str,
-    question: str,
-    section: str,
     rows: pd.DataFrame,
     problems: Iterable[str],
-    plans: Mapping[str, Arm] | None = None,
+    experiment: LoadedExperiment | None = None,
 ) -> Study:
-    def named(path: Path) -> str:
-        return place(root, path)
+    def place(path: Path) -> str:
+        return _place(root, path)
 
-    if not plans:
-        rows = rows.sort_values("seed", kind="stable")
-    damaged = rows[rows.state == "damaged"]
-    problems = [*problems, *repeat_lines(rows, named), *left_out_lines(damaged, named)]
+    lines = [*problems, *repeat_lines(rows, place), *left_out_lines(rows[rows.state == "damaged"], place)]
     notes = _notes(root, rows.path.unique())
-    study = Study(
-        name,
-        question,
-        section,
-        rows,
-        plans or {},
-        notes,
-        tuple(problems),
+    return Study(name, rows, tuple(lines), notes, *_files(runs_of(rows)), experiment)
+
+
+def _place(root: Path, path: Path) -> str:
+    """A run's folder relative to the page's."""
+    return path.relative_to(root).as_posix() if path != root else path.resolve().name
+
+
+def _files(runs: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Curves and episodes of runs that count, or are not finished and may."""
+    curves, episodes = [], []
+    unfinished = runs.state.isin(["unfinished", "running"]) & runs.deviation.isna()
+    for _, run in runs[runs.counted | unfinished].iterrows():
+        directory, own = RunDirectory(run.path), {name: run[name] for name in ("condition", "seed", "path")}
+        if directory.progress.exists():
+            progress = read_progress(directory.progress)
+            curves.append(pd.DataFrame({**own, "iteration": progress.iteration, **progress.columns}))
+        sides = read_episodes(directory.episodes) if directory.episodes.exists() else ()
+        for side, table in zip(SIDES, sides, strict=False):
+            if table is not None:
+                episodes.append(pd.DataFrame({**own, "side": side, **table.columns()}))
+    return _joined(curves), _joined(episodes)
+
+
+def _joined(found: list[pd.DataFrame]) -> pd.DataFrame:
+    return (
+        pd.concat(found, ignore_index=True) if found else pd.DataFrame(columns=["condition", "seed", "path"])
     )
-    return _with_files(root, study)
 
 
-def _with_files(root: Path, study: Study) -> Study:
-    """Reads the curves and episodes of runs that count, or are not finished and may."""
-    curves, episodes, problems = {}, {}, {}
-    for _, run in study.runs.iterrows():
-        unfinished = run.state in ("unfinished", "running") and not run.deviation
-        if not run.counted and not unfinished:
-            continue
-        directory, seed = RunDirectory(run.path), 0 if run.seed is pd.NA else int(run.seed)
-        for read, path, found in (
-            (read_progress, directory.progress, curves),
-            (read_episodes, directory.episodes, episodes),
-        ):
-            if (table := _try(read, path, problems.setdefault(run.path, []), root)) is not None:
-                found.setdefault(run.condition, []).append((seed, table))
-    whole = {"curves": curves, "episodes": episodes, "file_problems": problems}
-    return Study(**{**vars(study), **whole})
-
-
-def _try(read: Callable[[Path], T], path: Path, problems: list[str], root: Path) -> T | None:
-    if not path.exists():
-        return None
-    try:
-        return read(path)
-    except KickbenchError as error:
-        problems.append(str(error).replace(f"{root}/", ""))
-        return None
-
-
-def _notes(root: Path, folders: Iterable[Path]) -> tuple[Note, ...]:
+def _notes(root: Path, runs: Iterable[Path]) -> tuple[tuple[str, str], ...]:
     """Texts beside the runs and in the folders between them and the root."""
-    places = {
-        parent
-        for folder in folders
-        for parent in (folder, *folder.parents)
-        if parent == root or root in parent.parents
-    }
-    files = sorted(place / _NOTES for place in places if (place / _NOTES).is_file())
-    return tuple(
-        Note(file.relative_to(root).as_posix(), file.read_text(encoding="utf-8", errors="replace"))
-        for file in files
-    )
+    files = [
+        file
+        for file in sorted(root.rglob("README.md"))
+        if any(run.is_relative_to(file.parent) for run in runs)
+    ]
+    return tuple((_place(root, file), file.read_text(encoding="utf-8", errors="replace")) for file in files)

@@ -1,21 +1,26 @@
-"""`kickbench report DIR`: from a folder of runs to the file of a page."""
+"""`kickbench report DIR`: from a folder of runs to one HTML file without JavaScript that needs no other."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+import base64
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from kickbench import __version__
-from kickbench.errors import KickbenchError, printable
-from kickbench.report.headline import Claimed, claimed
-from kickbench.report.page import anchors, part_of, render
-from kickbench.report.study import studies
+from kickbench.errors import printable, require
+from kickbench.report import figures, tables
+from kickbench.report.measures import ASYMMETRY, DISTANCE, KICK, SUCCESS
+from kickbench.report.remarks import evidence, listed, outcome, verdict_words, warnings
+from kickbench.report.study import Study, studies
+from kickbench.report.style import Picture, looks_of, style
 from kickbench.results.atomic import atomic_write_text
-from kickbench.results.frame import load_runs
-from kickbench.results.notes import refuse_contradictions
 from kickbench.results.provenance import code_state
-from kickbench.results.verdicts import judge
 from kickbench.trials.experiment import LoadedExperiment
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_WIDTH = 760
 
 
 def write_report(root: Path, out: Path, experiment: LoadedExperiment | None = None) -> None:
@@ -29,31 +34,74 @@ def write_report(root: Path, out: Path, experiment: LoadedExperiment | None = No
     Raises:
         KickbenchError: There is no run, or a library is missing.
     """
-    found = studies(root, experiment)
-    claims: tuple[Claimed, ...] = ()
-    if experiment is not None:
-        claims, problems = judged(root, experiment)
-        found = tuple(replace(study, problems=(*study.problems, *problems)) for study in found)
-    parts = [
-        part_of(study, claims, anchor, code_state()[0])
-        for study, anchor in zip(found, anchors(found), strict=True)
-    ]
+    jinja = require("jinja2", "a report", "report")
+    found, (commit, dirty) = studies(root, experiment), code_state()
+    with style():
+        parts = [_part(study, commit) for study in found]
     title = f"kickbench: {found[0].name if len(found) == 1 else root.resolve().name}"
-    atomic_write_text(out, printable(render(title, parts, _made_by())))
-
-
-def judged(root: Path, experiment: LoadedExperiment) -> tuple[tuple[Claimed, ...], tuple[str, ...]]:
-    """The claims of an experiment with their verdicts; and, where they cannot be judged, why not."""
-    try:
-        runs = load_runs(root, experiment)
-        refuse_contradictions(runs, str)
-        verdicts = judge(experiment, runs)
-    except KickbenchError as error:
-        return (), (f"The claims cannot be judged: {error}".replace(f"{root}/", ""),)
-    return tuple(map(claimed, verdicts)), ()
-
-
-def _made_by() -> str:
-    commit, dirty = code_state()
     at = f" at commit {commit[:10]}{' with uncommitted changes' if dirty else ''}" if commit else ""
-    return f"Page made by kickbench {__version__}{at}."
+    environment = jinja.Environment(
+        loader=jinja.FileSystemLoader(Path(__file__).parent), undefined=jinja.StrictUndefined, autoescape=True
+    )
+    text = environment.get_template("page.html.j2").render(
+        title=title, parts=parts, made_by=f"Page made by kickbench {__version__}{at}."
+    )
+    atomic_write_text(out, printable(text))
+
+
+def _part(study: Study, commit: str | None) -> dict[str, Any]:
+    """What the template prints of a study."""
+    return {
+        "study": study,
+        "outcome": outcome(study),
+        "warnings": warnings(study, commit),
+        "claims": [(verdict, verdict_words(verdict), evidence(verdict)) for verdict in study.verdicts],
+        "comparison": tables.comparison(study),
+        "pictures": {name: _address(figure) for name, figure in _figures(study).items()},
+        "without": _without(study),
+        "tables": {
+            "On further tasks": tables.further(study),
+            "Left and right in figures": tables.by_run(study, ASYMMETRY),
+            "The kick in figures": tables.by_run(study, KICK),
+            "Runs": tables.every_run(study),
+            "Provenance": tables.provenance(study),
+        },
+    }
+
+
+def _figures(study: Study) -> dict[str, Figure]:
+    """The figures that there are data for, by the names that the template calls them."""
+    looks, runs, episodes = looks_of(study.conditions), study.measured, study.episodes
+    found = {measure: study.estimates(measure) for measure in (SUCCESS, DISTANCE)}
+    drawn = {}
+    if any(map(len, found.values())):
+        drawn["dots"] = figures.dots(found, runs, looks, _WIDTH)
+    if len(both := figures.both_sides(found[SUCCESS])):
+        drawn["slopes"] = figures.slopes(both, runs, looks, _WIDTH)
+    if len(study.curves):
+        drawn["curves"] = figures.learning_curves(study.curves, looks)
+    if len(episodes):
+        drawn["pitch"] = figures.resting_places(episodes, looks)
+        drawn["targets"] = figures.success_by_target(episodes, looks)
+        if len(kicks := episodes[episodes.kick_foot.isin(["left", "right"])]):
+            drawn["feet"] = figures.kicking_feet(kicks)
+    if len(known := runs[(runs.side == "in_distribution") & runs["equivariance/relative"].notna()]):
+        drawn["errors"] = figures.equivariance_errors(known, looks)
+    return drawn
+
+
+def _address(figure: Figure) -> str:
+    """A figure as an image within the page: names in one SVG cannot meet those of another."""
+    return f"data:image/svg+xml;base64,{base64.b64encode(Picture('', figure).svg().encode()).decode()}"
+
+
+def _without(study: Study) -> dict[str, str]:
+    """Runs that figures lack, by the name of what is missing."""
+    runs = study.runs
+    silent = {
+        "figures": ~runs.counted,
+        "curves": ~runs.path.isin(study.curves.path),
+        "episodes": ~runs.path.isin(study.episodes.path),
+        "errors": ~runs.counted | runs["equivariance/relative"].isna(),
+    }
+    return {name: listed(runs[of]) for name, of in silent.items()}

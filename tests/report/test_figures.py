@@ -1,25 +1,20 @@
-"""What figures are drawn from, and that they say it."""
+"""What figures are drawn from, and that they show it."""
 
 from __future__ import annotations
 
-import re
 from xml.etree import ElementTree
 
 import numpy as np
+import pandas as pd
 import pytest
 
-from kickbench.report.breakdown import TARGET_ANGLE, TARGET_DISTANCE, binned_success
-from kickbench.report.figures.canvas import Panel
-from kickbench.report.figures.dots import draw_dots
-from kickbench.report.figures.equivariance import ErrorDot, draw_errors
-from kickbench.report.figures.feet import draw_feet, kicks_of, tiles
-from kickbench.report.figures.legs import draw_legs, legs_of
-from kickbench.report.figures.pitch import common_window, draw_pitch, outside, resting_places
-from kickbench.report.palette import COLOURS, looks_of
-from kickbench.report.spread import DISTANCE, SUCCESS, Reported, spreads
+from kickbench.report import figures, tables
+from kickbench.report.measures import DISTANCE, SUCCESS, over_seeds
 from kickbench.report.study import Study, studies
+from kickbench.report.style import Picture, looks_of, style, subplots
 
 SVG = "{http://www.w3.org/2000/svg}"
+HIT = "termination/target_hit"
 
 
 @pytest.fixture(scope="module")
@@ -32,139 +27,194 @@ def study(make_folder) -> Study:
     return study
 
 
-def test_spreads_hold_every_seed_mean_and_what_was_reported(study):
-    found = spreads(
-        study.rows,
-        study.conditions,
-        SUCCESS,
-        lambda arm, side, _: Reported(0.5, 0.1) if arm == "baseline" else None,
+def runs(*values: float) -> pd.DataFrame:
+    """Rows of one condition and side whose success rates are these."""
+    return pd.DataFrame(
+        {
+            "condition": "a",
+            "side": "in_distribution",
+            "success_rate": values,
+            "success_low": 0.1,
+            "success_high": 0.9,
+            "non_finite": 0.0,
+        }
     )
-    first = found[0]
-    assert [(of.arm, of.side) for of in found] == [
-        ("baseline", "in_distribution"), ("baseline", "mirrored"),
-        ("equivariant", "in_distribution"), ("equivariant", "mirrored"),
-    ]  # fmt: skip
-    assert [of.value for of in first.seeds] == pytest.approx([2 / 3, 2 / 3])
-    assert first.mean == pytest.approx(2 / 3)
-    assert first.std == pytest.approx(0.0)
-    picture = draw_dots(found, SUCCESS, looks_of([("baseline", ""), ("equivariant", "")]), "dots")
-    assert "baseline, in distribution [%]: seed 0 66.7" in picture.text
-    assert "reported 50.0 ± 10.0" in picture.text
+
+
+def test_estimates_hold_every_condition_and_side(study):
+    found = study.estimates(SUCCESS)
+    assert list(found.label) == ["baseline", "baseline, mirrored", "equivariant", "equivariant, mirrored"]
+    assert list(found.seeds) == [2, 2, 1, 1]
+    assert found["mean"].tolist() == pytest.approx([2 / 3] * 4)
+    assert found["std"][:2].tolist() == pytest.approx([0.0, 0.0])
+    assert study.estimates(DISTANCE)["mean"][0] == pytest.approx(np.mean([0.8, 0.2, 0.2]))
 
 
 def test_the_interval_over_seeds_is_students():
-    from kickbench.report.spread import SeedFigure, Spread
-    from kickbench.results.statistics import Interval
+    (found,) = over_seeds(runs(0.4, 0.5, 0.6), SUCCESS).to_dict("records")
+    half = 4.302653 * 0.1 / 3**0.5  # t(0.975, 2) = 4.302653; s = 0.1
+    assert (found["low"], found["high"]) == pytest.approx((0.5 - half, 0.5 + half), abs=1e-6)
+    (wide,) = over_seeds(runs(0.0, 1.0), SUCCESS).to_dict("records")
+    assert (wide["low"], wide["high"]) == (0.0, 1.0), "clipped to what can be"
+    (one,) = over_seeds(runs(0.4), SUCCESS).to_dict("records")
+    assert (one["low"], one["high"]) == (0.1, 0.9), "that of the episodes"
+    assert over_seeds(runs(np.nan), SUCCESS).empty
 
-    seeds = tuple(SeedFigure(i, value, Interval(0, 1)) for i, value in enumerate((0.4, 0.5, 0.6)))
-    found = Spread("a", "in_distribution", seeds, most=1.0).interval
-    # t(0.975, 2) = 4.302653; s = 0.1.
-    assert found == pytest.approx((0.5 - 4.302653 * 0.1 / 3**0.5, 0.5 + 4.302653 * 0.1 / 3**0.5), abs=1e-6)
-    assert Spread("a", "in_distribution", seeds[:1]).interval == (0, 1)
-    assert Spread("a", "in_distribution", ()).interval is None
+
+def test_numbers_are_written_in_one_way():
+    (found,) = (row for _, row in over_seeds(runs(0.4, 0.5, 0.6), SUCCESS).iterrows())
+    assert SUCCESS.of_seeds(found) == "50.0 ± 10.0 (95 % [25.2, 74.8], 3 seeds)"
+    assert SUCCESS.of_run(runs(0.4).iloc[0]) == "40.0 [10.0, 90.0]"
+    assert SUCCESS.of_run(runs(np.nan).iloc[0]) == SUCCESS.of_run(None) == "not measured"
+    assert DISTANCE.text(-1e-9) == "0.000"
 
 
 def test_success_in_bins_counts_every_episode_once(study):
-    for coordinate in (TARGET_DISTANCE, TARGET_ANGLE):
-        found = {(of.arm, of.side): of for of in binned_success(study.episodes, coordinate)}
-        baseline = found["baseline", "in_distribution"]
-        assert baseline.seeds == 2
-        assert sum(bin.episodes for bin in baseline.bins) <= 120
-        assert all(
-            bin.episodes >= 20 and bin.interval.low <= bin.rate <= bin.interval.high for bin in baseline.bins
+    angle = np.degrees(np.arctan2(study.episodes.target_y, study.episodes.target_x))
+    for values in (np.hypot(study.episodes.target_x, study.episodes.target_y), angle):
+        found = figures.binned(study.episodes, values, 2)
+        assert found.groupby(["condition", "side"]).episodes.sum().max() <= 120
+        assert (found.episodes >= 20).all()
+        assert ((found.low <= found.rate) & (found.rate <= found.high)).all()
+    assert (found.middle[found.side == "mirrored"] < 0).all()
+    assert found.episodes[(found.condition == "baseline") & (found.side == "mirrored")].sum() == 120
+
+
+def curves(*iterations: int) -> pd.DataFrame:
+    """Curves whose return is the iteration plus ten times the seed."""
+    return pd.concat(
+        pd.DataFrame(
+            {
+                "condition": "baseline", "seed": seed, "path": f"seed{seed}", "iteration": np.arange(count),
+                "mean_return": np.arange(count) + 10.0 * seed, HIT: np.arange(count) / 1000,
+            }
         )
-    angles = [bin.middle for bin in found["baseline", "mirrored"].bins]
-    assert angles
-    assert max(angles) < 0
+        for seed, count in enumerate(iterations)
+    )  # fmt: skip
 
 
-def test_resting_places_pool_seeds_and_share_a_window(study):
-    found = resting_places(study.episodes)
-    window = common_window(found)
-    assert [(of.arm, of.side, len(of.x)) for of in found][:2] == [
-        ("baseline", "in_distribution", 120), ("baseline", "mirrored", 120),
-    ]  # fmt: skip
-    assert window.y[0] == -window.y[1]
-    assert all(outside(of, window) <= 2 for of in found)
-    picture = draw_pitch(found[1], window, looks_of([("baseline", "")])["baseline"], "pitch")
-    assert "120 balls of 2 seeds; 80 solved the task." in picture.text
-    assert "m to the right" in picture.text
-    assert "data:image/png;base64" in picture.svg
+def drawn(table: pd.DataFrame):
+    with style():
+        return figures.learning_curves(table, looks_of(["baseline"]))
 
 
-def test_tiles_hold_every_kick_and_mirror_with_a_symmetric_policy(study):
-    (run,) = study.episodes["equivariant"]
-    kicked = kicks_of("equivariant", *run)
-    found = tiles(kicked)
-    assert sum(sum(tile.counts.values()) for tile in found) == len(kicked.x) == 120
-    by_place = {(round(tile.x[0], 6), round(sum(tile.y), 6)): tile.counts for tile in found}
-    for (x, y), counts in by_place.items():
-        other = by_place[x, -y if y else y]
-        assert (counts["left"], counts["right"]) == (other["right"], other["left"])
-    picture = draw_feet(kicked, "feet")
-    assert re.search(r"ball on the left: \d+ % of 60 kicks with the left foot", picture.text)
+def test_smoothing_is_a_mean_over_what_is_known():
+    table = curves(30)
+    table.loc[table.iteration == 10, "mean_return"] = np.nan
+    found = figures.smoothed(table, "mean_return", range(30)).seed0
+    assert found[10] == pytest.approx(10.0)
+    assert found[0] == pytest.approx(2.0), "shorter at the ends"
+    assert figures.smoothed(table.assign(mean_return=np.nan), "mean_return", range(30)).seed0.isna().all()
 
 
-def test_legs_add_up_both_sides(study):
-    run = study.rows[(study.rows.condition == "baseline") & (study.rows.seed == 0)]
-    legs = legs_of(run, "baseline, seed 0")
-    assert (legs.left.left_foot, legs.left.right_foot) == (legs.right.right_foot, legs.right.left_foot)
-    assert legs.left.left_foot + legs.left.right_foot == 60
-    assert f"ball on the left: left foot {legs.left.left_foot}" in draw_legs([legs], "legs").text
+def test_curves_are_split_at_iteration_300():
+    early, late, *_ = drawn(curves(450)).axes
+    (first,), (second,) = early.lines, late.lines
+    assert (first.get_xdata()[0], second.get_xdata()[0]) == (0, 300)
+    assert max(first.get_xdata()) < 300
+    # A centred mean of a straight line is the line itself, also across the split.
+    assert second.get_ydata()[0] == pytest.approx(300.0)
+    assert len(drawn(curves(12)).axes) == 2, "a short training has one panel per quantity"
+
+
+def test_curves_are_drawn_over_the_samples_too():
+    table = curves(60)
+    iteration, samples, *_ = drawn(table.assign(env_steps=100.0 * (table.iteration + 1))).axes
+    assert samples.get_xlabel() == "env steps"
+    assert samples.lines[0].get_xdata()[-1] == 6000
+    assert list(samples.lines[0].get_ydata()) == list(iteration.lines[0].get_ydata())
+
+
+def test_the_mean_goes_as_far_as_all_seeds():
+    *seeds, mean = drawn(curves(100, 60)).axes[0].lines
+    assert [np.isfinite(line.get_ydata()).sum() for line in seeds] == [100, 60]
+    assert list(mean.get_xdata()) == list(range(60))
+    assert mean.get_ydata()[30] == pytest.approx(35.0)
+
+
+def test_long_lines_are_thinned():
+    assert len(figures.smoothed(curves(15000), "mean_return", range(300, 15000))) <= 200
+
+
+def test_every_figure_can_be_drawn(study):
+    looks, kicks = looks_of(study.conditions), study.episodes[study.episodes.kick_foot != "none"]
+    found = {measure: study.estimates(measure) for measure in (SUCCESS, DISTANCE)}
+    with style():
+        for figure in (
+            figures.dots(found, study.measured, looks, 600),
+            figures.slopes(figures.both_sides(found[SUCCESS]), study.measured, looks, 600),
+            figures.learning_curves(study.curves, looks),
+            figures.resting_places(study.episodes, looks),
+            figures.success_by_target(study.episodes, looks),
+            figures.kicking_feet(kicks),
+            figures.first_touches(tables.first_touches(study.measured), 600),
+        ):
+            ElementTree.fromstring(Picture("a", figure).svg())
+
+
+def test_a_figure_shows_what_was_reported_and_every_seed(study):
+    found = study.estimates(SUCCESS).assign(reported=0.5, reported_std=0.1)
+    with style():
+        (axes,) = figures.dots({SUCCESS: found}, study.measured, looks_of(study.conditions), 600).axes
+    marks = [line.get_xdata() for line in axes.lines if line.get_marker() not in ("None", "", "|")]
+    assert np.concatenate(marks) == pytest.approx([200 / 3] * 6)
+    assert [line.get_xdata()[0] for line in axes.lines if line.get_marker() == "|"] == [50.0] * 4
+
+
+def test_the_pitch_is_as_wide_to_the_left_as_to_the_right(study):
+    with style():
+        first, *_ = figures.resting_places(study.episodes, looks_of(study.conditions)).axes
+    left, right = first.get_xlim()
+    assert left == -right > 0
+    assert len(first.collections[0].get_offsets()) == 120, "seeds are pooled"
+
+
+def test_feet_mirror_with_a_symmetric_policy(study):
+    own = study.episodes[study.episodes.condition == "equivariant"]
+    with style():
+        mesh = figures.kicking_feet(own).axes[0].collections[0]
+    share = np.ma.filled(mesh.get_array(), np.nan)
+    assert np.isfinite(share).any()
+    np.testing.assert_allclose(share + share[:, ::-1], np.where(np.isnan(share), np.nan, 100.0))
+
+
+def test_first_touches_add_up_both_sides(study):
+    counts = tables.first_touches(study.measured)
+    assert counts.index[0] == "mini_home_field: baseline, seed 0"
+    first = counts.iloc[0]
+    assert first["ball left, left foot"] == first["ball right, right foot"]
+    assert first["ball left, left foot"] + first["ball left, right foot"] == 60
+    assert f"ball left, left foot {first['ball left, left foot']}" in tables.words(counts)
 
 
 def test_an_error_of_nothing_can_be_drawn():
-    picture = draw_errors(
-        [ErrorDot("a", 0, 0.0), ErrorDot("b", 1, 1.2)], looks_of([("a", ""), ("b", "")]), "error"
-    )
-    assert picture.text == "a, seed 0: 0. b, seed 1: 1.2."
+    table = pd.DataFrame({"condition": ["a", "b"], "equivariance/relative": [0.0, 1.2]})
+    with style():
+        (axes,) = figures.equivariance_errors(table, looks_of(["a", "b"])).axes
+    assert [line.get_xdata()[0] for line in axes.lines[:2]] == [1e-9, 1.2]
 
 
-def draw(name: str, themed: bool = True):
-    panel = Panel(200, 100)
-    panel.axes.plot([0, 1], [0, 1], color=COLOURS[0].light, marker="o")
-    panel.axes.fill_between([0, 1], [0, 0], [1, 1], color=COLOURS[-1].light)
-    panel.axes.set_xlabel("a <label>")
-    return panel.picture(name, "Title & more", "In <figures>", themed=themed)
+def draw():
+    with style():
+        figure, ((axes,),) = subplots(200, 100)
+        axes.plot([0, 1], [0, 1], marker="o")
+        axes.set_xlabel("a <label>")
+        return Picture("Title & more", figure, "In <figures>").svg()
 
 
 def test_a_picture_is_described_and_its_words_stay_words():
-    root = ElementTree.fromstring(draw("one").svg)
-    title, desc = root.find(f"{SVG}title"), root.find(f"{SVG}desc")
-    assert title is not None
-    assert desc is not None
-    assert (title.text, desc.text) == ("Title & more", "In <figures>")
-    assert root.get("role") == "img"
-    assert root.get("aria-labelledby") == f"{title.get('id')} {desc.get('id')}"
+    root = ElementTree.fromstring(draw())
+    assert root.findtext(f"{SVG}title") == "Title & more"
+    assert [of.text for of in root.iter() if of.tag.endswith("}description")] == ["In <figures>"]
     assert "a <label>" in ["".join(element.itertext()).strip() for element in root.iter(f"{SVG}text")]
-    assert root.find(f".//{SVG}metadata") is None
-
-
-def test_names_inside_a_picture_are_its_own_and_all_resolve():
-    one, other = draw("one").svg, draw("other").svg
-    names = [set(re.findall(r'\bid="([^"]+)"', svg)) for svg in (one, other)]
-    assert not names[0] & names[1]
-    used = set(re.findall(r'href="#([^"]+)"|url\(#([^)]+)\)', one))
-    assert used
-    assert {a or b for a, b in used} <= names[0]
-
-
-def test_colours_follow_the_page_only_where_asked():
-    assert f"var(--ink, {COLOURS[0].light})" in draw("one").svg
-    assert "var(--" not in draw("one", themed=False).svg
 
 
 def test_the_same_picture_has_the_same_bytes():
-    assert draw("one").svg == draw("one").svg
+    assert draw() == draw()
 
 
-def test_arms_keep_the_look_of_their_method_and_none_share_one():
-    looks = looks_of([("baseline", "baseline"), ("misaligned", "equivariant"), ("x", "baseline"), ("y", "z")])
-    assert len({look.colour for look in looks.values()}) == 4
-    assert looks["baseline"] == looks_of([("baseline", "baseline")])["baseline"]
-    assert looks["misaligned"] == looks_of([("equivariant", "equivariant")])["equivariant"]
-    assert len({colour.light for colour in COLOURS}) == len(COLOURS)
-
-
-def test_distance_is_in_metres(study):
-    assert spreads(study.rows, study.conditions, DISTANCE)[0].mean == pytest.approx(np.mean([0.8, 0.2, 0.2]))
+def test_conditions_keep_the_look_of_their_method_and_none_share_one():
+    looks = looks_of(["baseline", "misaligned", "x", "equivariant"])
+    assert len({look.colour for look in looks.values()}) == len({look.marker for look in looks.values()}) == 4
+    assert looks["baseline"] == looks_of(["baseline"])["baseline"]
+    assert len(set(looks_of(map(str, range(20))).values())) == 8, "more than that begin again"

@@ -17,10 +17,10 @@ from kickbench.report.readme import (
     pictures,
     replaced,
     section,
-    slopes,
     summary,
     write_readme,
 )
+from kickbench.report.style import style
 
 ROOT = Path(__file__).parents[2]
 HINT = "results/measured and the README differ: run `kickbench report --readme`"
@@ -31,50 +31,55 @@ def results():
     return measured_results(ROOT)
 
 
+@pytest.fixture(scope="module")
+def drawn(results):
+    with style():
+        return pictures(results)
+
+
 def described(svg: str) -> tuple[str | None, str | None]:
     root = ElementTree.fromstring(svg)
-    find = {tag: root.find(f"{{http://www.w3.org/2000/svg}}{tag}") for tag in ("title", "desc")}
-    return tuple(element.text if element is not None else None for element in find.values())  # type: ignore[return-value]
+    words = [element.text for element in root.iter() if element.tag.endswith("}description")]
+    return root.findtext("{http://www.w3.org/2000/svg}title"), words[0]
 
 
-def test_the_readme_is_up_to_date(results):
-    for name, body in (("README.md", summary(results)), ("results/README.md", section(results))):
-        text = (ROOT / name).read_text()
-        assert text == replaced(text, body, name), HINT
+def test_the_readme_is_up_to_date(results, drawn):
+    for name, body in (
+        ("README.md", summary(results, drawn)),
+        ("results/README.md", section(results, drawn)),
+    ):
+        assert (ROOT / name).read_text() == replaced(ROOT / name, body), HINT
 
 
-def test_the_readme_is_short():
+def test_the_readme_is_short(results, drawn):
     assert len((ROOT / "README.md").read_text().splitlines()) <= 150
-    columns = [
-        line.count("|") - 1 for line in summary(measured_results(ROOT)).splitlines() if line.startswith("|")
-    ]
-    assert set(columns) == {6}
+    lines = summary(results, drawn).splitlines()
+    assert {line.count("|") - 1 for line in lines if line.startswith("|")} == {6}
 
 
-def test_its_pictures_show_what_was_measured(results):
-    """Compared by the figures that they tell, since their strokes depend on matplotlib's version."""
-    for picture in (*pictures(results), slopes(results)):
-        stored = (ROOT / PICTURES / f"{picture.name}.svg").read_text()
-        assert described(stored) == (picture.title, picture.text), HINT
-        assert f"pictures/{picture.name}.svg)" in section(results) + summary(results)
+def test_its_pictures_show_what_was_measured(results, drawn):
+    """Compared by the figures in their descriptions, since their strokes depend on matplotlib's version."""
+    for name, picture in drawn.items():
+        stored = (ROOT / PICTURES / f"{name}.svg").read_text()
+        assert described(stored) == (picture.title, picture.words), HINT
+        assert f"pictures/{name}.svg)" in section(results, drawn) + summary(results, drawn)
 
 
-def test_every_measured_run_is_in_a_picture(results):
-    text = pictures(results)[1].text
+def test_every_measured_run_is_in_a_picture(drawn):
     for file in (ROOT / "results/measured").rglob("metrics.json"):
         experiment, arm, seed = file.parent.relative_to(ROOT / "results/measured").parts
-        assert f"{experiment}: {arm}, seed {seed.removeprefix('seed')}:" in text
+        assert f"{experiment}: {arm}, seed {seed.removeprefix('seed')}:" in drawn["feet"].words
 
 
-def test_results_on_further_tasks_are_told(results):
-    rows = [line for line in section(results).splitlines() if "| k1_lite_home_field |" in line]
+def test_results_on_further_tasks_are_told(results, drawn):
+    rows = [line for line in section(results, drawn).splitlines() if "| k1_lite_home_field |" in line]
     assert [row.split(" |")[0] for row in rows] == [
         f"| {arm} (seed 0)" for arm in ("baseline", "augmentation", "equivariant")
     ]
 
 
-def test_iterations_and_hardware_stand_beside_every_figure(results):
-    for line in section(results).splitlines():
+def test_iterations_and_hardware_stand_beside_every_figure(results, drawn):
+    for line in section(results, drawn).splitlines():
         cells = [cell.strip() for cell in line.strip("|").split("|")]
         if line.startswith("|") and cells[0] not in ("Method", "Run", "---"):
             iterations, hardware = cells[-5], cells[-2]
@@ -101,9 +106,19 @@ def test_writing_twice_changes_nothing(tmp_path):
 
 
 @pytest.mark.parametrize("readme", ["", BEGIN, END, f"{END}\n{BEGIN}", f"{BEGIN}\n{END}\n{BEGIN}\n{END}"])
-def test_a_readme_without_the_marks_is_an_error(readme):
+def test_a_readme_without_the_marks_is_an_error(tmp_path, readme):
+    (tmp_path / "README.md").write_text(readme)
     with pytest.raises(KickbenchError, match=r"README.md: expected, each once"):
-        replaced(readme, "body", "README.md")
+        replaced(tmp_path / "README.md", "body")
+
+
+def test_claims_that_cannot_be_judged_are_an_error(monkeypatch):
+    def refuse(*_):
+        raise KickbenchError("progress.csv: damaged")
+
+    monkeypatch.setattr("kickbench.report.study.judge", refuse)
+    with pytest.raises(KickbenchError, match=r"The claims cannot be judged: progress\.csv: damaged"):
+        measured_results(ROOT)
 
 
 def test_without_results_nothing_is_written(tmp_path):

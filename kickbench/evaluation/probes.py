@@ -1,0 +1,164 @@
+"""What is measured while episodes run: the kick of each, and how far the policy is from equivariant."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
+from math import sqrt
+
+import numpy as np
+import torch
+from tensordict import TensorDict
+from torch import Tensor
+
+from kickbench.envs.state import State
+from kickbench.results.metrics import EquivarianceError
+from kickbench.symmetry.representation import Representation
+from kickbench.symmetry.torch_ops import Mirror
+
+LAUNCH_WINDOW = 0.2
+"""Time from the beginning of the first touch within which the ball is launched, s. A kick takes a few control
+steps; a ball that the foot overtakes and hits again is still the same kick."""
+EVERY = 5
+"""Control steps of an episode between two states that are looked at: neighbours say nearly the same."""
+
+
+@dataclass
+class KickRecord:
+    r"""Figures of the kick in the running episode of every env; the same formulas for every task and method.
+
+    With base position p, ball position b and ball velocity v, all horizontal, at the end of control step t:
+
+    Attributes:
+        touches: Control steps with contact of robot and ball whose preceding control step had none [B] int64.
+            Contacts are latched over the substeps.
+        walked_after_touch: Sum of :math:`\max(0, (p_t - p_{t-1}) \cdot u_{t-1})` over the control steps after
+            that of the first touch, where u is the unit vector from p to b [B], m.
+        launch_speed: Largest :math:`|v_t|` within `LAUNCH_WINDOW` from the first touch [B], m/s; 0 without one.
+            The episode's `peak_ball_speed` has no such limit.
+        launch: Dot and cross product of the vector from b to the target with v in the control step of that
+            largest speed [B, 2]; the angle from the one to the other is the direction error, positive to the left.
+    """
+
+    touches: Tensor
+    walked_after_touch: Tensor
+    launch_speed: Tensor
+    launch: Tensor
+
+    @staticmethod
+    def empty(num_envs: int) -> KickRecord:
+        """Records of episodes that have not begun."""
+        zeros = torch.zeros(num_envs)
+        return KickRecord(zeros.long(), zeros, zeros, torch.zeros(num_envs, 2))
+
+    def note(self, before: State, state: State, failed: Tensor, control_interval: float) -> None:
+        """Takes account of one control step.
+
+        Args:
+            before: The state that it began in.
+            state: The state that it has led to; the touch counters of the episodes include the step.
+            failed: Envs whose state is not finite [B] bool; their records stay as they are.
+            control_interval: Length of the step, s.
+        """
+        since = torch.where(failed, 0, state.episode.contact_count)
+        self.touches = self.touches + (state.ball_contact & ~before.ball_contact & ~failed)
+        way = before.ball_pos[:, :2] - before.base_pos[:, :2]
+        moved = (state.base_pos - before.base_pos)[:, :2]
+        towards = (moved * torch.nn.functional.normalize(way, dim=1)).sum(dim=1).clamp(min=0.0)
+        self.walked_after_touch = self.walked_after_touch + torch.where(since > 1, towards, 0.0)
+        window = max(1, round(LAUNCH_WINDOW / control_interval))
+        faster = (since > 0) & (since <= window) & (state.ball_ground_speed > self.launch_speed)
+        self.launch_speed = torch.where(faster, state.ball_ground_speed, self.launch_speed)
+        (x, y), (vx, vy) = state.ball_to_target.T, state.ball_lin_vel[:, :2].T
+        launch = torch.stack([x * vx + y * vy, x * vy - y * vx], dim=1)
+        self.launch = torch.where(faster.unsqueeze(1), launch, self.launch)
+
+    def clear(self, mask: Tensor) -> None:
+        """Starts new records in the envs in `mask` [B]."""
+        for field in fields(self):
+            value = getattr(self, field.name)
+            cleared = value.masked_fill(mask if value.dim() == 1 else mask.unsqueeze(1), 0)
+            setattr(self, field.name, cleared)
+
+    def take(self, rows: Tensor) -> KickRecord:
+        """The records of the given envs, in that order."""
+        return KickRecord(*(getattr(self, field.name)[rows] for field in fields(self)))
+
+    def columns(self, stop_speed: float) -> dict[str, Tensor]:
+        """Columns of a table of episodes, the direction error in rad in (-pi, pi].
+
+        Args:
+            stop_speed: A ball slower than that has not been launched: its direction means nothing, m/s.
+        """
+        dot, cross = self.launch.double().T.numpy()
+        # In numpy: the last bits of torch's depend on the place of the numbers in the tensor, too.
+        error = torch.from_numpy(np.arctan2(cross, dot))
+        return {
+            "touches": self.touches,
+            "walked_after_touch": self.walked_after_touch,
+            "launch_speed": self.launch_speed.masked_fill(self.touches == 0, torch.nan),
+            "direction_error": error.masked_fill(self.launch_speed < stop_speed, torch.nan),
+        }
+
+
+class EquivarianceProbe:
+    r"""Accumulates :math:`\pi(\rho o) - \rho\pi(o)` over visited observations o.
+
+    Only sums are kept, whatever the number of states. Which states count depends on each episode's own step alone:
+    the same episodes give the same states on any number of envs. The error at o is that at :math:`\rho o` as well.
+
+    Args:
+        policy: Deterministic policy.
+        observations: Representation of every observation group that the policy may read.
+        actions: Representation of the actions.
+    """
+
+    def __init__(
+        self,
+        policy: Callable[[TensorDict], Tensor],
+        observations: Mapping[str, Representation],
+        actions: Representation,
+    ) -> None:
+        self._policy = policy
+        self._observations = {group: Mirror(representation) for group, representation in observations.items()}
+        self._actions = Mirror(actions)
+        self._states = 0
+        self._difference = self._size = self._largest = 0.0
+
+    def __call__(self, observations: TensorDict, actions: Tensor, steps: Tensor, running: Tensor) -> None:
+        """Looks at the states of one control step.
+
+        Rows whose actions are not finite are left out: their episodes end as failed, and are counted there.
+
+        Args:
+            observations: What the policy saw {group: [B, width]}.
+            actions: What it answered [B, nu].
+            steps: Control steps since each episode's start [B].
+            running: Envs whose episode is recorded [B] bool.
+        """
+        rows = torch.nonzero(running & (steps % EVERY == 0)).squeeze(1)
+        if not len(rows):
+            return
+        images = {group: mirror(observations[group][rows]) for group, mirror in self._observations.items()}
+        answer = self._policy(TensorDict(images, batch_size=[len(rows)])).double()
+        expected = self._actions(actions[rows].double())
+        finite = (answer.isfinite() & expected.isfinite()).all(dim=1)
+        answer, expected = answer[finite], expected[finite]
+        if not len(answer):
+            return
+        difference = (answer - expected).abs()
+        self._states += len(answer)
+        self._difference += float(difference.square().sum())
+        self._size += float((answer.square().sum() + expected.square().sum()) / 2)
+        self._largest = max(self._largest, float(difference.max()))
+
+    def result(self) -> EquivarianceError | None:
+        """The error over all states so far; None if there was none."""
+        if not self._states:
+            return None
+        return EquivarianceError(
+            states=self._states,
+            rms=sqrt(self._difference / (self._states * self._actions.representation.dim)),
+            largest=self._largest,
+            relative=min(2.0, sqrt(self._difference / self._size)) if self._size else 0.0,
+        )
