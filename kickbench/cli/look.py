@@ -33,7 +33,7 @@ def table(
 @cli.verb("Look at results", "compare runs")
 def compare(roots: cli.Roots) -> int:
     """Compare methods over their seeds and on the same initial states."""
-    from kickbench.results.comparison_table import render_comparison
+    from kickbench.results.compare import render_comparison
     from kickbench.results.notes import refuse_contradictions
 
     runs = _runs(roots)

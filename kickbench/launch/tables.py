@@ -15,7 +15,7 @@ _HEADER = ("run", "state", "iteration", "success", "steps/s", "time left", "")
 def run_table(title: str, runs: Sequence[tuple[str, RunState, str]]) -> str:
     """One line a run: name, how far it is, and a remark."""
     rows = [_row(name, state, remark) for name, state, remark in runs]
-    text = render_block(title, ("",) * len(_HEADER), _HEADER, [[row] for row in rows])
+    text = render_block(title, _HEADER, [[row] for row in rows])
     return "\n".join(line for line in text.split("\n") if line)
 
 

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from math import inf, sqrt
+from math import inf
 
 import pandas as pd
 
 from kickbench.config.claims import Side
 from kickbench.results.frame import SIDES
-from kickbench.results.statistics import Interval, mean_std_over_seeds
-from kickbench.results.student import two_sided_quantile
+from kickbench.results.statistics import Interval, mean_std_over_seeds, student
 
 
 @dataclass(frozen=True)
@@ -100,9 +99,8 @@ class Spread:
         """95 % interval of the mean over seeds (Student's), the episodes' for one seed; clipped to what can be."""
         if len(self.seeds) < 2:
             return self.seeds[0].interval if self.seeds else None
-        mean, std, count = mean_std_over_seeds([seed.value for seed in self.seeds])
-        half = two_sided_quantile(0.95, count - 1) * (std or 0.0) / sqrt(count)
-        return Interval(max(mean - half, 0.0), min(mean + half, self.most))
+        low, high = student([seed.value for seed in self.seeds])
+        return Interval(max(low, 0.0), min(high, self.most))
 
 
 ReportedFigures = Callable[[str, Side, Measure], Reported | None]

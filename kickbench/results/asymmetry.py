@@ -16,7 +16,7 @@ from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveInt
 
 from kickbench.results.episodes import EpisodeSides, EpisodeTable
 from kickbench.results.record import Fraction, Record
-from kickbench.results.statistics import Interval, bootstrap_ratio, mcnemar, two_proportions, wilson
+from kickbench.results.statistics import Interval, bootstrap, mcnemar, two_proportions, wilson
 
 # Fixed, so that the same episodes always give the same intervals.
 _BOOTSTRAP_SEED = 1
@@ -139,9 +139,8 @@ def _legs(home: EpisodeTable, mirrored: EpisodeTable | None) -> LegPreference:
     same_side = np.sum([_by_same_side(table) for table in tables], axis=0)
     left = np.sum([table.kick_foot == "left" for table in tables], axis=0)
     rng = np.random.default_rng(_BOOTSTRAP_SEED)
-    same_side_ci, left_ci = (
-        bootstrap_ratio(count[informative], kicked[informative], rng) for count in (same_side, left)
-    )
+    pairs = (np.stack([count, kicked], axis=1)[informative] for count in (same_side, left))
+    same_side_ci, left_ci = (bootstrap([of], _share_of_sums, rng) for of in pairs)
     return LegPreference(
         kicks=kicks,
         same_side_share=int(same_side.sum()) / kicks,
@@ -149,6 +148,12 @@ def _legs(home: EpisodeTable, mirrored: EpisodeTable | None) -> LegPreference:
         left_foot_share=int(left.sum()) / kicks,
         left_foot_ci=left_ci,
     )
+
+
+def _share_of_sums(drawn: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Of counts and totals [r, n, 2] the share [r]."""
+    sums = drawn.sum(axis=1)
+    return sums[:, 0] / sums[:, 1]
 
 
 def _by_foot(table: EpisodeTable) -> NDArray[np.bool_]:

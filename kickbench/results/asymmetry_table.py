@@ -48,7 +48,7 @@ def asymmetry_block(task: str, methods: Sequence[pd.DataFrame]) -> str:
     """
     told = [rows[(rows.side == HOME) & rows["legs/kicks"].notna()] for rows in methods]
     blocks = [_method_rows(runs.sort_values("seed", kind="stable")) for runs in told if len(runs)]
-    return render_block(f"asymmetry: {task}", _GROUPS, _HEADER, blocks) if blocks else ""
+    return render_block(f"asymmetry: {task}", _HEADER, blocks, _GROUPS) if blocks else ""
 
 
 def _method_rows(runs: pd.DataFrame) -> list[Row]:

@@ -13,20 +13,21 @@ NOTHING = "-"
 Row = tuple[str, ...]
 
 
-def render_block(title: str, groups: Row, header: Row, blocks: Sequence[Sequence[Row]]) -> str:
+def render_block(title: str, header: Row, blocks: Sequence[Sequence[Row]], groups: Row | None = ("",)) -> str:
     """A title, two lines of headings, and blocks of rows; nothing is ever cut off.
 
     Args:
-        title: first line.
-        groups: for each column the heading of a group of columns that begins there, or nothing.
+        title: first line, if there is one.
         header: for each column its heading.
         blocks: rows with a cell a column. A block of several rows is set off from the next.
+        groups: for each column the heading of a group of columns that begins there, or nothing; None: no such line.
     """
-    title = printable(title)
     blocks = [[tuple(map(_one_line, row)) for row in block] for block in blocks]
     body = [row for block in blocks for row in block]
     widths = [max(map(len, column)) for column in zip(header, *body, strict=True)]
-    lines = [title, _group_line(groups, widths), _line(header, widths), "-" * len(_line(header, widths))]
+    lines = [printable(title)] if title else []
+    lines += [] if groups is None else [_group_line(groups, widths)]
+    lines += [_line(header, widths), "-" * len(_line(header, widths))]
     for index, block in enumerate(blocks):
         lines += [_line(row, widths) for row in block]
         if len(block) > 1 and index < len(blocks) - 1:

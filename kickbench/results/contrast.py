@@ -32,12 +32,8 @@ from kickbench.config.claims import (
     RatioAtLeast,
     RatioAtMost,
 )
-from kickbench.results.comparison import welch
 from kickbench.results.run_figures import Figure, figure_of, pair_correlation, row_of
-from kickbench.results.statistics import Interval
-from kickbench.results.student import two_sided_quantile
-
-LEVEL = 0.95
+from kickbench.results.statistics import Interval, student, welch
 
 
 @dataclass(frozen=True)
@@ -186,20 +182,9 @@ def estimate(arms: Mapping[str, Sequence[RunTerms]]) -> Estimated:
         return Estimated(value, over_episodes(list(arms.values())), f"episodes of {seeds} seeds")
     basis = f"{seeds} seeds"
     if len(samples) == 1:
-        return Estimated(value, over_seeds(samples[0]), basis)
+        return Estimated(value, student(samples[0]), basis)
     first, second = samples
-    return Estimated(value, welch(first, [-x for x in second], LEVEL).interval, basis)
-
-
-def over_seeds(values: Sequence[float]) -> Interval:
-    """Student's interval of the mean of a figure over seeds: mean ± t s / sqrt(n), n - 1 degrees of freedom.
-
-    Args:
-        values: One figure a seed [n], n >= 2.
-    """
-    sample = np.asarray(values, dtype=np.float64)
-    half = two_sided_quantile(LEVEL, sample.size - 1) * float(sample.std(ddof=1)) / sqrt(sample.size)
-    return Interval(float(sample.mean()) - half, float(sample.mean()) + half)
+    return Estimated(value, welch(first, [-x for x in second]).interval, basis)
 
 
 def over_episodes(arms: Sequence[Sequence[RunTerms]]) -> Interval | None:

@@ -15,7 +15,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 from functools import lru_cache
 from itertools import zip_longest
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -367,16 +367,24 @@ def _disagreement(metrics: Metrics, sides: EpisodeSides) -> str | None:
     if asymmetry is None or asymmetry.pairs is None or sides.mirrored is None:
         return None
     pairs = mirrored_pairs(sides.in_distribution, sides.mirrored)
-    return None if pairs == asymmetry.pairs else "asymmetry.pairs"
+    return None if _same(pairs.model_dump(), asymmetry.pairs.model_dump()) else "asymmetry.pairs"
 
 
 def _other_figure(recorded: EvaluationMetrics, table: EpisodeTable) -> str | None:
-    for name, value in figures_of(table).items():
-        # A ball on the robot's axis may have been rounded to the other side.
-        if name == "kicks" and (np.abs(table.start_ball_y) < _TOLERANCE).any():
-            continue
-        old = getattr(recorded, name)
-        same = abs(value - old) <= _TOLERANCE if name.endswith("_distance") else value == old
-        if not same:
-            return name
-    return None
+    given, old = figures_of(table), recorded.model_dump()
+    if (np.abs(table.start_ball_y) < _TOLERANCE).any():
+        del given["kicks"]  # a ball on the robot's axis may have been rounded to the other side
+    else:
+        given["kicks"] = given["kicks"].model_dump()
+    return next((name for name, value in given.items() if not _same(value, old[name])), None)
+
+
+def _same(value: Any, other: Any) -> bool:
+    """Whether figures are equal, but for what six decimals or the last bits of a double can change."""
+    if isinstance(value, Mapping) and isinstance(other, Mapping):
+        return value.keys() == other.keys() and all(_same(value[name], other[name]) for name in value)
+    if isinstance(value, tuple) and isinstance(other, tuple):
+        return all(map(_same, value, other))
+    if isinstance(value, float) and isinstance(other, float):
+        return abs(value - other) <= _TOLERANCE
+    return value == other

@@ -9,7 +9,7 @@ from pydantic import Field, NonNegativeFloat
 
 from kickbench.results.episodes import NON_FINITE, EpisodeTable
 from kickbench.results.record import Fraction, Record
-from kickbench.results.statistics import Interval, bootstrap_mean
+from kickbench.results.statistics import Interval, bootstrap
 
 FALLS = ("fell_down", "fell_over")
 """Terminations that are falls of the robot (thesis Table 3.3)."""
@@ -59,7 +59,9 @@ def measure_kick(episodes: EpisodeTable, control_interval: float) -> KickFigures
     some, launched = bool(touched.any()), bool(error.size)
     return KickFigures(
         mean_launch_speed=float(speed[touched].mean()) if some else None,
-        mean_launch_speed_ci=bootstrap_mean(speed[touched], rng) if some else None,
+        mean_launch_speed_ci=bootstrap([speed[touched]], lambda drawn: drawn.mean(axis=1), rng)
+        if some
+        else None,
         mean_direction_error=float(np.abs(error).mean()) if launched else None,
         median_direction_error=float(np.median(np.abs(error))) if launched else None,
         direction_bias=float(np.arctan2(np.sin(error).mean(), np.cos(error).mean())) if launched else None,

@@ -31,7 +31,7 @@ def render_kicks(frame: pd.DataFrame) -> str:
     for task, of_task in runs.groupby("setting_name", sort=False):
         groups = [group for _, group in of_task.groupby("group", sort=False)]
         rows = [[_row(run) for _, run in group.sort_values("seed").iterrows()] for group in groups]
-        blocks.append(render_block(f"task: {task}: kick", ("",) * len(_HEADER), _HEADER, rows))
+        blocks.append(render_block(f"task: {task}: kick", _HEADER, rows))
     notes = [*repeat_lines(frame, _shown), *left_out_lines(frame, _shown)]
     return "\n\n".join([*blocks, *(["\n".join(notes)] if notes else [])])
 

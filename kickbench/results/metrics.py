@@ -20,7 +20,7 @@ from kickbench.results.episodes import EpisodeSides, EpisodeTable
 from kickbench.results.kick import KickFigures, measure_kick
 from kickbench.results.provenance import Provenance
 from kickbench.results.record import Fraction, Record
-from kickbench.results.statistics import Interval, bootstrap_mean, bootstrap_median, wilson
+from kickbench.results.statistics import Interval, bootstrap, wilson
 
 # Fixed, so that the same episodes always give the same intervals.
 _BOOTSTRAP_SEED = 0
@@ -125,8 +125,8 @@ def summarise(episodes: EpisodeTable, success_radius: float, control_interval: f
     return EvaluationMetrics(
         **figures_of(episodes),
         success_ci=wilson(int(episodes.success.sum()), count),
-        mean_distance_ci=bootstrap_mean(episodes.distance, rng),
-        median_distance_ci=bootstrap_median(episodes.distance, rng),
+        mean_distance_ci=bootstrap([episodes.distance], lambda drawn: drawn.mean(axis=1), rng),
+        median_distance_ci=bootstrap([episodes.distance], lambda drawn: np.median(drawn, axis=1), rng),
         kick=measure_kick(episodes, control_interval),
     )
 

@@ -48,7 +48,7 @@ def render_table(frame: pd.DataFrame) -> str:
     for name, rows in shown_rows.groupby("setting_name", sort=False):
         methods = [group for _, group in rows.groupby("group", sort=False)]
         body = [_method_rows(pairs_of(group)) for group in methods]
-        blocks += [render_block(f"task: {name}", _GROUPS, _HEADER, body), asymmetry_block(str(name), methods)]
+        blocks += [render_block(f"task: {name}", _HEADER, body, _GROUPS), asymmetry_block(str(name), methods)]
     lines = [*differing_lines(finished), *repeat_lines(frame, shown), *left_out_lines(frame, shown)]
     return "\n\n".join(block for block in (*blocks, "\n".join(lines)) if block) or "no finished runs"
 

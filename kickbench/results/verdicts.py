@@ -101,7 +101,7 @@ def verdict_lines(experiment: LoadedExperiment, verdicts: Sequence[Verdict]) -> 
         return [f"{experiment.name}: no claims"]
     rows = [(_row(verdict),) for verdict in verdicts]
     header = ("claim", "verdict", "measured [95 % interval]", "over", "reported")
-    lines = render_block(f"claims: {experiment.name}", ("",) * len(header), header, rows).splitlines()
+    lines = render_block(f"claims: {experiment.name}", header, rows).splitlines()
     lines.append("")
     for verdict in verdicts:
         section = f" (thesis {verdict.claim.section})" if verdict.claim.section else ""
