@@ -12,7 +12,7 @@ from kickbench.config.shipped import find
 from kickbench.errors import KickbenchError, shown
 from kickbench.launch.plan import Plan, Selection, make_plan
 from kickbench.results.frame import load_runs
-from kickbench.results.table import render_table
+from kickbench.results.tables import render_table
 from kickbench.sim.cpu import usable_cores
 from kickbench.trials.experiment import load_experiment
 

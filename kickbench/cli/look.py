@@ -23,10 +23,9 @@ def table(
     ] = "success",
 ) -> int:
     """Print the table of finished runs."""
-    from kickbench.results.kick_table import render_kicks
-    from kickbench.results.table import render_table
+    from kickbench.results.tables import render_table
 
-    print((render_kicks if columns == "kick" else render_table)(_runs(roots)))
+    print(render_table(_runs(roots), columns))
     return 0
 
 

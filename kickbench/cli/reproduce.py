@@ -14,7 +14,7 @@ from kickbench.launch.record import write_record
 from kickbench.launch.tables import counts, run_table
 from kickbench.results.frame import load_runs
 from kickbench.results.store import RunDirectory
-from kickbench.results.table import render_table
+from kickbench.results.tables import render_table
 from kickbench.results.verdicts import judge, verdict_lines
 from kickbench.sim.cpu import usable_cores
 from kickbench.sim.devices import check_device

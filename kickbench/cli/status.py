@@ -12,10 +12,10 @@ from kickbench.launch.estimate import Remaining, estimate
 from kickbench.launch.record import PlanRecord, read_record
 from kickbench.launch.state import RunState, State, state_of
 from kickbench.launch.tables import counts, run_table
-from kickbench.results.columns import non_finite_note
 from kickbench.results.frame import load_runs, runs_of
 from kickbench.results.notes import repeat_lines
 from kickbench.results.store import RunDirectory
+from kickbench.results.tables import non_finite_note
 
 
 def status(root: Path) -> int:

@@ -56,7 +56,7 @@ def run(
     from kickbench.launch.run import RunRequest
     from kickbench.launch.run import run as run_experiment
     from kickbench.results.frame import frame_of
-    from kickbench.results.table import render_table
+    from kickbench.results.tables import render_table
 
     for flag, value in (("iterations", iterations), ("num_envs", num_envs)):
         values = None if value is None else [value]
@@ -173,7 +173,7 @@ def evaluate(
     from kickbench.results.integrity import write_also
     from kickbench.results.metrics import metrics_bytes
     from kickbench.results.store import RunDirectory
-    from kickbench.results.table import render_table
+    from kickbench.results.tables import render_table
     from kickbench.training.trained import load_run
 
     loaded = load_run(run, task, trust_code=trust_code)

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 from kickbench.launch.state import RunState, State
-from kickbench.results.columns import NOTHING, Row, render_block
+from kickbench.results.tables import NOTHING, Row, render_block
 from kickbench.training.progress import duration, percent
 
 _HEADER = ("run", "state", "iteration", "success", "steps/s", "time left", "")

@@ -9,7 +9,7 @@ from typing import get_args
 from kickbench.report.remarks import listed, remarks
 from kickbench.report.spread import SUCCESS, Spread, spreads
 from kickbench.report.study import SIDE_WORDS, Study
-from kickbench.results.columns import non_finite_note
+from kickbench.results.tables import non_finite_note
 from kickbench.results.verdicts import Outcome, Verdict
 
 

@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 import pandas as pd
 
 from kickbench.report.study import SIDE_WORDS, Study
-from kickbench.results.columns import non_finite_note
 from kickbench.results.frame import known
 from kickbench.results.notes import unfinished_words
 from kickbench.results.provenance import Provenance
+from kickbench.results.tables import non_finite_note
 
 
 def remarks(study: Study, run: pd.Series, commit: str | None = None) -> tuple[str, ...]:

@@ -13,8 +13,14 @@ from kickbench.config.claims import Side
 from kickbench.errors import KickbenchError
 from kickbench.results.episodes import EpisodeSides, read_episodes
 from kickbench.results.frame import load_runs, runs_of
-from kickbench.results.groups import group_lines, setting_lines, with_groups
-from kickbench.results.notes import left_out_lines, repeat_lines, unplanned_lines
+from kickbench.results.notes import (
+    group_lines,
+    left_out_lines,
+    repeat_lines,
+    setting_lines,
+    unplanned_lines,
+    with_groups,
+)
 from kickbench.results.progress import Progress, read_progress
 from kickbench.results.store import RunDirectory
 from kickbench.trials.experiment import Arm, LoadedExperiment

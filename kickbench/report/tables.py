@@ -20,10 +20,10 @@ from kickbench.report.spread import (
     spreads,
 )
 from kickbench.report.study import SIDE_WORDS, Study
-from kickbench.results.columns import non_finite_note
 from kickbench.results.frame import HOME, known
 from kickbench.results.provenance import Provenance
 from kickbench.results.statistics import Interval
+from kickbench.results.tables import non_finite_note
 
 NOT_MEASURED, NOT_REPORTED = "not measured", "not reported"
 

@@ -25,17 +25,8 @@ import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
 from kickbench.config.claims import Side
-from kickbench.results.columns import (
-    NOTHING,
-    Row,
-    mean_and_spread,
-    non_finite_note,
-    probability,
-    render_block,
-)
 from kickbench.results.episodes import EpisodeSides, EpisodeTable, read_episodes
-from kickbench.results.groups import differing_lines, with_groups
-from kickbench.results.notes import left_out_lines, repeat_lines
+from kickbench.results.notes import differing_lines, left_out_lines, repeat_lines, with_groups
 from kickbench.results.statistics import (
     Estimate,
     Interval,
@@ -50,7 +41,15 @@ from kickbench.results.statistics import (
     welch,
 )
 from kickbench.results.store import RunDirectory
-from kickbench.results.table import pairs_of
+from kickbench.results.tables import (
+    NOTHING,
+    Row,
+    mean_and_spread,
+    non_finite_note,
+    pairs_of,
+    probability,
+    render_block,
+)
 
 LEAST_STARTS = 30
 """Initial states with a difference that the normal approximation is trusted from."""

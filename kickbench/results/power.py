@@ -15,10 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from kickbench.config.claims import AnyClaim, Operand
-from kickbench.results.columns import render_block
 from kickbench.results.contrast import RunTerms, Term, contrast_of
 from kickbench.results.run_figures import Figure
 from kickbench.results.statistics import wilson
+from kickbench.results.tables import render_block
 from kickbench.results.verdicts import judge_parts
 from kickbench.trials.experiment import LoadedExperiment
 

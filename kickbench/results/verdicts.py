@@ -14,7 +14,6 @@ from typing import Literal
 import pandas as pd
 
 from kickbench.config.claims import AnyClaim, NearReported, Operand, RatioAtLeast, RatioAtMost
-from kickbench.results.columns import NOTHING, non_finite_note, render_block
 from kickbench.results.contrast import (
     Contrast,
     Estimated,
@@ -27,6 +26,7 @@ from kickbench.results.contrast import (
 from kickbench.results.run_figures import lack_of, non_finite_share
 from kickbench.results.run_units import Unit, unit_of
 from kickbench.results.statistics import Interval
+from kickbench.results.tables import NOTHING, non_finite_note, render_block
 from kickbench.trials.experiment import LoadedExperiment
 
 Outcome = Literal["met", "not met", "holds", "does not hold", "not enough data"]

@@ -11,7 +11,7 @@ import pytest
 from kickbench.results.episodes import EpisodeTable
 from kickbench.results.frame import frame_of
 from kickbench.results.kick import KickFigures, measure_kick
-from kickbench.results.kick_table import render_kicks
+from kickbench.results.tables import render_table
 
 NAN = np.nan
 
@@ -94,12 +94,12 @@ def test_the_printed_table_has_a_row_for_each_run(make) -> None:
     slow = kick.model_copy(update={"mean_launch_speed": 1.125, "direction_bias": None})
     sides = [make.side(0.5).model_copy(update={"kick": figures}) for figures in (kick, slow)]
     runs = [make.metrics(side, seed=seed) for seed, side in enumerate(sides)]
-    rows = [line.split() for line in render_kicks(frame_of(runs)).splitlines()[-2:]]
+    rows = [line.split() for line in render_table(frame_of(runs), "kick").splitlines()[-2:]]
     assert rows[0][-4:] == ["2.00", "0.30", "40.0", "20.0"]
     assert (rows[0][2], rows[1][2]) == (f"{kick.mean_launch_speed:.2f}", "1.12")
     assert rows[1][5] == "-"
 
 
 def test_a_run_without_the_figures_is_printed_without_them(make) -> None:
-    (row,) = render_kicks(frame_of([make.metrics(make.side(0.5))])).splitlines()[-1:]
+    (row,) = render_table(frame_of([make.metrics(make.side(0.5))]), "kick").splitlines()[-1:]
     assert row.split() == ["baseline", "0", *["-"] * 9]
