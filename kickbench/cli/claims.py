@@ -11,8 +11,7 @@ from kickbench.errors import KickbenchError, shown
 from kickbench.results.frame import load_runs, runs_of
 from kickbench.results.notes import refuse_contradictions, unplanned_lines
 from kickbench.results.power import rates_table
-from kickbench.results.verdict_file import verdicts_json
-from kickbench.results.verdicts import judge, verdict_lines
+from kickbench.results.verdicts import judge, verdict_lines, verdicts_json
 from kickbench.trials.experiment import LoadedExperiment, load_experiment
 
 

@@ -19,7 +19,7 @@ from kickbench.results.atomic import atomic_write_bytes, read_regular
 from kickbench.results.episodes import EpisodeSides, EpisodeTable
 from kickbench.results.kick import KickFigures, measure_kick
 from kickbench.results.provenance import Provenance
-from kickbench.results.record import Fraction, Record
+from kickbench.results.record import Fraction, Record, problems_of
 from kickbench.results.statistics import Interval, bootstrap, wilson
 
 # Fixed, so that the same episodes always give the same intervals.
@@ -181,10 +181,7 @@ def load_metrics(path: Path) -> Metrics:
     except OSError as error:
         raise KickbenchError(f"{path}: cannot read metrics: {error.strerror}") from error
     except ValidationError as error:
-        problems = "; ".join(
-            f"{'.'.join(map(str, item['loc'])) or 'file'}: {item['msg']}" for item in error.errors()
-        )
-        raise KickbenchError(f"{path}: no valid metrics: {problems}") from error
+        raise KickbenchError(f"{path}: no valid metrics: {problems_of(error)}") from error
 
 
 def write_metrics(path: Path, metrics: Metrics) -> None:

@@ -16,7 +16,7 @@ import numpy as np
 
 from kickbench.config.claims import AnyClaim, Operand
 from kickbench.results.contrast import RunTerms, Term, contrast_of
-from kickbench.results.run_figures import Figure
+from kickbench.results.figures import Figure
 from kickbench.results.statistics import wilson
 from kickbench.results.tables import render_block
 from kickbench.results.verdicts import judge_parts
