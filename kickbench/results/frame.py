@@ -310,7 +310,7 @@ class _Planned:
 
     def _differences(self, directory: RunDirectory) -> list[str]:
         """In what the specs of a run of another identity differ; the number of episodes is named apart."""
-        from kickbench.results.differences import EPISODES, differences, planned_specs, stored_specs
+        from kickbench.results.specs import EPISODES, differences, planned_specs, stored_specs
 
         try:
             specs = [stored_specs(directory), planned_specs(self._compiled)]

@@ -77,7 +77,7 @@ def _lines(name: str, rows: pd.DataFrame, column: str) -> Iterator[str]:
 
 
 def _specs(first: pd.DataFrame) -> list[str]:
-    from kickbench.results.differences import differences, stored_specs
+    from kickbench.results.specs import differences, stored_specs
 
     if first.identity.nunique() < 2:
         return []
