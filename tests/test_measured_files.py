@@ -9,9 +9,16 @@ import jsonschema
 import pytest
 
 from kickbench.config.terms import TerminationParams
-from kickbench.results.asymmetry import Asymmetry, MirroredPairs, SideSuccess
 from kickbench.results.frame import load_runs
-from kickbench.results.metrics import Evaluation, EvaluationMetrics, load_metrics, metrics_json_schema
+from kickbench.results.metrics import (
+    Asymmetry,
+    Evaluation,
+    EvaluationMetrics,
+    MirroredPairs,
+    SideSuccess,
+    load_metrics,
+    metrics_json_schema,
+)
 from kickbench.results.statistics import mcnemar, two_proportions, wilson
 from kickbench.results.verdicts import judge, read_verdicts
 from kickbench.training.trained import load_run

@@ -12,9 +12,8 @@ from typing import Literal
 from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt, ValidationError
 
 from kickbench.errors import KickbenchError
-from kickbench.results.atomic import atomic_write_text
+from kickbench.results.atomic import Fraction, Record, atomic_write_text
 from kickbench.results.provenance import Provenance
-from kickbench.results.record import Fraction, Record
 
 
 class StepFigures(Record):

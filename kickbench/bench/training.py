@@ -10,7 +10,7 @@ import torch
 from kickbench.envs.engines import make_engine
 from kickbench.envs.env import KickEnv
 from kickbench.nets.threads import update_threads
-from kickbench.results.history import RunHistory
+from kickbench.results.provenance import RunHistory
 from kickbench.training.checkpoint import Checkpoints
 from kickbench.training.progress import IterationRecord
 from kickbench.training.trainer import Trainer

@@ -24,9 +24,9 @@ from kickbench.evaluation.equivariance import EquivarianceProbe
 from kickbench.evaluation.kick import KickRecord
 from kickbench.evaluation.progress import EVALUATING, Steps
 from kickbench.nets.threads import torch_threads
-from kickbench.results.asymmetry import EquivarianceError
 from kickbench.results.episodes import NON_FINITE, EpisodeSides, EpisodeTable
 from kickbench.results.frame import SIDES
+from kickbench.results.metrics import EquivarianceError
 from kickbench.symmetry.torch_ops import Mirror
 from kickbench.trials.trial import Symmetry, state_symmetry
 

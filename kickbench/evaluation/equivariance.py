@@ -9,7 +9,7 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 
-from kickbench.results.asymmetry import EquivarianceError
+from kickbench.results.metrics import EquivarianceError
 from kickbench.symmetry.representation import Representation
 from kickbench.symmetry.torch_ops import Mirror
 

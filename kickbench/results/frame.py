@@ -34,11 +34,10 @@ from pydantic import BaseModel
 from kickbench.config.claims import Side
 from kickbench.config.load import load_method
 from kickbench.errors import KickbenchError, shown
-from kickbench.results.asymmetry import Asymmetry
 from kickbench.results.episodes import NON_FINITE
 from kickbench.results.identity import Identity, read_identity
 from kickbench.results.integrity import check
-from kickbench.results.metrics import EvaluationMetrics, Metrics, load_metrics
+from kickbench.results.metrics import Asymmetry, EvaluationMetrics, Metrics, load_metrics
 from kickbench.results.progress import read_done
 from kickbench.results.store import RunDirectory, find_begun_runs
 

@@ -21,8 +21,7 @@ from pydantic import BaseModel, ValidationError
 from kickbench.config.annotations import names_file
 from kickbench.config.terms import TermParams, TermTable
 from kickbench.errors import KeyPath, KickbenchError, shown
-from kickbench.results.atomic import atomic_write_text
-from kickbench.results.record import Record
+from kickbench.results.atomic import Record, atomic_write_text
 from kickbench.sim.dynamics import dynamics_arrays
 
 if TYPE_CHECKING:

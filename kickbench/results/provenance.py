@@ -3,29 +3,25 @@
 from __future__ import annotations
 
 import platform
+import re
 import subprocess
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
+from functools import partial
 from importlib import metadata
 from pathlib import Path
+from typing import Any, NamedTuple
 
 from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveInt
 
 from kickbench.errors import printable
-from kickbench.results.record import Record
+from kickbench.results.atomic import Record
 
 # Distribution names; the ones that are not installed are left out of a record.
 _PACKAGES = (
-    "kickbench",
-    "torch",
-    "mujoco",
-    "mujoco-warp",
-    "warp-lang",
-    "rsl-rl-lib",
-    "tensordict",
-    "numpy",
+    *("kickbench", "torch", "mujoco", "mujoco-warp", "warp-lang"),
+    *("rsl-rl-lib", "tensordict", "numpy"),
 )
 
 
@@ -68,7 +64,7 @@ class Provenance(Record):
     started: str = Field(description="start of the run, UTC, ISO 8601")
     finished: str = Field(description="end of the run, UTC, ISO 8601")
     seconds: NonNegativeFloat = Field(description="wall-clock time from start to end [s]")
-    env_steps: NonNegativeInt = Field(description="control steps of training, summed over worlds")
+    env_steps: NonNegativeInt = Field(description="control steps of training, summed over envs")
     command: list[str] = Field(description="the command; absolute paths made relative, or reduced to a name")
     experiment: ExperimentRef | None = Field(
         default=None,
@@ -85,8 +81,7 @@ class Provenance(Record):
     )
 
 
-@dataclass(frozen=True)
-class Moment:
+class Moment(NamedTuple):
     """A point in time.
 
     Attributes:
@@ -112,30 +107,25 @@ def collect_provenance(
     num_processes: int = 1,
     device: str = "cpu",
     argv: Sequence[str] = (),
-    finished: Moment | None = None,
     code: tuple[str | None, bool | None] | None = None,
     experiment: ExperimentRef | None = None,
     initial: InitialRef | None = None,
 ) -> Provenance:
-    """Look at this process and its machine.
+    """Looks at this process and its machine as of now.
 
     Args:
         seed: seed of the run.
-        env_steps: control steps of training, summed over worlds.
+        env_steps: control steps of training, summed over envs.
         started: start of the run.
         num_threads: threads that stepped the physics, of each process.
         num_processes: processes that trained together.
         device: torch device, `cpu` or `cuda[:k]`.
         argv: the command as `sys.argv` has it, program first.
-        finished: end of the run, now if left out.
-        code: what `code_state` said when the code was loaded; now if left out.
+        code: what `code_state` returned when the code was loaded; now if left out.
         experiment: the experiment that the run was begun for.
         initial: the run whose policy it began with.
-
-    Returns:
-        The record.
     """
-    finished = finished or Moment.now()
+    finished = Moment.now()
     commit, dirty = code or code_state()
     return Provenance(
         versions=package_versions(),
@@ -146,14 +136,78 @@ def collect_provenance(
         seed=seed,
         commit=commit,
         dirty=dirty,
-        started=_utc(started.utc),
-        finished=_utc(finished.utc),
+        started=started.utc.astimezone(UTC).isoformat(timespec="seconds"),
+        finished=finished.utc.astimezone(UTC).isoformat(timespec="seconds"),
         seconds=round(finished.seconds - started.seconds, 3),
         env_steps=env_steps,
         command=portable_command(argv),
         experiment=experiment,
         initial=initial,
     )
+
+
+class RunHistory:
+    """What `metrics.json` calls a run, and the parts it was made in, one per process; the last part is this process.
+
+    Checkpoints carry it from one process to the next. A process that is killed leaves the part that its last checkpoint
+    records: what it did after that is done again, and counts only then.
+
+    Args:
+        task: Name of the task.
+        method: Name of the method.
+        seed: Seed of the run.
+        scale: Factor that the run was scaled down by.
+        earlier: The parts before this one.
+        origin: What else `collect_provenance` is given.
+    """
+
+    def __init__(
+        self,
+        task: str,
+        method: str,
+        seed: int,
+        *,
+        scale: float | None = None,
+        earlier: Sequence[Provenance] = (),
+        **origin: Any,
+    ) -> None:
+        self.labels: dict[str, Any] = {"task": task, "method": method, "seed": seed, "scale": scale}
+        self._earlier = tuple(earlier)
+        self._collect = partial(
+            collect_provenance, seed=seed, started=Moment.now(), code=code_state(), **origin
+        )
+
+    def provenance(self, env_steps: int) -> Provenance:
+        """Provenance of the run as of now: this part's, with start, seconds and steps of all parts.
+
+        Args:
+            env_steps: Control steps of training so far, those of earlier parts included.
+        """
+        part = self._part(env_steps)
+        if not self._earlier:
+            return part
+        whole = {
+            "started": self._earlier[0].started,
+            "seconds": round(part.seconds + sum(earlier.seconds for earlier in self._earlier), 3),
+            "env_steps": env_steps,
+            # The claims of the beginning count: they were fixed before anything was trained.
+            "experiment": self._earlier[0].experiment,
+            "resumed_from": self._earlier,
+        }
+        return part.model_copy(update=whole)
+
+    def state_dict(self, env_steps: int) -> dict[str, Any]:
+        """Labels and all parts as of now, in plain values."""
+        parts = (*self._earlier, self._part(env_steps))
+        return {**self.labels, "parts": [part.model_dump(mode="json") for part in parts]}
+
+    def _part(self, env_steps: int) -> Provenance:
+        return self._collect(env_steps=env_steps - sum(earlier.env_steps for earlier in self._earlier))
+
+
+def earlier_parts(state: Mapping[str, Any]) -> tuple[Provenance, ...]:
+    """The parts in what `RunHistory.state_dict` has returned."""
+    return tuple(Provenance.model_validate(part) for part in state["parts"])
 
 
 def code_state() -> tuple[str | None, bool | None]:
@@ -182,13 +236,10 @@ def device_name(device: str) -> str:
 
 
 def cpu_name(cpuinfo: Path = Path("/proc/cpuinfo")) -> str:
-    """The processor's model as Linux tells it, or what Python knows elsewhere."""
-    if cpuinfo.is_file():
-        for line in cpuinfo.read_text(encoding="utf-8", errors="replace").splitlines():
-            key, _, value = line.partition(":")
-            if key.strip() == "model name" and value.strip():
-                return value.strip()
-    return platform.processor() or platform.machine() or "unknown"
+    """The processor's model as Linux names it, or what Python knows elsewhere."""
+    text = cpuinfo.read_text(encoding="utf-8", errors="replace") if cpuinfo.is_file() else ""
+    found = re.search(r"^model name\s*:\s*(\S.*?)\s*$", text, re.MULTILINE)
+    return found[1] if found else platform.processor() or platform.machine() or "unknown"
 
 
 def git_state(file: Path) -> tuple[str | None, bool | None]:
@@ -212,22 +263,18 @@ def portable_command(argv: Sequence[str]) -> list[str]:
     The program becomes `kickbench`. An absolute path, alone or behind `key=`, becomes relative to the working
     directory if it lies in it, and its last name otherwise.
     """
-    return ["kickbench", *(_portable_argument(argument) for argument in argv[1:])]
+    return ["kickbench", *(printable(_portable(argument)) for argument in argv[1:])]
 
 
-def _portable_argument(argument: str) -> str:
+def _portable(argument: str) -> str:
     key, equals, value = argument.rpartition("=")
-    return printable(f"{key}{equals}{_portable_path(value)}")
-
-
-def _portable_path(text: str) -> str:
-    path = Path(text)
-    if not path.is_absolute():
-        return text
-    for root in (Path.cwd(), Path.cwd().resolve()):
-        if path.is_relative_to(root):
-            return path.relative_to(root).as_posix()
-    return path.name or "."
+    path = Path(value)
+    if path.is_absolute():
+        inside = (
+            path.relative_to(root) for root in (Path.cwd(), Path.cwd().resolve()) if path.is_relative_to(root)
+        )
+        value = next((of.as_posix() for of in inside), path.name or ".")
+    return f"{key}{equals}{value}"
 
 
 def _git(folder: Path, *arguments: str) -> str | None:
@@ -239,9 +286,3 @@ def _git(folder: Path, *arguments: str) -> str | None:
     except (OSError, subprocess.TimeoutExpired):
         return None
     return done.stdout if done.returncode == 0 else None
-
-
-def _utc(moment: datetime) -> str:
-    if moment.tzinfo is None:
-        raise ValueError("expected a time that knows its zone, such as datetime.now(UTC)")
-    return moment.astimezone(UTC).isoformat(timespec="seconds")

@@ -16,6 +16,7 @@ from pydantic import Field, TypeAdapter, ValidationError
 
 from kickbench.config.claims import AnyClaim, NearReported, Operand, RatioAtLeast, RatioAtMost
 from kickbench.errors import KickbenchError
+from kickbench.results.atomic import Record, problems_of
 from kickbench.results.contrast import (
     Contrast,
     Estimated,
@@ -27,7 +28,6 @@ from kickbench.results.contrast import (
     run_terms,
 )
 from kickbench.results.figures import Unit, lack_of, non_finite_share, unit_of
-from kickbench.results.record import Record, problems_of
 from kickbench.results.statistics import Interval
 from kickbench.results.tables import NOTHING, Row, non_finite_note, render_block
 from kickbench.trials.experiment import LoadedExperiment

@@ -20,7 +20,7 @@ from kickbench.errors import KickbenchError
 from kickbench.nets.relaxed import residual_share
 from kickbench.nets.threads import torch_threads
 from kickbench.results.frame import SIDES
-from kickbench.results.history import RunHistory
+from kickbench.results.provenance import RunHistory
 from kickbench.training.checkpoint import Checkpoints
 from kickbench.training.guard import check_samples, checked_update
 from kickbench.training.ppo import BoundedPPO, build_ppo

@@ -23,7 +23,7 @@ from kickbench.envs.engines import make_engine, make_warp_engine
 from kickbench.envs.env import KickEnv
 from kickbench.envs.graph import CapturedStep, WithoutGraphs
 from kickbench.envs.starts import FreshStarts, StartSampler
-from kickbench.results.history import RunHistory
+from kickbench.results.provenance import RunHistory
 from kickbench.sim.engine import ModelField
 from kickbench.training.checkpoint import Checkpoints
 from kickbench.training.trainer import Trainer

@@ -11,7 +11,7 @@ from tensordict import TensorDict
 from kickbench.evaluation.episodes import draw_starts, run_episodes
 from kickbench.evaluation.equivariance import EVERY, EquivarianceProbe
 from kickbench.nets.build import build_actor
-from kickbench.results.asymmetry import EquivarianceError
+from kickbench.results.metrics import EquivarianceError
 from kickbench.symmetry import REGULAR, SIGN, TRIVIAL
 from kickbench.symmetry.torch_ops import Mirror
 

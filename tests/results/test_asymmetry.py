@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from kickbench.results.asymmetry import EquivarianceError, measure_asymmetry
 from kickbench.results.episodes import EpisodeSides, EpisodeTable
+from kickbench.results.measure import measure_asymmetry
+from kickbench.results.metrics import EquivarianceError
 from kickbench.results.statistics import mcnemar, wilson
 
 SWAP = {"left": "right", "right": "left"}

@@ -10,7 +10,8 @@ import pytest
 
 from kickbench.results.episodes import EpisodeTable
 from kickbench.results.frame import frame_of
-from kickbench.results.kick import KickFigures, measure_kick
+from kickbench.results.measure import measure_kick
+from kickbench.results.metrics import KickFigures
 from kickbench.results.tables import render_table
 
 NAN = np.nan

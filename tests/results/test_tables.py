@@ -4,15 +4,15 @@ from collections.abc import Sequence
 
 import pytest
 
-from kickbench.results.asymmetry import (
+from kickbench.results.frame import frame_of
+from kickbench.results.metrics import (
     Asymmetry,
     EquivarianceError,
     LegPreference,
+    Metrics,
     MirroredPairs,
     SideSuccess,
 )
-from kickbench.results.frame import frame_of
-from kickbench.results.metrics import Metrics
 from kickbench.results.statistics import Interval
 from kickbench.results.tables import render_table as render_frame
 
