@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from pydantic import BaseModel
 
-from kickbench.config.load import LoadedMethod, load_method, load_task
+from kickbench.config.load import LoadedMethod, LoadedTask, load_method, load_task
 from kickbench.config.terms import TermParams, TermTable
 from kickbench.config.yamlio import Document, dump_yaml, flow_yaml
 from kickbench.envs.catalog import model_of_task
@@ -165,17 +165,11 @@ def spec_differences(directory: RunDirectory, experiment: Trial) -> list[Problem
     if not changed:
         return []
     task, method = experiment.loaded_task, experiment.method
-    documents = {name: loaded.document for name, loaded in loaded_specs(task, method).items()}
-    both = [planned_specs(experiment), stored_specs(directory)]
+    both = [_specs(task, method, ours).values, stored_specs(directory).values]
     problems = [
-        documents[name].problem(
-            path,
-            f"the run has them in another order: {', '.join(old)}"
-            if isinstance(old, Order)
-            else f"{_text(new)}, but the run has {_text(old)}",
-        )
-        for name in documents
-        for path, (new, old) in _differing([specs.values[name] for specs in both])
+        loaded.document.problem(path, _unlike(new, old))
+        for name, loaded in loaded_specs(task, method).items()
+        for path, (new, old) in _differing([values[name] for values in both])
     ]
     if "model" in changed:
         names = ", ".join(sorted(dict(ours.model_arrays.items() ^ theirs.model_arrays.items())))
@@ -188,11 +182,22 @@ def spec_differences(directory: RunDirectory, experiment: Trial) -> list[Problem
     return problems or [Problem(None, (part,), "not that of the run") for part in changed]
 
 
+def _unlike(new: Any, old: Any) -> str:
+    if isinstance(old, Order):
+        return f"the run has them in another order: {', '.join(old)}"
+    return f"{_text(new)}, but the run has {_text(old)}"
+
+
 class Specs(NamedTuple):
-    """The specs of a run by what they are, and the hashes of the parts of its identity."""
+    """The specs of a run by what they are, and its identity."""
 
     values: Mapping[str, BaseModel]
-    parts: Mapping[str, str]
+    identity: Identity
+
+    @property
+    def fingerprint(self) -> str:
+        """That of the identity."""
+        return self.identity.fingerprint
 
 
 def stored_specs(directory: RunDirectory) -> Specs:
@@ -201,15 +206,17 @@ def stored_specs(directory: RunDirectory) -> Specs:
     Raises:
         KickbenchError: A file is missing or not valid.
     """
-    task, method = load_task(model_of_task, directory.task_spec), stored_method(directory)
-    loaded = loaded_specs(task, method)
-    return Specs({name: of.spec for name, of in loaded.items()}, read_identity(directory.path).parts)
+    task = load_task(model_of_task, directory.task_spec)
+    return _specs(task, stored_method(directory), read_identity(directory.path))
 
 
 def planned_specs(experiment: Trial) -> Specs:
     """The specs of a compiled task and method."""
-    loaded = loaded_specs(experiment.loaded_task, experiment.method)
-    return Specs({name: of.spec for name, of in loaded.items()}, identity_of(experiment).parts)
+    return _specs(experiment.loaded_task, experiment.method, identity_of(experiment))
+
+
+def _specs(task: LoadedTask[Any], method: LoadedMethod, identity: Identity) -> Specs:
+    return Specs({name: of.spec for name, of in loaded_specs(task, method).items()}, identity)
 
 
 def differences(
@@ -229,7 +236,7 @@ def differences(
     }
     lines = [f"{key}: {write([_text(v) for v in keys[key]])}" for key in keys if key not in without]
     more = [f"{len(lines) - _MOST} more keys"] if len(lines) > _MOST else []
-    unequal = [part for part in _BY_HASH if len({specs.parts.get(part) for specs in found}) > 1]
+    unequal = [part for part in _BY_HASH if len({specs.identity.parts.get(part) for specs in found}) > 1]
     return [*lines[:_MOST], *more, *(_BY_HASH[part] for part in unequal)]
 
 
