@@ -24,7 +24,7 @@ Fraction = Annotated[float, Field(ge=0, le=1)]
 class Record(BaseModel):
     """A frozen model of a results file: unknown keys and non-finite numbers are errors."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True)
 
 
 def problems_of(error: ValidationError) -> str:

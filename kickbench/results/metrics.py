@@ -26,19 +26,23 @@ class FootCounts(Record):
 
     left_foot: NonNegativeInt
     right_foot: NonNegativeInt
-    other: NonNegativeInt = Field(description="a part of the robot that is not a foot")
-    none: NonNegativeInt = Field(description="the ball was never touched")
+    other: NonNegativeInt
+    """A part of the robot that is not a foot."""
+    none: NonNegativeInt
+    """The ball was never touched."""
 
 
 class Kicks(Record):
     """Which foot kicked, given the side of the ball at the start (thesis 4.3.1: the leg preference)."""
 
-    ball_left: FootCounts = Field(description="episodes whose ball starts at y >= 0 in the robot's frame")
-    ball_right: FootCounts = Field(description="episodes whose ball starts at y < 0 in the robot's frame")
-    same_side_share: Fraction | None = Field(
-        description="share of the kicks by foot made with the foot on the ball's side; null without any"
-    )
-    same_side_ci: Interval | None = Field(description="its Wilson interval")
+    ball_left: FootCounts
+    """Episodes whose ball starts at y >= 0 in the robot's frame."""
+    ball_right: FootCounts
+    """Episodes whose ball starts at y < 0 in the robot's frame."""
+    same_side_share: Fraction | None
+    """Share of the kicks by foot made with the foot on the ball's side; null without any."""
+    same_side_ci: Interval | None
+    """Its Wilson interval."""
 
 
 class KickFigures(Record):
@@ -47,22 +51,26 @@ class KickFigures(Record):
     The figures of single episodes, and their formulas, are those of `episodes.csv`.
     """
 
-    mean_launch_speed: NonNegativeFloat | None = Field(description="horizontal ball speed at the kick [m/s]")
-    mean_launch_speed_ci: Interval | None = Field(description="its bootstrap interval [m/s]")
-    mean_direction_error: Angle | None = Field(
-        description="mean angle between the ball's launch and the target, without its sign, over launched balls [rad]"
-    )
-    median_direction_error: Angle | None = Field(description="median of the same angle [rad]")
-    direction_bias: Annotated[float, Field(ge=-np.pi, le=np.pi)] | None = Field(
-        description="circular mean of the signed angle, positive to the left of the target [rad]"
-    )
-    mean_time_to_touch: NonNegativeFloat | None = Field(description="from the start to the first touch [s]")
-    mean_touches: NonNegativeFloat | None = Field(description="separate touches of the ball in an episode")
-    mean_walked_after_touch: NonNegativeFloat | None = Field(
-        description="path of the base towards the ball after the first touch [m]"
-    )
-    falls: Fraction = Field(description="share of all episodes that a fall of the robot ended")
-    non_finite: Fraction = Field(description="share of all episodes whose state was not finite")
+    mean_launch_speed: NonNegativeFloat | None
+    """Horizontal ball speed at the kick [m/s]."""
+    mean_launch_speed_ci: Interval | None
+    """Its bootstrap interval [m/s]."""
+    mean_direction_error: Angle | None
+    """Mean angle between the ball's launch and the target, without its sign, over launched balls [rad]."""
+    median_direction_error: Angle | None
+    """Median of the same angle [rad]."""
+    direction_bias: Annotated[float, Field(ge=-np.pi, le=np.pi)] | None
+    """Circular mean of the signed angle, positive to the left of the target [rad]."""
+    mean_time_to_touch: NonNegativeFloat | None
+    """From the start to the first touch [s]."""
+    mean_touches: NonNegativeFloat | None
+    """Separate touches of the ball in an episode."""
+    mean_walked_after_touch: NonNegativeFloat | None
+    """Path of the base towards the ball after the first touch [m]."""
+    falls: Fraction
+    """Share of all episodes that a fall of the robot ended."""
+    non_finite: Fraction
+    """Share of all episodes whose state was not finite."""
 
 
 class EvaluationMetrics(Record):
@@ -70,48 +78,52 @@ class EvaluationMetrics(Record):
 
     episodes: PositiveInt
     success_rate: Fraction
-    success_ci: Interval = Field(description="Wilson interval of success_rate")
-    mean_distance: NonNegativeFloat = Field(description="mean distance from ball to target at the end [m]")
-    mean_distance_ci: Interval = Field(description="bootstrap interval of mean_distance [m]")
-    median_distance: NonNegativeFloat = Field(description="median of the same distance [m]")
-    median_distance_ci: Interval = Field(description="bootstrap interval of median_distance [m]")
-    terminations: dict[str, Fraction] = Field(description="share of episodes by how they ended; sums to 1")
+    success_ci: Interval
+    """Wilson interval of success_rate."""
+    mean_distance: NonNegativeFloat
+    """Mean distance from ball to target at the end [m]."""
+    mean_distance_ci: Interval
+    """Bootstrap interval of mean_distance [m]."""
+    median_distance: NonNegativeFloat
+    """Median of the same distance [m]."""
+    median_distance_ci: Interval
+    """Bootstrap interval of median_distance [m]."""
+    terminations: dict[str, Fraction]
+    """Share of episodes by how they ended; sums to 1."""
     kicks: Kicks
-    mean_episode_steps: NonNegativeFloat = Field(description="mean number of control steps of an episode")
-    kicked_fraction: Fraction = Field(description="share of episodes in which the robot touched the ball")
-    kick: KickFigures | None = Field(
-        default=None, description="speed and direction of the kick; null in older files"
-    )
+    mean_episode_steps: NonNegativeFloat
+    """Mean number of control steps of an episode."""
+    kicked_fraction: Fraction
+    """Share of episodes in which the robot touched the ball."""
+    kick: KickFigures | None = None
+    """Speed and direction of the kick; null in older files."""
 
 
 class EquivarianceError(Record):
     """Difference of pi(rho o) and rho pi(o), for the mean action pi at visited observations o."""
 
-    states: PositiveInt = Field(description="visited states it was measured at")
-    rms: NonNegativeFloat = Field(
-        description="root mean square over states and actions [units of the action]"
-    )
-    largest: NonNegativeFloat = Field(
-        description="largest difference of one action at one state [units of the action]"
-    )
-    relative: Annotated[float, Field(ge=0, le=2)] = Field(
-        description="rms over that of the actions at the states and their mirror images: 0 for an equivariant policy, "
-        "sqrt(2) if the two have nothing in common, 2 if they are opposite"
-    )
+    states: PositiveInt
+    """Visited states it was measured at."""
+    rms: NonNegativeFloat
+    """Root mean square over states and actions [units of the action]."""
+    largest: NonNegativeFloat
+    """Largest difference of one action at one state [units of the action]."""
+    relative: Annotated[float, Field(ge=0, le=2)]
+    """Rms over that of the actions at the states and their mirror images: 0 for an equivariant policy,
+    sqrt(2) if the two have nothing in common, 2 if they are opposite."""
 
 
 class LegPreference(Record):
     """Which foot kicks (thesis 4.3.1); intervals are 95 % bootstrap, a mirrored pair being drawn together."""
 
-    kicks: NonNegativeInt = Field(description="episodes in which a foot was the first to touch the ball")
-    same_side_share: Fraction | None = Field(
-        description="share of those kicks made with the foot on the side where the ball starts; null without any"
-    )
+    kicks: NonNegativeInt
+    """Episodes in which a foot was the first to touch the ball."""
+    same_side_share: Fraction | None
+    """Share of those kicks made with the foot on the side where the ball starts; null without any."""
     same_side_ci: Interval | None = None
-    left_foot_share: Fraction | None = Field(
-        description="share of those kicks made with the left foot: 0 or 1 for a policy with one kicking leg, 1/2 for "
-        "a symmetric one if starts are as many on the left as on the right"
-    )
+    left_foot_share: Fraction | None
+    """Share of those kicks made with the left foot: 0 or 1 for a policy with one kicking leg, 1/2 for a
+    symmetric one if starts are as many on the left as on the right."""
     left_foot_ci: Interval | None = None
 
 
@@ -122,12 +134,14 @@ class SideSuccess(Record):
     left_rate: Fraction
     right_episodes: PositiveInt
     right_rate: Fraction
-    difference: Difference = Field(description="left minus right")
-    difference_ci: Interval = Field(description="its 95 % interval (Newcombe)")
-    z: float = Field(description="statistic of the two-proportion test")
-    p_value: Fraction = Field(
-        description="its two-sided p-value; mirrored starts count as independent, see pairs"
-    )
+    difference: Difference
+    """Left minus right."""
+    difference_ci: Interval
+    """Its 95 % interval (Newcombe)."""
+    z: float
+    """Statistic of the two-proportion test."""
+    p_value: Fraction
+    """Its two-sided p-value; mirrored starts count as independent, see pairs."""
 
 
 class MirroredPairs(Record):
@@ -137,34 +151,41 @@ class MirroredPairs(Record):
     """
 
     pairs: PositiveInt
-    agreement: Fraction = Field(description="share of pairs that end alike: same termination, same success")
-    agreement_ci: Interval = Field(description="its Wilson interval")
-    foot_agreement: Fraction = Field(description="share of pairs whose first touches mirror each other")
-    only_original: NonNegativeInt = Field(description="pairs in which only the original start led to success")
-    only_mirrored: NonNegativeInt = Field(description="pairs in which only the mirrored start did")
-    p_value: Fraction = Field(description="exact McNemar test of equal success on both sides")
+    agreement: Fraction
+    """Share of pairs that end alike: same termination, same success."""
+    agreement_ci: Interval
+    """Its Wilson interval."""
+    foot_agreement: Fraction
+    """Share of pairs whose first touches mirror each other."""
+    only_original: NonNegativeInt
+    """Pairs in which only the original start led to success."""
+    only_mirrored: NonNegativeInt
+    """Pairs in which only the mirrored start did."""
+    p_value: Fraction
+    """Exact McNemar test of equal success on both sides."""
 
 
 class Asymmetry(Record):
     """How differently a policy treats left and right."""
 
-    equivariance: EquivarianceError | None = Field(default=None, description="null if not measured")
+    equivariance: EquivarianceError | None = None
+    """Null if not measured."""
     legs: LegPreference
-    success: SideSuccess | None = Field(default=None, description="null if all balls start on one side")
-    pairs: MirroredPairs | None = Field(default=None, description="null without a mirrored evaluation")
+    success: SideSuccess | None = None
+    """Null if all balls start on one side."""
+    pairs: MirroredPairs | None = None
+    """Null without a mirrored evaluation."""
 
 
 class Evaluation(Record):
     """Both sides of an evaluation."""
 
-    in_distribution: EvaluationMetrics = Field(description="episodes as the task samples them")
-    mirrored: EvaluationMetrics | None = Field(
-        default=None,
-        description="episodes from the exact mirror images of those starts; null if not asked for",
-    )
-    asymmetry: Asymmetry | None = Field(
-        default=None, description="how differently the policy treats left and right; null in older files"
-    )
+    in_distribution: EvaluationMetrics
+    """Episodes as the task samples them."""
+    mirrored: EvaluationMetrics | None = None
+    """Episodes from the exact mirror images of those starts; null if not asked for."""
+    asymmetry: Asymmetry | None = None
+    """How differently the policy treats left and right; null in older files."""
 
 
 class Metrics(Record):
@@ -174,20 +195,17 @@ class Metrics(Record):
     task: str
     method: str
     seed: int
-    scale: float | None = Field(
-        default=None,
-        gt=0,
-        lt=1,
-        description="factor on iterations and evaluation episodes of a run that was scaled down to try an "
-        "experiment out, by `--scale`; null for a run of full size",
-    )
-    iterations: NonNegativeInt = Field(description="training iterations")
-    env_steps: NonNegativeInt = Field(description="control steps of training, summed over envs")
-    training_seconds: NonNegativeFloat = Field(description="wall-clock time of training [s]")
-    schedule_iterations: PositiveInt | None = Field(
-        default=None,
-        description="iterations over which the method's schedules ran, if a resume extended the run beyond them",
-    )
+    scale: float | None = Field(default=None, gt=0, lt=1)
+    """Factor on iterations and evaluation episodes of a run that was scaled down to try an experiment out, by
+    `--scale`; null for a run of full size."""
+    iterations: NonNegativeInt
+    """Training iterations."""
+    env_steps: NonNegativeInt
+    """Control steps of training, summed over envs."""
+    training_seconds: NonNegativeFloat
+    """Wall-clock time of training [s]."""
+    schedule_iterations: PositiveInt | None = None
+    """Iterations over which the method's schedules ran, if a resume extended the run beyond them."""
     evaluation: Evaluation
     provenance: Provenance
 

@@ -13,7 +13,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveInt
+from pydantic import NonNegativeFloat, NonNegativeInt, PositiveInt
 
 from kickbench.errors import printable
 from kickbench.results.atomic import Record
@@ -29,7 +29,8 @@ class ExperimentRef(Record):
     """The experiment that a run was begun for."""
 
     name: str
-    claims: str = Field(description="SHA-256 of its claims as they were when the run began")
+    claims: str
+    """SHA-256 of its claims as they were when the run began."""
 
 
 class InitialRef(Record):
@@ -38,47 +39,53 @@ class InitialRef(Record):
     task: str
     method: str
     seed: int
-    env_steps: NonNegativeInt = Field(description="control steps that it was trained for")
-    fingerprint: str = Field(description="its identity")
-    policy: str = Field(description="SHA-256 of the policy as it began, the standard deviation included")
-    std: float | None = Field(
-        description="standard deviation that its own was replaced by; null: it was kept"
-    )
+    env_steps: NonNegativeInt
+    """Control steps that it was trained for."""
+    fingerprint: str
+    """Its identity."""
+    policy: str
+    """SHA-256 of the policy as it began, the standard deviation included."""
+    std: float | None
+    """Standard deviation that its own was replaced by; null: it was kept."""
 
 
 class Provenance(Record):
     """Where a result comes from. Holds no path of the machine that made it."""
 
-    versions: dict[str, str] = Field(
-        description="version of python and of each package that the result needs"
-    )
-    device: str = Field(description="model of the processor, or name of the CUDA device")
-    num_threads: PositiveInt = Field(description="threads that stepped the physics, of each process")
-    num_processes: PositiveInt = Field(default=1, description="processes that trained together")
-    platform: str = Field(description="operating system and architecture")
-    seed: int = Field(description="seed of the run")
-    commit: str | None = Field(description="git commit of kickbench's checkout; null outside of one")
-    dirty: bool | None = Field(
-        description="whether that checkout had uncommitted changes; null outside of one"
-    )
-    started: str = Field(description="start of the run, UTC, ISO 8601")
-    finished: str = Field(description="end of the run, UTC, ISO 8601")
-    seconds: NonNegativeFloat = Field(description="wall-clock time from start to end [s]")
-    env_steps: NonNegativeInt = Field(description="control steps of training, summed over envs")
-    command: list[str] = Field(description="the command; absolute paths made relative, or reduced to a name")
-    experiment: ExperimentRef | None = Field(
-        default=None,
-        description="experiment that the run was begun for; null: none, or a run of an older version",
-    )
-    initial: InitialRef | None = Field(
-        default=None, description="run whose policy it began with; null: it began with random networks"
-    )
-    resumed_from: tuple[Provenance, ...] = Field(
-        default=(),
-        description="of a run that was interrupted: its earlier parts, each up to the checkpoint that the next "
-        "one went on from. The run's `started` is the first part's, its `seconds` and `env_steps` are sums over "
-        "all parts, everything else describes the last one",
-    )
+    versions: dict[str, str]
+    """Version of python and of each package that the result needs."""
+    device: str
+    """Model of the processor, or name of the CUDA device."""
+    num_threads: PositiveInt
+    """Threads that stepped the physics, of each process."""
+    num_processes: PositiveInt = 1
+    """Processes that trained together."""
+    platform: str
+    """Operating system and architecture."""
+    seed: int
+    """Seed of the run."""
+    commit: str | None
+    """Git commit of kickbench's checkout; null outside of one."""
+    dirty: bool | None
+    """Whether that checkout had uncommitted changes; null outside of one."""
+    started: str
+    """Start of the run, UTC, ISO 8601."""
+    finished: str
+    """End of the run, UTC, ISO 8601."""
+    seconds: NonNegativeFloat
+    """Wall-clock time from start to end [s]."""
+    env_steps: NonNegativeInt
+    """Control steps of training, summed over envs."""
+    command: list[str]
+    """The command; absolute paths made relative, or reduced to a name."""
+    experiment: ExperimentRef | None = None
+    """Experiment that the run was begun for; null: none, or a run of an older version."""
+    initial: InitialRef | None = None
+    """Run whose policy it began with; null: it began with random networks."""
+    resumed_from: tuple[Provenance, ...] = ()
+    """Of a run that was interrupted: its earlier parts, each up to the checkpoint that the next one went on
+    from. The run's `started` is the first part's, its `seconds` and `env_steps` are sums over all parts,
+    everything else describes the last one."""
 
 
 class Moment(NamedTuple):

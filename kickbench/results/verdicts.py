@@ -43,26 +43,31 @@ _OF_POLICIES: dict[Outcome, Outcome] = {"met": "holds", "not met": "does not hol
 class RecordedVerdict(Record):
     """A verdict in the file `verdicts.json`, which is kept beside an experiment's runs."""
 
-    name: str = Field(description="name of the claim")
-    statement: str = Field(description="the claim in words")
+    name: str
+    """Name of the claim."""
+    statement: str
+    """The claim in words."""
     outcome: Outcome
-    figure: float | None = Field(
-        description="what the claim compares with its bound: a figure, a difference or a ratio; of the seed nearest to "
-        "the bound, if each seed is meant; null: not measured"
-    )
-    interval: Interval | None = Field(description="its 95 % interval; null: not known")
-    basis: str = Field(description="what the interval covers")
-    reason: str | None = Field(description="why there is not enough data")
+    figure: float | None
+    """What the claim compares with its bound: a figure, a difference or a ratio; of the seed nearest to the
+    bound, if each seed is meant; null: not measured."""
+    interval: Interval | None
+    """Its 95 % interval; null: not known."""
+    basis: str
+    """What the interval covers."""
+    reason: str | None
+    """Why there is not enough data."""
 
 
 class Verdict(RecordedVerdict):
     """What the data say of a claim."""
 
-    claim: AnyClaim = Field(exclude=True, description="the claim")
-    reported: float | None = Field(
-        exclude=True, description="the same figure from what the thesis reported; None if it did not"
-    )
-    seeds: int = Field(exclude=True, description="seeds of the condition that has the fewest")
+    claim: AnyClaim = Field(exclude=True)
+    """The claim."""
+    reported: float | None = Field(exclude=True)
+    """The same figure from what the thesis reported; None if it did not."""
+    seeds: int = Field(exclude=True)
+    """Seeds of the condition that has the fewest."""
 
     @property
     def unit(self) -> Unit:
