@@ -135,7 +135,7 @@ def compare_seeds(
     return SeedComparison(welch(first, second), chance, rank_test(first, second))
 
 
-def compare_on_starts(first: ArrayLike, second: ArrayLike) -> StartComparison | str:
+def compare_on_starts(first: NDArray[np.float64], second: NDArray[np.float64]) -> StartComparison | str:
     """Two methods' policies compared on each initial state, or why they cannot be.
 
     With d_i the difference of the means over policies on initial state i: mean(d) ± z std(d)/sqrt(n), and the test
@@ -146,7 +146,7 @@ def compare_on_starts(first: ArrayLike, second: ArrayLike) -> StartComparison | 
         first: outcomes of the first method's policies [policies, starts]: success as 0 or 1, or a distance.
         second: outcomes of the second's from the same initial states, in the same order [policies, starts].
     """
-    differences = np.mean(first, axis=0) - np.mean(second, axis=0)
+    differences = first.mean(axis=0) - second.mean(axis=0)
     starts, unequal = differences.size, int(np.count_nonzero(differences))
     if starts < LEAST_STARTS or 0 < unequal < LEAST_STARTS:
         return f"the policies differ on {unequal} of {starts} starts; {LEAST_STARTS} are the least"

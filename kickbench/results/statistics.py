@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from math import comb, sqrt
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -220,7 +220,7 @@ def rank_test(first: Sequence[float], second: Sequence[float]) -> RankTest:
         second: finite scores [m], m >= 2.
     """
     tied = len({*first, *second}) < len(first) + len(second)
-    permutations = stats.PermutationMethod(n_resamples=_PERMUTATIONS, rng=np.random.default_rng(0))
+    permutations: Any = stats.PermutationMethod(n_resamples=_PERMUTATIONS, rng=np.random.default_rng(0))
     test = stats.mannwhitneyu(first, second, method=permutations if tied else "exact")
     return RankTest(float(test.pvalue), min(1.0, 2 / comb(len(first) + len(second), len(first))))
 

@@ -130,7 +130,7 @@ def _row(verdict: Verdict) -> Row:
 _FILE = TypeAdapter(list[RecordedVerdict])
 
 
-def verdicts_json(verdicts: Sequence[RecordedVerdict]) -> str:
+def verdicts_json(verdicts: Sequence[Verdict]) -> str:
     """The text of a `verdicts.json`, without a final newline."""
     return TypeAdapter(list[Verdict]).dump_json(list(verdicts), indent=2).decode()
 
