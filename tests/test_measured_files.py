@@ -9,12 +9,18 @@ import jsonschema
 import pytest
 
 from kickbench.config.terms import TerminationParams
-from kickbench.results.asymmetry import Asymmetry, MirroredPairs, SideSuccess
 from kickbench.results.frame import load_runs
-from kickbench.results.metrics import Evaluation, EvaluationMetrics, load_metrics, metrics_json_schema
+from kickbench.results.metrics import (
+    Asymmetry,
+    Evaluation,
+    EvaluationMetrics,
+    MirroredPairs,
+    SideSuccess,
+    load_metrics,
+    metrics_json_schema,
+)
 from kickbench.results.statistics import mcnemar, two_proportions, wilson
-from kickbench.results.verdict_file import read_verdicts, recorded_form
-from kickbench.results.verdicts import judge
+from kickbench.results.verdicts import judge, read_verdicts
 from kickbench.training.trained import load_run
 from kickbench.trials.experiment import load_experiment
 
@@ -130,7 +136,7 @@ def test_it_is_the_result_of_its_specs(run):
 @pytest.mark.parametrize("path", EXPERIMENTS, ids=lambda path: path.stem)
 def test_claims_are_judged_as_recorded(path):
     experiment = load_experiment(path)
-    verdicts = recorded_form(judge(experiment, load_runs(MEASURED / path.stem, experiment)))
+    verdicts = judge(experiment, load_runs(MEASURED / path.stem, experiment))
     file = MEASURED / path.stem / "verdicts.json"
     recorded = read_verdicts(file) if file.is_file() else []
     print(

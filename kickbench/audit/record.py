@@ -11,11 +11,12 @@ from torch import Tensor
 
 from kickbench.audit.measure import misfits
 from kickbench.audit.states import VariedActions, VariedStarts, vary_episodes
-from kickbench.envs.compile import Bound, CompiledTask
+from kickbench.envs.compile import CompiledTask
 from kickbench.envs.engines import make_engine
 from kickbench.envs.env import KickEnv
 from kickbench.envs.state import State
 from kickbench.envs.tensors import Tensors
+from kickbench.envs.term import Bound
 from kickbench.evaluation.episodes import Policy
 from kickbench.nets.threads import torch_threads
 from kickbench.symmetry.derive import Derivation

@@ -27,8 +27,7 @@ from kickbench.envs.env import KickEnv
 from kickbench.envs.graph import fastest_steps
 from kickbench.evaluation.progress import tracked
 from kickbench.nets.threads import torch_threads, update_threads
-from kickbench.results.history import RunHistory
-from kickbench.results.provenance import Moment, collect_provenance
+from kickbench.results.provenance import Moment, RunHistory, collect_provenance
 from kickbench.sim.engine import Engine
 from kickbench.training.checkpoint import Checkpoints
 from kickbench.training.progress import Progress, Record

@@ -12,8 +12,8 @@ from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, Pos
 from rich.console import Console
 from rich.table import Table
 
+from kickbench.results.atomic import Fraction, Record
 from kickbench.results.provenance import Provenance
-from kickbench.results.record import Fraction, Record
 
 _MIB = 2**20
 

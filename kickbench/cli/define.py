@@ -45,7 +45,8 @@ def new(
     base: Path = cli.option("What it extends: a YAML file or a name.", "--from", metavar="BASE", default=...),
 ) -> int:
     """Write a YAML file that extends another one, with every value as a comment to edit."""
-    from kickbench.config.yamlio import dump_yaml, load_document
+    from kickbench.config.yamldump import dump_yaml
+    from kickbench.config.yamlio import load_document
     from kickbench.results.atomic import atomic_write_text
 
     file, out = find(base, kind).absolute(), Path(name).with_suffix(".yaml")

@@ -26,17 +26,16 @@ def table(
     ),
 ) -> int:
     """Print the table of finished runs."""
-    from kickbench.results.kick_table import render_kicks
-    from kickbench.results.table import render_table
+    from kickbench.results.tables import render_table
 
-    print((render_kicks if columns == "kick" else render_table)(_runs(roots)))
+    print(render_table(_runs(roots), columns))
     return 0
 
 
 @cli.verb("Look at results", "compare runs")
 def compare(roots: cli.Roots) -> int:
     """Compare methods over their seeds and on the same initial states."""
-    from kickbench.results.comparison_table import render_comparison
+    from kickbench.results.compare import render_comparison
     from kickbench.results.notes import refuse_contradictions
 
     runs = _runs(roots)
@@ -65,8 +64,7 @@ def claims(
     from kickbench.results.frame import load_runs
     from kickbench.results.notes import refuse_contradictions, unplanned_lines
     from kickbench.results.power import rates_table
-    from kickbench.results.verdict_file import verdicts_json
-    from kickbench.results.verdicts import judge, verdict_lines
+    from kickbench.results.verdicts import judge, verdict_lines, verdicts_json
     from kickbench.trials.experiment import load_experiment
 
     loaded = load_experiment(file)

@@ -37,7 +37,7 @@ def evaluate(
     from kickbench.results.integrity import write_also
     from kickbench.results.metrics import metrics_bytes
     from kickbench.results.store import RunDirectory
-    from kickbench.results.table import render_table
+    from kickbench.results.tables import render_table
     from kickbench.training.trained import load_run
 
     loaded = load_run(run, task, trust_code=trust_code)

@@ -68,7 +68,7 @@ def run(
     from kickbench.launch.run import RunRequest
     from kickbench.launch.run import run as train
     from kickbench.results.frame import frame_of
-    from kickbench.results.table import render_table
+    from kickbench.results.tables import render_table
 
     outcome = train(RunRequest(**options, command=sys.argv))
     where, training = shown(outcome.directory.path), outcome.training
@@ -138,7 +138,7 @@ def _print_plan(plan: Plan, at_a_time: int, threads: int) -> None:
 
 def _print_results(plan: Plan) -> None:
     from kickbench.results.frame import load_runs
-    from kickbench.results.table import render_table
+    from kickbench.results.tables import render_table
     from kickbench.results.verdicts import judge, verdict_lines
 
     runs = load_runs(plan.folder)
@@ -175,7 +175,7 @@ def demo(
     from kickbench.launch.jobs import carry_out
     from kickbench.launch.plan import Selection, make_plan
     from kickbench.results.frame import load_runs
-    from kickbench.results.table import render_table
+    from kickbench.results.tables import render_table
     from kickbench.sim.engine import usable_cores
     from kickbench.trials.experiment import load_experiment
 
@@ -292,8 +292,8 @@ def _states(root: Path, record: PlanRecord | None) -> Iterator[tuple[str, RunSta
 
 def _remarks(frame: pd.DataFrame, path: Path) -> list[str]:
     """Damage of a run's results on transfer tasks, episodes that became non-finite, and what the run repeats."""
-    from kickbench.results.columns import non_finite_note
     from kickbench.results.notes import repeat_lines
+    from kickbench.results.tables import non_finite_note
 
     rows = frame[frame.path == path]
     damage = rows[(rows.state == "damaged") & (rows.evaluated_on != rows.task)].damage

@@ -35,7 +35,7 @@ Metric = Literal[
     "success_area",
     "return_trough",
 ]
-"""What a claim may be about; `kickbench.results.run_figures` says how each follows from a run."""
+"""What a claim may be about; `kickbench.results.figures` says how each follows from a run."""
 
 OF_A_RUN: frozenset[Metric] = frozenset(
     {

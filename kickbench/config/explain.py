@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from kickbench.config.base import Spec
-from kickbench.config.yamlio import Document, flow_yaml
+from kickbench.config.yamldump import flow_yaml
+from kickbench.config.yamlio import Document
 from kickbench.config.yamltree import Tree
 from kickbench.errors import KeyPath, from_here
 

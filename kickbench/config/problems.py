@@ -11,7 +11,8 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from kickbench.config.annotations import DICT_KEY, Hint, hints_at
-from kickbench.config.yamlio import EXTENDS, Document, describe
+from kickbench.config.yamlio import EXTENDS, Document
+from kickbench.config.yamltree import describe
 from kickbench.errors import KeyPath, Problem, did_you_mean, nearest
 
 

@@ -15,7 +15,8 @@ from kickbench import __version__
 from kickbench.config.terms import TerminationParams
 from kickbench.deploy import contract as parts
 from kickbench.deploy.contract import Contract, SignedPermutation
-from kickbench.envs.compile import CompiledTask, Field
+from kickbench.envs.compile import CompiledTask
+from kickbench.envs.term import Field
 from kickbench.errors import KickbenchError, require, shown
 from kickbench.evaluation.episodes import draw_starts
 from kickbench.nets.build import TrainedPolicy

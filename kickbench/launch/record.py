@@ -9,8 +9,7 @@ from typing import Literal
 from pydantic import Field, NonNegativeInt, PositiveInt, ValidationError
 
 from kickbench.errors import KickbenchError
-from kickbench.results.atomic import atomic_write_text
-from kickbench.results.record import Record
+from kickbench.results.atomic import Record, atomic_write_text
 
 FILE = "plan.json"
 

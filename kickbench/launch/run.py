@@ -18,11 +18,10 @@ from kickbench.errors import KickbenchError, SpecError, shown
 from kickbench.evaluation.episodes import Policy, run_sides, success_by_side
 from kickbench.nets.build import build_actor
 from kickbench.nets.threads import update_threads
-from kickbench.results.asymmetry import EquivarianceError
 from kickbench.results.episodes import EpisodeSides, write_episodes
-from kickbench.results.history import RunHistory, earlier_parts
-from kickbench.results.metrics import Evaluation, Metrics, load_metrics, summarise_sides
-from kickbench.results.provenance import ExperimentRef
+from kickbench.results.measure import summarise_sides
+from kickbench.results.metrics import EquivarianceError, Evaluation, Metrics, load_metrics
+from kickbench.results.provenance import ExperimentRef, RunHistory, earlier_parts
 from kickbench.results.specs import update_specs
 from kickbench.results.store import RunDirectory
 from kickbench.sim.engine import check_device, usable_cores

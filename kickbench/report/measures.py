@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from kickbench.results.columns import non_finite_note
 from kickbench.results.frame import known
+from kickbench.results.tables import non_finite_note
 
 NOT_MEASURED = "not measured"
 

@@ -15,8 +15,15 @@ from kickbench.errors import KickbenchError
 from kickbench.report.measures import Measure, over_seeds
 from kickbench.results.episodes import read_episodes
 from kickbench.results.frame import SIDES, load_runs, runs_of
-from kickbench.results.groups import group_lines, setting_lines, with_groups
-from kickbench.results.notes import left_out_lines, refuse_contradictions, repeat_lines, unplanned_lines
+from kickbench.results.notes import (
+    group_lines,
+    left_out_lines,
+    refuse_contradictions,
+    repeat_lines,
+    setting_lines,
+    unplanned_lines,
+    with_groups,
+)
 from kickbench.results.progress import read_progress
 from kickbench.results.store import RunDirectory
 from kickbench.results.verdicts import Verdict, judge

@@ -1,4 +1,4 @@
-"""Writing a file so that it is, at every moment, either the old one or the whole new one."""
+"""Files of results: each is, at every moment, either the old one or the whole new one. The base of their models."""
 
 from __future__ import annotations
 
@@ -9,11 +9,27 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import IO
+from typing import IO, Annotated
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from kickbench.errors import KickbenchError
 
 TEMPORARY_PREFIX = ".partial-"
+
+Fraction = Annotated[float, Field(ge=0, le=1)]
+"""A share, from 0 to 1."""
+
+
+class Record(BaseModel):
+    """A frozen model of a results file: unknown keys and non-finite numbers are errors."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True)
+
+
+def problems_of(error: ValidationError) -> str:
+    """Every wrong key of a file and what is wrong with it."""
+    return "; ".join(f"{'.'.join(map(str, item['loc'])) or 'file'}: {item['msg']}" for item in error.errors())
 
 
 @contextmanager

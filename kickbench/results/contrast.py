@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import inf, sqrt
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -32,12 +33,8 @@ from kickbench.config.claims import (
     RatioAtLeast,
     RatioAtMost,
 )
-from kickbench.results.comparison import welch
-from kickbench.results.run_figures import Figure, figure_of, pair_correlation, row_of
-from kickbench.results.statistics import Interval
-from kickbench.results.student import two_sided_quantile
-
-LEVEL = 0.95
+from kickbench.results.figures import Figure, figure_of, pair_correlation, row_of
+from kickbench.results.statistics import Interval, student, welch
 
 
 @dataclass(frozen=True)
@@ -105,8 +102,7 @@ def contrast_of(claim: AnyClaim, reported: float | None = None) -> Contrast:
             return Contrast((value,), reported - claim.bound, reported + claim.bound)
 
 
-@dataclass(frozen=True)
-class Term:
+class Term(NamedTuple):
     """A weighted figure of one run."""
 
     weight: float
@@ -114,8 +110,7 @@ class Term:
     figure: Figure
 
 
-@dataclass(frozen=True)
-class RunTerms:
+class RunTerms(NamedTuple):
     """The part of a contrast that one run gives.
 
     Attributes:
@@ -132,6 +127,10 @@ class RunTerms:
         return sum(term.weight * term.figure.value for term in self.terms)
 
 
+Parts = Mapping[str, Sequence[RunTerms]]
+"""For each arm that a claim is about what its runs give."""
+
+
 def run_terms(run: pd.DataFrame, claim: AnyClaim, contrast: Contrast) -> RunTerms | None:
     """The part of a contrast that a run gives; None if the run lacks a figure."""
     terms = []
@@ -141,22 +140,20 @@ def run_terms(run: pd.DataFrame, claim: AnyClaim, contrast: Contrast) -> RunTerm
             if figure is None:
                 return None
             terms.append(Term(weight, operand, figure))
-    return RunTerms(tuple(terms), _correlation(run, claim, terms))
+    return RunTerms(tuple(terms), _correlation(run, claim, [term.operand for term in terms]))
 
 
-def _correlation(run: pd.DataFrame, claim: AnyClaim, terms: Sequence[Term]) -> float:
+def _correlation(run: pd.DataFrame, claim: AnyClaim, operands: Sequence[Operand]) -> float:
     """Correlation of the figures of the two sides of one evaluation; 0 for any other figures, or where unknown."""
-    both_sides = {term.operand.side for term in terms} == {"in_distribution", "mirrored"}
-    if claim.metric != "success_rate" or not both_sides:
+    sides = {operand.side: operand for operand in operands}
+    tasks = {operand.task or run.task.iloc[0] for operand in operands}
+    if claim.metric != "success_rate" or len(sides) < 2 or len(tasks) > 1:
         return 0.0
-    if len({term.operand.task or run.task.iloc[0] for term in terms}) > 1:
-        return 0.0
-    home = row_of(run, next(term.operand for term in terms if term.operand.side == "in_distribution"))
+    home = row_of(run, sides["in_distribution"])
     return 0.0 if home is None else pair_correlation(home)
 
 
-@dataclass(frozen=True)
-class Estimated:
+class Estimated(NamedTuple):
     """A contrast as measured.
 
     Attributes:
@@ -170,36 +167,18 @@ class Estimated:
     basis: str
 
 
-def estimate(arms: Mapping[str, Sequence[RunTerms]]) -> Estimated:
-    """A contrast over all seeds.
-
-    Args:
-        arms: For each arm that the claim is about what its runs give, at least one run each.
-    """
-    samples = [[run.value for run in runs] for runs in arms.values()]
+def estimate(parts: Parts) -> Estimated:
+    """A contrast over all seeds, of at least one run per arm."""
+    samples = [[run.value for run in runs] for runs in parts.values()]
     seeds = min(len(sample) for sample in samples)
     value = sum(float(np.mean(sample)) for sample in samples)
-    if seeds == 1:
-        return Estimated(value, over_episodes(list(arms.values())), "episodes of one seed")
-    if all(max(sample) == min(sample) for sample in samples):
-        # Seeds that all give the same, such as no fall at all, do not show how seeds vary: their episodes must do.
-        return Estimated(value, over_episodes(list(arms.values())), f"episodes of {seeds} seeds")
-    basis = f"{seeds} seeds"
-    if len(samples) == 1:
-        return Estimated(value, over_seeds(samples[0]), basis)
-    first, second = samples
-    return Estimated(value, welch(first, [-x for x in second], LEVEL).interval, basis)
-
-
-def over_seeds(values: Sequence[float]) -> Interval:
-    """Student's interval of the mean of a figure over seeds: mean ± t s / sqrt(n), n - 1 degrees of freedom.
-
-    Args:
-        values: One figure a seed [n], n >= 2.
-    """
-    sample = np.asarray(values, dtype=np.float64)
-    half = two_sided_quantile(LEVEL, sample.size - 1) * float(sample.std(ddof=1)) / sqrt(sample.size)
-    return Interval(float(sample.mean()) - half, float(sample.mean()) + half)
+    # Seeds that all give the same, such as no fall at all, do not show how seeds vary: their episodes must do.
+    if seeds == 1 or all(max(sample) == min(sample) for sample in samples):
+        interval = over_episodes(list(parts.values()))
+        return Estimated(value, interval, f"episodes of {'one seed' if seeds == 1 else f'{seeds} seeds'}")
+    first, *second = samples
+    interval = welch(first, [-x for x in second[0]]).interval if second else student(first)
+    return Estimated(value, interval, f"{seeds} seeds")
 
 
 def over_episodes(arms: Sequence[Sequence[RunTerms]]) -> Interval | None:
@@ -223,22 +202,19 @@ def over_episodes(arms: Sequence[Sequence[RunTerms]]) -> Interval | None:
     for runs in arms:
         value += sum(run.value for run in runs) / len(runs)
         for run in runs:
-            distances = [_distances(term) for term in run.terms]
-            if None in distances:
+            if any(term.figure.interval is None for term in run.terms):
                 return None
-            lows, highs = zip(*(pair for pair in distances if pair), strict=True)
+            lows, highs = zip(*map(_distances, run.terms), strict=True)
             below += _squared(run, lows) / len(runs) ** 2
             above += _squared(run, highs) / len(runs) ** 2
     return Interval(value - sqrt(below), value + sqrt(above))
 
 
-def _distances(term: Term) -> tuple[float, float] | None:
+def _distances(term: Term) -> tuple[float, float]:
     """From the weighted figure down and up to the ends of its weighted interval."""
-    figure, weight = term.figure, abs(term.weight)
-    if figure.interval is None:
-        return None
-    down = weight * max(0.0, figure.value - figure.interval.low)
-    up = weight * max(0.0, figure.interval.high - figure.value)
+    value, interval = term.figure
+    assert interval is not None
+    down, up = (abs(term.weight) * max(0.0, d) for d in (value - interval.low, interval.high - value))
     return (down, up) if term.weight > 0 else (up, down)
 
 

@@ -6,6 +6,7 @@ import csv
 import gzip
 import io
 import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -52,7 +53,7 @@ class EpisodeTable:
         kick_step: control step of that first touch, -1 if none.
         peak_ball_speed: highest horizontal speed of the ball [m/s].
         touches: separate touches of the ball: control steps with contact after one without. As all that follow,
-            defined in `evaluate.kick`, and None in tables of older versions.
+            defined in `kickbench.evaluation.kick`, and None in tables of older versions.
         walked_after_touch: how far the robot's base moved towards the ball after its first touch [m].
         launch_speed: horizontal speed of the ball as it was first kicked [m/s]; NaN if it was never touched.
         direction_error: angle from the direction of the target to the ball's velocity at the launch, positive to the
@@ -155,51 +156,44 @@ def read_episodes(path: Path) -> EpisodeSides:
     try:
         data = read_regular(path)
         text = (gzip.decompress(data) if path.suffix == ".gz" else data).decode("utf-8")
-        rows = list(csv.reader(io.StringIO(text, newline="")))
+        reader = csv.DictReader(io.StringIO(text, newline=""))
+        header, rows = reader.fieldnames or [], list(reader)
     except (OSError, EOFError, zlib.error, UnicodeDecodeError, csv.Error) as error:
         raise KickbenchError(f"{path}: cannot read the episode table: {error}") from error
-    _check_rows(path, rows)
+    _check_rows(path, header, rows)
     try:
-        home, mirrored = (_parse_side(rows[0], rows[1:], side) for side in _SIDES)
+        home, mirrored = (_parsed([row for row in rows if row["side"] == side], header) for side in _SIDES)
     except (ValueError, OverflowError) as error:
         raise KickbenchError(f"{path}: {error}") from error
     return EpisodeSides(home, mirrored if len(mirrored) else None)
 
 
-def _check_rows(path: Path, rows: list[list[str]]) -> None:
-    header, known = rows[0] if rows else [], ["side", *_KINDS]
+def _check_rows(path: Path, header: Sequence[str], rows: list[dict[str | None, Any]]) -> None:
+    known = ["side", *_KINDS]
     missing = set(known) - set(KICK_COLUMNS) - set(header)
     unknown = set(header) - set(known) - set(_FORMER_COLUMNS)
     if missing or unknown or len(set(header)) < len(header):
         raise KickbenchError(f"{path}:1: expected the columns {', '.join(known)}")
-    for line, row in enumerate(rows[1:], start=2):
-        if len(row) != len(header):
-            raise KickbenchError(f"{path}:{line}: expected {len(header)} values, found {len(row)}")
-        side = row[header.index("side")]
-        if side not in _SIDES:
-            raise KickbenchError(f"{path}:{line}: side: expected {' or '.join(_SIDES)}, found {side!r}")
+    for line, row in enumerate(rows, start=2):
+        if None in row or None in row.values():
+            found = len(header) + len(row.get(None, ())) - list(row.values()).count(None)
+            raise KickbenchError(f"{path}:{line}: expected {len(header)} values, found {found}")
+        if row["side"] not in _SIDES:
+            raise KickbenchError(
+                f"{path}:{line}: side: expected {' or '.join(_SIDES)}, found {row['side']!r}"
+            )
 
 
-def _parse_side(header: list[str], rows: list[list[str]], side: str) -> EpisodeTable:
-    place = header.index("side")
-    cells = [row for row in rows if row[place] == side]
-    texts = dict(zip(header, zip(*cells, strict=True) if cells else [()] * len(header), strict=True))
-    return EpisodeTable(
-        **{name: _parse_column(name, texts[name], kind) for name, kind in _KINDS.items() if name in texts}
-    )
-
-
-def _parse_column(name: str, texts: tuple[str, ...], kind: type[np.generic]) -> NDArray[Any]:
-    """Texts [n] -> array [n]; a wrong one is an error that names the column."""
-    if kind is np.bool_:
-        strangers = set(texts) - {"0", "1"}
-        if strangers:
-            raise ValueError(f"{name}: expected 0 or 1, found {sorted(strangers)[0]!r}")
-        return np.array([text == "1" for text in texts], dtype=np.bool_)
-    try:
-        return np.array(texts, dtype=kind)
-    except ValueError as error:
-        raise ValueError(f"{name}: {error}") from error
+def _parsed(rows: Sequence[dict[str | None, Any]], header: Sequence[str]) -> EpisodeTable:
+    columns = {}
+    for name, kind in _KINDS.items():
+        if name in header:
+            number = np.int64 if kind is np.bool_ else kind
+            try:
+                columns[name] = np.array([row[name] for row in rows], dtype=number).astype(kind)
+            except ValueError as error:
+                raise ValueError(f"{name}: {error}") from error
+    return EpisodeTable(**columns)
 
 
 def _format_column(column: NDArray[Any]) -> list[str]:

@@ -24,6 +24,7 @@ import hashlib
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
@@ -34,15 +35,15 @@ from pydantic import BaseModel
 from kickbench.config.claims import Side
 from kickbench.config.load import load_method
 from kickbench.errors import KickbenchError, shown
-from kickbench.results.asymmetry import Asymmetry
 from kickbench.results.episodes import NON_FINITE
-from kickbench.results.identity import Identity, read_identity
+from kickbench.results.identity import read_identity
 from kickbench.results.integrity import check
-from kickbench.results.metrics import EvaluationMetrics, Metrics, load_metrics
+from kickbench.results.metrics import Asymmetry, EvaluationMetrics, Metrics, load_metrics
 from kickbench.results.progress import read_done
 from kickbench.results.store import RunDirectory, find_begun_runs
 
 if TYPE_CHECKING:
+    from kickbench.results.specs import Specs
     from kickbench.trials.experiment import Arm, LoadedExperiment
 
 SIDES: tuple[Side, ...] = get_args(Side)
@@ -190,19 +191,21 @@ def _read(directory: RunDirectory) -> tuple[Row, Metrics | None]:
     """What every row of a run says, and its result if there is one that can be trusted."""
     row = _named_by_place(directory.path) | {"path": directory.path, "side": HOME, "counted": False}
     row |= {"iterations_planned": _stored_iterations(directory), "iterations": read_done(directory.progress)}
-    if directory.is_occupied or not directory.metrics.exists():
+    is_occupied = directory.is_occupied
+    is_finished = directory.metrics.exists() and not is_occupied
+    if not is_finished:
         begun = "unfinished" if directory.holds_a_run else "missing"
-        row["state"] = "running" if directory.is_occupied else begun
+        row["state"] = "running" if is_occupied else begun
         with suppress(KickbenchError):  # what has only begun may have none
             row |= _identity_columns(directory)
-        if not directory.is_occupied and (words := directory.damage):
-            row |= _damaged(directory, KickbenchError(words))
-        return row, None
     try:
-        check(directory.path)
-        return row | _identity_columns(directory), load_metrics(directory.metrics)
+        if not is_occupied:
+            check(directory.path)
+        if is_finished:
+            return row | _identity_columns(directory), load_metrics(directory.metrics)
     except KickbenchError as error:
-        return row | _damaged(directory, error), None
+        row |= _damaged(directory, error)
+    return row, None
 
 
 def _damaged(directory: RunDirectory, error: KickbenchError) -> Row:
@@ -225,14 +228,10 @@ def _stored_iterations(directory: RunDirectory) -> int | None:
 
 
 def _identity_columns(directory: RunDirectory) -> Row:
+    """Fingerprints of the run, and of all but the method: what runs must share to be compared."""
     identity = read_identity(directory.path)
-    return {"identity": identity.fingerprint, "setting": setting_of(identity)}
-
-
-def setting_of(identity: Identity) -> str:
-    """Fingerprint of all but the method: what runs must share to be compared."""
-    parts = "".join(identity.parts.get(name, "") for name in _OF_THE_SETTING)
-    return hashlib.sha256(parts.encode()).hexdigest()
+    setting = "".join(identity.parts.get(name, "") for name in _OF_THE_SETTING)
+    return {"identity": identity.fingerprint, "setting": hashlib.sha256(setting.encode()).hexdigest()}
 
 
 def _transfer_rows(directory: RunDirectory, own: Row, metrics: Metrics) -> Iterator[Row]:
@@ -242,17 +241,12 @@ def _transfer_rows(directory: RunDirectory, own: Row, metrics: Metrics) -> Itera
         row = {name: own[name] for name in keep} | {"evaluated_on": path.stem}
         try:
             result = load_metrics(path)
-            _check_same_run(path, result, metrics)
+            for key, expected in {"task": path.stem, "method": metrics.method, "seed": metrics.seed}.items():
+                if (found := getattr(result, key)) != expected:
+                    raise KickbenchError(f"{path}: expected the {key} {expected}, found {found}")
+            yield from ({**figures, **row} for figures in _result_rows(result))
         except KickbenchError as error:
             yield row | _damaged(directory, error)
-            continue
-        yield from ({**figures, **row} for figures in _result_rows(result))
-
-
-def _check_same_run(path: Path, result: Metrics, own: Metrics) -> None:
-    for key, expected in {"task": path.stem, "method": own.method, "seed": own.seed}.items():
-        if getattr(result, key) != expected:
-            raise KickbenchError(f"{path}: expected the {key} {expected}, found {getattr(result, key)}")
 
 
 def _planned_rows(root: Path, experiment: LoadedExperiment) -> Iterator[Row]:
@@ -270,7 +264,7 @@ def _planned_rows(root: Path, experiment: LoadedExperiment) -> Iterator[Row]:
             for row in rows:
                 row |= trained
                 if row["state"] == "finished":
-                    row["counted"] = found == seed and planned.is_identity(row["identity"])
+                    row["counted"] = found == seed and row["identity"] == planned.specs.fingerprint
                 yield row
 
 
@@ -279,19 +273,15 @@ class _Planned:
 
     def __init__(self, arm: Arm) -> None:
         self._arm = arm
-        self._compiled: Any = None
-        self._fingerprint = ""
 
-    def is_identity(self, fingerprint: str) -> bool:
-        """Whether a run is of the planned task and method."""
-        from kickbench.results.identity import identity_of
+    @cached_property
+    def specs(self) -> Specs:
+        """Its specs and its identity."""
+        from kickbench.results.specs import planned_specs
         from kickbench.trials.trial import load_trial
 
-        if self._compiled is None:
-            arm = self._arm
-            self._compiled = load_trial(arm.task.document.file, arm.method.document.file, arm.overrides)
-            self._fingerprint = identity_of(self._compiled).fingerprint
-        return fingerprint == self._fingerprint
+        arm = self._arm
+        return planned_specs(load_trial(arm.task.document.file, arm.method.document.file, arm.overrides))
 
     def deviation(self, row: Row, seed: int, planned_seed: int) -> str | None:
         """In what a finished run differs from the plan, in words; None: in nothing."""
@@ -304,34 +294,32 @@ class _Planned:
             parts.append(f"{row['iterations']:,} of {arm.iterations:,} iterations")
         if row["episodes"] != arm.episodes:
             parts.append(f"{row['episodes']:,} of {arm.episodes:,} episodes")
-        if not self.is_identity(row["identity"]):
+        if row["identity"] != self.specs.fingerprint:
             parts += self._differences(RunDirectory(row["path"]))
         return ", ".join(parts) or None
 
     def _differences(self, directory: RunDirectory) -> list[str]:
         """In what the specs of a run of another identity differ; the number of episodes is named apart."""
-        from kickbench.results.differences import EPISODES, differences, planned_specs, stored_specs
+        from kickbench.results.specs import EPISODES, differences, stored_specs
 
         try:
-            specs = [stored_specs(directory), planned_specs(self._compiled)]
+            found = stored_specs(directory)
         except KickbenchError:
             return ["another identity"]
-        return differences(specs, "{0[0]} (planned {0[1]})".format, without=(EPISODES,))
+        return differences([found, self.specs], "{0[0]} (planned {0[1]})".format, without=(EPISODES,))
 
 
 def _with_repeats(frame: pd.DataFrame) -> pd.DataFrame:
     """Marks runs of an identity and seed that an earlier row has: as copies, or as contradictions."""
+    runs = runs_of(frame)
+    runs = runs[(runs.state == "finished") & (runs.condition.isna() | runs.counted)]
     first: dict[tuple[Any, ...], pd.Series] = {}
-    for _, row in runs_of(frame).iterrows():
-        if row.state != "finished" or (row.condition is not None and not row.counted):
-            continue
-        key = (row.identity, row.iterations, known(row, "scale"), row.seed)
-        earlier = first.setdefault(key, row)
+    repeats: dict[str, dict[Path, Path]] = {"copy_of": {}, "contradicts": {}}
+    for _, row in runs.iterrows():
+        earlier = first.setdefault((row.identity, row.iterations, known(row, "scale"), row.seed), row)
         if earlier.path != row.path:
-            column = "copy_of" if earlier.result == row.result else "contradicts"
-            same_run = frame.path == row.path
-            frame.loc[same_run, column] = pd.Series(
-                [earlier.path] * int(same_run.sum()), frame.index[same_run]
-            )
-            frame.loc[same_run, "counted"] = False
+            repeats["copy_of" if earlier.result == row.result else "contradicts"][row.path] = earlier.path
+    for column, others in repeats.items():
+        frame[column] = pd.Series([others.get(path) for path in frame.path], frame.index, dtype=object)
+        frame["counted"] &= frame[column].isna()
     return frame

@@ -21,13 +21,13 @@ from pydantic import BaseModel, ValidationError
 from kickbench.config.annotations import names_file
 from kickbench.config.terms import TermParams, TermTable
 from kickbench.errors import KeyPath, KickbenchError, shown
-from kickbench.results.atomic import atomic_write_text
-from kickbench.results.record import Record
+from kickbench.results.atomic import Record, atomic_write_text
 from kickbench.sim.dynamics import dynamics_arrays
 
 if TYPE_CHECKING:
     from os import PathLike
 
+    from kickbench.config.load import Loaded, LoadedMethod, LoadedTask
     from kickbench.trials.trial import Trial
 
 FILE = "identity.json"
@@ -60,20 +60,21 @@ class Identity(Record):
 def identity_of(experiment: Trial) -> Identity:
     """Computes the identity of a run of an experiment."""
     task, method = experiment.loaded_task, experiment.method
-    specs = {
-        "task": task.spec,
-        "method": method.spec,
-        "representations": method.representations.spec,
-        "robot": task.robot.spec,
-    }
     dynamics = dynamics_arrays(experiment.task.scene)
     arrays = {name: _digest(_plain(value))[:16] for name, value in dynamics if np.size(value)}
-    parts = {name: _digest(_canonical(spec, ())) for name, spec in specs.items()}
+    parts = {name: _digest(_canonical(of.spec, ())) for name, of in loaded_specs(task, method).items()}
     own = [canonical_source(Path(task.spec.terms))] if task.spec.terms else []
     parts |= {"model": _digest(arrays), "terms": _digest(own)}
     if experiment.initial_policy is not None:
         parts["initial_policy"] = _digest(experiment.initial_policy)
     return Identity(fingerprint=_digest(parts), parts=parts, model_arrays=arrays)
+
+
+def loaded_specs(
+    task: LoadedTask[Any], method: LoadedMethod
+) -> dict[str, Loaded[Any] | LoadedTask[Any] | LoadedMethod]:
+    """The files that a trial is made of, by what they are."""
+    return {"task": task, "method": method, "representations": method.representations, "robot": task.robot}
 
 
 def write_identity(directory: PathLike[str] | str, identity: Identity) -> None:

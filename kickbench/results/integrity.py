@@ -1,6 +1,6 @@
 """Whether a run's files are those that the run wrote: `SHA256SUMS` beside them, checked whenever a run is read.
 
-`sha256sum -c SHA256SUMS` in a run folder checks the same. Checkpoints come and go; each carries its own digest
+`sha256sum -c SHA256SUMS` in a run folder checks the same. Checkpoints come and go; each carries its own SHA-256
 (`with_digest`), as does a policy that has just been trained.
 """
 
@@ -9,22 +9,20 @@ from __future__ import annotations
 import hashlib
 import os
 import re
-import stat
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping
 from functools import lru_cache
-from itertools import zip_longest
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from kickbench.errors import KickbenchError, shown
 from kickbench.results import identity
-from kickbench.results.asymmetry import mirrored_pairs
 from kickbench.results.atomic import TEMPORARY_PREFIX, atomic_write_bytes, sync_folder
 from kickbench.results.episodes import EpisodeSides, EpisodeTable, episodes_file, read_episodes
-from kickbench.results.metrics import EvaluationMetrics, Metrics, figures_of, load_metrics
+from kickbench.results.measure import figures_of, mirrored_pairs
+from kickbench.results.metrics import EvaluationMetrics, Metrics, load_metrics
 from kickbench.results.progress import checked_rows
 
 FILE = "SHA256SUMS"
@@ -34,29 +32,16 @@ ALSO_FOLDER = "also/"
 """Where a run keeps what its policy does on further tasks."""
 RESULTS = ("metrics.json", "episodes.csv", "episodes.csv.gz", "policy.pt")
 """What a run makes again from its last checkpoint."""
-SPECS = tuple(
-    f"specs/{name}"
-    for name in (
-        "task.yaml",
-        "method.yaml",
-        "robot.yaml",
-        "representations.yaml",
-        "robot.xml",
-        "initial_policy.pt",
-        "terms.py",
-    )
-)
+_YAML = ("task.yaml", "method.yaml", "robot.yaml", "representations.yaml")
+SPECS = tuple(f"specs/{name}" for name in (*_YAML, "robot.xml", "initial_policy.pt", "terms.py"))
 FIXED = (*SPECS, identity.FILE, "progress.csv", *RESULTS)
 """Files that every run may have, what is kept when it goes on first."""
 
-_LINE = re.compile(r"(\\?)([0-9a-f]{64})  (.+)")
-_ESCAPES = {"\\": "\\\\", "\n": "\\n", "\r": "\\r"}
+_LINE = re.compile(r"([0-9a-f]{64})  (.+)")
 _TRAILER = b"\nsha256 "
 _TRAILER_SIZE = len(_TRAILER) + 65
 _TOLERANCE = 2e-6
 """What six decimals in episodes.csv can move a distance by, m."""
-_MISREAD = 4
-"""Characters in which a line may differ from the true one to be damaged: SHA-256 of two files differ in about 60."""
 _SETTLED = 2.0
 """Age from which a file's time of change tells versions of it apart, s."""
 
@@ -159,7 +144,7 @@ def written_model_files(path: Path) -> list[str]:
 
 
 def read_sums(path: Path) -> dict[str, str]:
-    """Reads a run's `SHA256SUMS`: digests by name.
+    """Reads a run's `SHA256SUMS`: SHA-256 by name.
 
     Raises:
         KickbenchError: It is missing or damaged.
@@ -167,14 +152,13 @@ def read_sums(path: Path) -> dict[str, str]:
     file, sums = path / FILE, {}
     if not file.is_file():
         raise KickbenchError(f"{shown(file)}: missing")
-    lines = file.read_bytes().decode("utf-8", errors="surrogateescape").split("\n")
-    for number, line in enumerate(lines[:-1], start=1):
+    *lines, rest = file.read_bytes().decode("utf-8", errors="surrogateescape").split("\n")
+    for number, line in enumerate(lines, start=1):
         match = _LINE.fullmatch(line)
-        name = _unescaped(match[3]) if match and match[1] else match[3] if match else ""
-        if not match or name in sums or name.startswith("/") or ".." in name.split("/"):
+        if not match or match[2] in sums or match[2].startswith("/") or ".." in match[2].split("/"):
             raise KickbenchError(f"{shown(file)}: damaged: line {number} is no SHA-256 of a file of the run")
-        sums[name] = match[2]
-    if lines[-1] or not sums:
+        sums[match[2]] = match[1]
+    if rest or not sums:
         raise KickbenchError(f"{shown(file)}: damaged: it is cut short")
     return sums
 
@@ -199,19 +183,8 @@ def without_digest(data: bytes) -> bytes | None:
 
 
 def _write_sums(path: Path, sums: Mapping[str, str]) -> None:
-    text = "".join(_line(name, digest) for name, digest in sorted(sums.items()))
+    text = "".join(f"{digest}  {name}\n" for name, digest in sorted(sums.items()))
     atomic_write_bytes(path / FILE, text.encode("utf-8", errors="surrogateescape"))
-
-
-def _line(name: str, digest: str) -> str:
-    """A line as coreutils writes it: names with a backslash or a line break are marked by a backslash in front."""
-    escaped = "".join(_ESCAPES.get(character, character) for character in name)
-    return f"{'' if escaped == name else chr(92)}{digest}  {escaped}\n"
-
-
-def _unescaped(name: str) -> str:
-    back = {escaped: character for character, escaped in _ESCAPES.items()}
-    return re.sub(r"\\.", lambda match: back.get(match[0], match[0]), name)
 
 
 def _sha256_of(file: Path) -> str:
@@ -227,65 +200,59 @@ def _signature(path: Path) -> Signature:
     found = []
     for folder, folders, files in os.walk(path):
         if folder == str(path):
-            folders[:] = [f for f in folders if f in ("specs", "also")]
-        for name in files:
-            if not name.startswith(TEMPORARY_PREFIX):
-                info = os.lstat(os.path.join(folder, name))
-                found.append(
-                    (os.path.join(folder, name), info.st_size, max(info.st_mtime_ns, info.st_ctime_ns))
-                )
+            folders[:] = [name for name in folders if name in ("specs", "also")]
+        for file in (os.path.join(folder, name) for name in files if not name.startswith(TEMPORARY_PREFIX)):
+            info = os.lstat(file)
+            found.append((file, info.st_size, max(info.st_mtime_ns, info.st_ctime_ns)))
     return tuple(sorted(found))
 
 
 @lru_cache(maxsize=4096)
-def _find(path: Path, signature: Signature) -> Damage | None:
+def _find(path: Path, _: Signature) -> Damage | None:
     if not os.path.lexists(path / "metrics.json"):
         return _unfinished_damage(path) if (path / identity.FILE).is_file() else None
-    irregular = next((name for name in (*FIXED, FILE) if _is_irregular(path / name)), None)
-    if irregular is not None:
+    if irregular := next((name for name in (*FIXED, FILE) if _is_irregular(path / name)), None):
         return Damage(path, irregular, "expected a regular file")
+    found = None
     if (path / FILE).exists() or (path / identity.FILE).exists():
         found = _sum_damage(path)
         found = found if found and not found.can_be_mended else _identity_damage(path) or found
-        if found is not None:
-            return found
-    return _figure_damage(path)
+    return found or _figure_damage(path)
 
 
 def _unfinished_damage(path: Path) -> Damage | None:
     """Damage of what a run needs to go on, its checkpoints aside."""
     sums = _sum_damage(path, _of_specs) if (path / FILE).exists() else None
-    return _identity_damage(path) or sums or _progress_damage(path)
+    found = _identity_damage(path) or sums
+    # What is no regular file is reported by what reads it.
+    readable = (path / "progress.csv").is_file()
+    return found or (_unreadable(path, "progress.csv", checked_rows) if readable else None)
 
 
 def _of_specs(name: str) -> bool:
     return name in SPECS or name.startswith(MODEL_FOLDER) or name == identity.FILE
 
 
-def _progress_damage(path: Path) -> Damage | None:
-    file = path / "progress.csv"
-    if _is_irregular(file) or not file.exists():
-        return None  # what reads it says so
+def _is_irregular(file: Path) -> bool:
+    return os.path.lexists(file) and not file.is_file()
+
+
+def _unreadable(path: Path, name: str, read: Callable[[Path], Any]) -> Damage | None:
+    """What reading a file of a run says is wrong with it."""
     try:
-        checked_rows(file)
+        read(path / name)
     except KickbenchError as error:
-        return Damage(path, file.name, _reason(error, file))
+        return Damage(path, name, _reason(error, path / name))
     return None
 
 
-def _is_irregular(file: Path) -> bool:
-    try:
-        return not stat.S_ISREG(file.stat().st_mode)
-    except FileNotFoundError:
-        return file.is_symlink()
+def _reason(error: Exception, file: Path) -> str:
+    """What an error says beside the name of the file."""
+    return str(error).removeprefix(f"{file}: ").removeprefix(f"{shown(file)}: ")
 
 
 def _identity_damage(path: Path) -> Damage | None:
-    try:
-        identity.read_identity(path)
-    except KickbenchError as error:
-        return Damage(path, identity.FILE, _reason(error, path / identity.FILE))
-    return None
+    return _unreadable(path, identity.FILE, lambda _: identity.read_identity(path))
 
 
 def _sum_damage(path: Path, counts: Callable[[str], bool] | None = None) -> Damage | None:
@@ -294,64 +261,36 @@ def _sum_damage(path: Path, counts: Callable[[str], bool] | None = None) -> Dama
         sums = read_sums(path)
     except KickbenchError as error:
         return Damage(path, FILE, _reason(error, path / FILE))
-    also = [f"{ALSO_FOLDER}{file.name}" for file in path.glob("also/*.json")]
-    unlisted = [name for name in (*FIXED, *also) if name not in sums and (path / name).exists()]
-    problems = [Damage(path, name, f"not in {FILE}") for name in unlisted if counts is None]
+    problems = []
+    if counts is None:
+        also = [f"{ALSO_FOLDER}{file.name}" for file in path.glob("also/*.json")]
+        unlisted = (name for name in (*FIXED, *also) if name not in sums and (path / name).exists())
+        problems = [Damage(path, name, f"not in {FILE}") for name in unlisted]
     for name, expected in sums.items():
         if counts is None or counts(name):
             problems += _line_damage(path, name, expected)
-    if problems and (wrong := _wrong_line(path, sums)):
-        return Damage(path, FILE, f"damaged: its line of {shown(wrong)} is wrong")
     return min(problems, key=lambda found: found.can_be_mended, default=None)
 
 
 def _line_damage(path: Path, name: str, expected: str) -> Iterator[Damage]:
     file = path / name
-    if _is_irregular(file) or not file.exists():
-        if not name.startswith(ALSO_FOLDER) or file.exists():
+    if not file.is_file():
+        if not name.startswith(ALSO_FOLDER) or os.path.lexists(file):
             yield Damage(path, name, f"missing, although it is in {FILE}")
     elif _sha256_of(file) != expected:
         yield Damage(path, name, f"damaged: its SHA-256 is not that in {FILE}")
 
 
-def _wrong_line(path: Path, sums: Mapping[str, str]) -> str | None:
-    """A file whose line is damaged: the digest is nearly the file's, or is the file's but under nearly its name."""
-    files = (file for file in sorted(path.rglob("*")) if file.is_file() and not _is_irregular(file))
-    names = [name for file in files if (name := file.relative_to(path).as_posix()) != FILE]
-    strays = {name: digest for name, digest in sums.items() if name not in names}
-    for name in names:
-        actual = _sha256_of(path / name)
-        aliases = [stray for stray, digest in strays.items() if digest == actual and name not in sums]
-        if _is_misread(sums.get(name, ""), actual) or any(_is_misread(alias, name) for alias in aliases):
-            return name
-    return None
-
-
-def _is_misread(found: str, true: str) -> bool:
-    return 0 < sum(a != b for a, b in zip_longest(found[: len(true)], true)) <= _MISREAD or (
-        len(found) > len(true) and found.startswith(true)
-    )
-
-
 def _figure_damage(path: Path) -> Damage | None:
     """Whether the result can be read and agrees with its episodes."""
+    file, table = path / "metrics.json", episodes_file(path)
     try:
-        metrics = load_metrics(path / "metrics.json")
-    except KickbenchError as error:
-        return Damage(path, "metrics.json", _reason(error, path / "metrics.json"))
-    file = episodes_file(path)
-    if not file.is_file():
-        return None
-    try:
-        figure = _disagreement(metrics, read_episodes(file))
+        metrics = load_metrics(file)
+        file = table
+        figure = _disagreement(metrics, read_episodes(table)) if table.is_file() else None
     except (KickbenchError, ValueError) as error:
         return Damage(path, file.name, _reason(error, file))
-    return Damage(path, "metrics.json", f"{figure} does not agree with {file.name}") if figure else None
-
-
-def _reason(error: Exception, file: Path) -> str:
-    """What an error says beside the name of the file."""
-    return str(error).removeprefix(f"{file}: ").removeprefix(f"{shown(file)}: ")
+    return Damage(path, "metrics.json", f"{figure} does not agree with {table.name}") if figure else None
 
 
 def _disagreement(metrics: Metrics, sides: EpisodeSides) -> str | None:
@@ -367,16 +306,24 @@ def _disagreement(metrics: Metrics, sides: EpisodeSides) -> str | None:
     if asymmetry is None or asymmetry.pairs is None or sides.mirrored is None:
         return None
     pairs = mirrored_pairs(sides.in_distribution, sides.mirrored)
-    return None if pairs == asymmetry.pairs else "asymmetry.pairs"
+    return None if _same(pairs.model_dump(), asymmetry.pairs.model_dump()) else "asymmetry.pairs"
 
 
 def _other_figure(recorded: EvaluationMetrics, table: EpisodeTable) -> str | None:
-    for name, value in figures_of(table).items():
-        # A ball on the robot's axis may have been rounded to the other side.
-        if name == "kicks" and (np.abs(table.start_ball_y) < _TOLERANCE).any():
-            continue
-        old = getattr(recorded, name)
-        same = abs(value - old) <= _TOLERANCE if name.endswith("_distance") else value == old
-        if not same:
-            return name
-    return None
+    given, old = figures_of(table), recorded.model_dump()
+    if (np.abs(table.start_ball_y) < _TOLERANCE).any():
+        del given["kicks"]  # a ball on the robot's axis may have been rounded to the other side
+    else:
+        given["kicks"] = given["kicks"].model_dump()
+    return next((name for name, value in given.items() if not _same(value, old[name])), None)
+
+
+def _same(value: Any, other: Any) -> bool:
+    """Whether figures are equal, but for what six decimals or the last bits of a double can change."""
+    if isinstance(value, Mapping) and isinstance(other, Mapping):
+        return value.keys() == other.keys() and all(_same(value[name], other[name]) for name in value)
+    if isinstance(value, tuple) and isinstance(other, tuple):
+        return all(map(_same, value, other))
+    if isinstance(value, float) and isinstance(other, float):
+        return abs(value - other) <= _TOLERANCE
+    return value == other

@@ -1,31 +1,24 @@
-"""The models that are `metrics.json`, and how they follow from a table of episodes.
+"""The models that are `metrics.json`; `measure.py` says how they follow from a table of episodes.
 
 Rates are fractions, distances metres, times seconds. Proportions have 95 % Wilson intervals, mean and median
-of a distance 95 % percentile bootstrap intervals. What compares left and right is in `asymmetry.py`.
+of a distance 95 % percentile bootstrap intervals.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveInt, ValidationError
 
 from kickbench.errors import KickbenchError
-from kickbench.results.asymmetry import Asymmetry, EquivarianceError, measure_asymmetry
-from kickbench.results.atomic import atomic_write_bytes, read_regular
-from kickbench.results.episodes import EpisodeSides, EpisodeTable
-from kickbench.results.kick import KickFigures, measure_kick
+from kickbench.results.atomic import Fraction, Record, atomic_write_bytes, problems_of, read_regular
 from kickbench.results.provenance import Provenance
-from kickbench.results.record import Fraction, Record
-from kickbench.results.statistics import Interval, bootstrap_mean, bootstrap_median, wilson
+from kickbench.results.statistics import Interval
 
-# Fixed, so that the same episodes always give the same intervals.
-_BOOTSTRAP_SEED = 0
-# What six decimals in episodes.csv and float32 can move a distance of metres by.
-_DISTANCE_TOLERANCE = 2e-6
+Angle = Annotated[float, Field(ge=0, le=np.pi)]
+Difference = Annotated[float, Field(ge=-1, le=1)]
 
 
 class FootCounts(Record):
@@ -33,19 +26,51 @@ class FootCounts(Record):
 
     left_foot: NonNegativeInt
     right_foot: NonNegativeInt
-    other: NonNegativeInt = Field(description="a part of the robot that is not a foot")
-    none: NonNegativeInt = Field(description="the ball was never touched")
+    other: NonNegativeInt
+    """A part of the robot that is not a foot."""
+    none: NonNegativeInt
+    """The ball was never touched."""
 
 
 class Kicks(Record):
     """Which foot kicked, given the side of the ball at the start (thesis 4.3.1: the leg preference)."""
 
-    ball_left: FootCounts = Field(description="episodes whose ball starts at y >= 0 in the robot's frame")
-    ball_right: FootCounts = Field(description="episodes whose ball starts at y < 0 in the robot's frame")
-    same_side_share: Fraction | None = Field(
-        description="share of the kicks by foot made with the foot on the ball's side; null without any"
-    )
-    same_side_ci: Interval | None = Field(description="its Wilson interval")
+    ball_left: FootCounts
+    """Episodes whose ball starts at y >= 0 in the robot's frame."""
+    ball_right: FootCounts
+    """Episodes whose ball starts at y < 0 in the robot's frame."""
+    same_side_share: Fraction | None
+    """Share of the kicks by foot made with the foot on the ball's side; null without any."""
+    same_side_ci: Interval | None
+    """Its Wilson interval."""
+
+
+class KickFigures(Record):
+    """Means over the episodes in which the robot touched the ball, if not said otherwise; null without any.
+
+    The figures of single episodes, and their formulas, are those of `episodes.csv`.
+    """
+
+    mean_launch_speed: NonNegativeFloat | None
+    """Horizontal ball speed at the kick [m/s]."""
+    mean_launch_speed_ci: Interval | None
+    """Its bootstrap interval [m/s]."""
+    mean_direction_error: Angle | None
+    """Mean angle between the ball's launch and the target, without its sign, over launched balls [rad]."""
+    median_direction_error: Angle | None
+    """Median of the same angle [rad]."""
+    direction_bias: Annotated[float, Field(ge=-np.pi, le=np.pi)] | None
+    """Circular mean of the signed angle, positive to the left of the target [rad]."""
+    mean_time_to_touch: NonNegativeFloat | None
+    """From the start to the first touch [s]."""
+    mean_touches: NonNegativeFloat | None
+    """Separate touches of the ball in an episode."""
+    mean_walked_after_touch: NonNegativeFloat | None
+    """Path of the base towards the ball after the first touch [m]."""
+    falls: Fraction
+    """Share of all episodes that a fall of the robot ended."""
+    non_finite: Fraction
+    """Share of all episodes whose state was not finite."""
 
 
 class EvaluationMetrics(Record):
@@ -53,31 +78,114 @@ class EvaluationMetrics(Record):
 
     episodes: PositiveInt
     success_rate: Fraction
-    success_ci: Interval = Field(description="Wilson interval of success_rate")
-    mean_distance: NonNegativeFloat = Field(description="mean distance from ball to target at the end [m]")
-    mean_distance_ci: Interval = Field(description="bootstrap interval of mean_distance [m]")
-    median_distance: NonNegativeFloat = Field(description="median of the same distance [m]")
-    median_distance_ci: Interval = Field(description="bootstrap interval of median_distance [m]")
-    terminations: dict[str, Fraction] = Field(description="share of episodes by how they ended; sums to 1")
+    success_ci: Interval
+    """Wilson interval of success_rate."""
+    mean_distance: NonNegativeFloat
+    """Mean distance from ball to target at the end [m]."""
+    mean_distance_ci: Interval
+    """Bootstrap interval of mean_distance [m]."""
+    median_distance: NonNegativeFloat
+    """Median of the same distance [m]."""
+    median_distance_ci: Interval
+    """Bootstrap interval of median_distance [m]."""
+    terminations: dict[str, Fraction]
+    """Share of episodes by how they ended; sums to 1."""
     kicks: Kicks
-    mean_episode_steps: NonNegativeFloat = Field(description="mean number of control steps of an episode")
-    kicked_fraction: Fraction = Field(description="share of episodes in which the robot touched the ball")
-    kick: KickFigures | None = Field(
-        default=None, description="speed and direction of the kick; null in older files"
-    )
+    mean_episode_steps: NonNegativeFloat
+    """Mean number of control steps of an episode."""
+    kicked_fraction: Fraction
+    """Share of episodes in which the robot touched the ball."""
+    kick: KickFigures | None = None
+    """Speed and direction of the kick; null in older files."""
+
+
+class EquivarianceError(Record):
+    """Difference of pi(rho o) and rho pi(o), for the mean action pi at visited observations o."""
+
+    states: PositiveInt
+    """Visited states it was measured at."""
+    rms: NonNegativeFloat
+    """Root mean square over states and actions [units of the action]."""
+    largest: NonNegativeFloat
+    """Largest difference of one action at one state [units of the action]."""
+    relative: Annotated[float, Field(ge=0, le=2)]
+    """Rms over that of the actions at the states and their mirror images: 0 for an equivariant policy,
+    sqrt(2) if the two have nothing in common, 2 if they are opposite."""
+
+
+class LegPreference(Record):
+    """Which foot kicks (thesis 4.3.1); intervals are 95 % bootstrap, a mirrored pair being drawn together."""
+
+    kicks: NonNegativeInt
+    """Episodes in which a foot was the first to touch the ball."""
+    same_side_share: Fraction | None
+    """Share of those kicks made with the foot on the side where the ball starts; null without any."""
+    same_side_ci: Interval | None = None
+    left_foot_share: Fraction | None
+    """Share of those kicks made with the left foot: 0 or 1 for a policy with one kicking leg, 1/2 for a
+    symmetric one if starts are as many on the left as on the right."""
+    left_foot_ci: Interval | None = None
+
+
+class SideSuccess(Record):
+    """Success with the ball starting on the left (y >= 0 in the robot's frame) against on the right."""
+
+    left_episodes: PositiveInt
+    left_rate: Fraction
+    right_episodes: PositiveInt
+    right_rate: Fraction
+    difference: Difference
+    """Left minus right."""
+    difference_ci: Interval
+    """Its 95 % interval (Newcombe)."""
+    z: float
+    """Statistic of the two-proportion test."""
+    p_value: Fraction
+    """Its two-sided p-value; mirrored starts count as independent, see pairs."""
+
+
+class MirroredPairs(Record):
+    """Each episode with the one from the mirror image of its start.
+
+    With observation noise or pushes the two are disturbed differently, and an equivariant policy differs as well.
+    """
+
+    pairs: PositiveInt
+    agreement: Fraction
+    """Share of pairs that end alike: same termination, same success."""
+    agreement_ci: Interval
+    """Its Wilson interval."""
+    foot_agreement: Fraction
+    """Share of pairs whose first touches mirror each other."""
+    only_original: NonNegativeInt
+    """Pairs in which only the original start led to success."""
+    only_mirrored: NonNegativeInt
+    """Pairs in which only the mirrored start did."""
+    p_value: Fraction
+    """Exact McNemar test of equal success on both sides."""
+
+
+class Asymmetry(Record):
+    """How differently a policy treats left and right."""
+
+    equivariance: EquivarianceError | None = None
+    """Null if not measured."""
+    legs: LegPreference
+    success: SideSuccess | None = None
+    """Null if all balls start on one side."""
+    pairs: MirroredPairs | None = None
+    """Null without a mirrored evaluation."""
 
 
 class Evaluation(Record):
     """Both sides of an evaluation."""
 
-    in_distribution: EvaluationMetrics = Field(description="episodes as the task samples them")
-    mirrored: EvaluationMetrics | None = Field(
-        default=None,
-        description="episodes from the exact mirror images of those starts; null if not asked for",
-    )
-    asymmetry: Asymmetry | None = Field(
-        default=None, description="how differently the policy treats left and right; null in older files"
-    )
+    in_distribution: EvaluationMetrics
+    """Episodes as the task samples them."""
+    mirrored: EvaluationMetrics | None = None
+    """Episodes from the exact mirror images of those starts; null if not asked for."""
+    asymmetry: Asymmetry | None = None
+    """How differently the policy treats left and right; null in older files."""
 
 
 class Metrics(Record):
@@ -87,87 +195,19 @@ class Metrics(Record):
     task: str
     method: str
     seed: int
-    scale: float | None = Field(
-        default=None,
-        gt=0,
-        lt=1,
-        description="factor on iterations and evaluation episodes of a run that was scaled down to try an "
-        "experiment out, by `--scale`; null for a run of full size",
-    )
-    iterations: NonNegativeInt = Field(description="training iterations")
-    env_steps: NonNegativeInt = Field(description="control steps of training, summed over worlds")
-    training_seconds: NonNegativeFloat = Field(description="wall-clock time of training [s]")
-    schedule_iterations: PositiveInt | None = Field(
-        default=None,
-        description="iterations over which the method's schedules ran, if a resume extended the run beyond them",
-    )
+    scale: float | None = Field(default=None, gt=0, lt=1)
+    """Factor on iterations and evaluation episodes of a run that was scaled down to try an experiment out, by
+    `--scale`; null for a run of full size."""
+    iterations: NonNegativeInt
+    """Training iterations."""
+    env_steps: NonNegativeInt
+    """Control steps of training, summed over envs."""
+    training_seconds: NonNegativeFloat
+    """Wall-clock time of training [s]."""
+    schedule_iterations: PositiveInt | None = None
+    """Iterations over which the method's schedules ran, if a resume extended the run beyond them."""
     evaluation: Evaluation
     provenance: Provenance
-
-
-def summarise(episodes: EpisodeTable, success_radius: float, control_interval: float) -> EvaluationMetrics:
-    """Metrics of one set of episodes.
-
-    Args:
-        episodes: the table, at least one row.
-        success_radius: the task's success radius [m]. Success is what the table says; a row that claims
-            success beyond the radius is an error, since one of the two must be wrong.
-        control_interval: length of a control step [s].
-
-    Returns:
-        The metrics; the same table always gives the same ones.
-    """
-    count = len(episodes)
-    if count == 0:
-        raise ValueError("expected at least one episode, found none")
-    _check_success(episodes, success_radius)
-    rng = np.random.default_rng(_BOOTSTRAP_SEED)
-    return EvaluationMetrics(
-        **figures_of(episodes),
-        success_ci=wilson(int(episodes.success.sum()), count),
-        mean_distance_ci=bootstrap_mean(episodes.distance, rng),
-        median_distance_ci=bootstrap_median(episodes.distance, rng),
-        kick=measure_kick(episodes, control_interval),
-    )
-
-
-def figures_of(episodes: EpisodeTable) -> dict[str, Any]:
-    """The figures of `EvaluationMetrics` without their intervals, of at least one episode."""
-    return {
-        "episodes": len(episodes),
-        "success_rate": int(episodes.success.sum()) / len(episodes),
-        "mean_distance": float(episodes.distance.mean()),
-        "median_distance": float(np.median(episodes.distance)),
-        "terminations": _shares(episodes.termination),
-        "kicks": _kicks(episodes),
-        "mean_episode_steps": float(episodes.steps.mean()),
-        "kicked_fraction": float((episodes.kick_foot != "none").mean()),
-    }
-
-
-def summarise_sides(
-    sides: EpisodeSides,
-    success_radius: float,
-    control_interval: float,
-    equivariance: EquivarianceError | None = None,
-) -> Evaluation:
-    """Metrics of both sides of an evaluation.
-
-    Args:
-        sides: the episodes of both sides.
-        success_radius: as for `summarise`.
-        control_interval: as for `summarise`.
-        equivariance: the policy's equivariance error over the states visited in these episodes, if measured.
-    """
-
-    def summary(side: EpisodeTable) -> EvaluationMetrics:
-        return summarise(side, success_radius, control_interval)
-
-    return Evaluation(
-        in_distribution=summary(sides.in_distribution),
-        mirrored=None if sides.mirrored is None else summary(sides.mirrored),
-        asymmetry=measure_asymmetry(sides, equivariance),
-    )
 
 
 def load_metrics(path: Path) -> Metrics:
@@ -181,10 +221,7 @@ def load_metrics(path: Path) -> Metrics:
     except OSError as error:
         raise KickbenchError(f"{path}: cannot read metrics: {error.strerror}") from error
     except ValidationError as error:
-        problems = "; ".join(
-            f"{'.'.join(map(str, item['loc'])) or 'file'}: {item['msg']}" for item in error.errors()
-        )
-        raise KickbenchError(f"{path}: no valid metrics: {problems}") from error
+        raise KickbenchError(f"{path}: no valid metrics: {problems_of(error)}") from error
 
 
 def write_metrics(path: Path, metrics: Metrics) -> None:
@@ -203,42 +240,3 @@ def metrics_json_schema() -> dict[str, Any]:
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         **Metrics.model_json_schema(mode="serialization"),
     }
-
-
-def _check_success(episodes: EpisodeTable, success_radius: float) -> None:
-    wrong = np.flatnonzero(episodes.success & (episodes.distance > success_radius + _DISTANCE_TOLERANCE))
-    if wrong.size:
-        row = int(wrong[0])
-        raise ValueError(
-            f"row {row} claims success at {episodes.distance[row]:.4f} m, "
-            f"beyond the radius of {success_radius} m"
-        )
-
-
-def _shares(names: NDArray[np.str_]) -> dict[str, float]:
-    """Share of each name, in alphabetical order."""
-    unique, counts = np.unique(names, return_counts=True)
-    return {str(name): int(count) / len(names) for name, count in zip(unique, counts, strict=True)}
-
-
-def _kicks(episodes: EpisodeTable) -> Kicks:
-    ball_left = episodes.start_ball_y >= 0
-    left = _foot_counts(episodes.kick_foot[ball_left])
-    right = _foot_counts(episodes.kick_foot[~ball_left])
-    same_side = left.left_foot + right.right_foot
-    by_foot = same_side + left.right_foot + right.left_foot
-    return Kicks(
-        ball_left=left,
-        ball_right=right,
-        same_side_share=same_side / by_foot if by_foot else None,
-        same_side_ci=wilson(same_side, by_foot) if by_foot else None,
-    )
-
-
-def _foot_counts(kick_foot: NDArray[np.str_]) -> FootCounts:
-    def count(name: str) -> int:
-        return int((kick_foot == name).sum())
-
-    return FootCounts(
-        left_foot=count("left"), right_foot=count("right"), other=count("other"), none=count("none")
-    )

@@ -1,17 +1,100 @@
-"""What the table of runs says in words: what does not count and why, which runs repeat others."""
+"""What the table of runs says in words, and which of its runs belong together.
+
+Runs are compared within a *setting*: one task, robot and model. Runs of a setting are averaged within a *group*: one
+identity, number of iterations and scale, whatever their files are called. Settings and groups that share a name are
+numbered, `baseline (1)` and `baseline (2)`, and `differing_lines` says in what they differ.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import pandas as pd
 
-from kickbench.errors import KickbenchError
+from kickbench.errors import KickbenchError, shown
 from kickbench.results.frame import known, runs_of
+from kickbench.results.store import RunDirectory
 
 Shown = Callable[[Path], str]
 """How a path is written."""
+
+
+def with_groups(frame: pd.DataFrame) -> pd.DataFrame:
+    """The rows of finished runs, with two more columns: `setting_name` and `group`, both without namesakes."""
+    finished = frame[frame.state == "finished"].copy()
+    rows = [row for _, row in finished.iterrows()]
+    settings = [row.setting or row.task for row in rows]
+    groups = [
+        f"{row.identity or f'{row.task}/{row.method}'} {known(row, 'iterations')} {known(row, 'scale')}"
+        for row in rows
+    ]
+    finished["setting_name"] = _numbered(finished.task, settings, [""] * len(rows))
+    finished["group"] = _numbered(finished.method, groups, settings)
+    return finished
+
+
+def _numbered(names: pd.Series, keys: Sequence[str], wholes: Sequence[str]) -> pd.Series:
+    """The first name of each key, numbered where several keys of one whole share it."""
+    first = pd.DataFrame({"name": list(names), "key": keys, "whole": wholes}, dtype=object)
+    first = first.drop_duplicates("key")
+    namesakes = first.groupby(["whole", "name"])
+    numbers, counts = namesakes.cumcount() + 1, namesakes["key"].transform("size")
+    labels = {
+        key: f"{name} ({number})" if count > 1 else name
+        for key, name, number, count in zip(first["key"], first["name"], numbers, counts, strict=True)
+    }
+    return pd.Series([labels[key] for key in keys], names.index, dtype=object)
+
+
+def differing_lines(finished: pd.DataFrame) -> list[str]:
+    """For settings of one task's name, and groups of one method's name, in what they differ.
+
+    Args:
+        finished: What `with_groups` has returned.
+    """
+    return [*setting_lines(finished), *group_lines(finished)]
+
+
+def setting_lines(finished: pd.DataFrame) -> list[str]:
+    """In what settings of one task's name differ."""
+    tasks = finished.groupby("task", sort=False)
+    return [line for task, rows in tasks for line in _lines(str(task), rows, "setting_name")]
+
+
+def group_lines(finished: pd.DataFrame) -> list[str]:
+    """In what groups of one setting and one method's name differ."""
+    methods = finished.groupby(["setting_name", "method"], sort=False)
+    return [line for (_, method), rows in methods for line in _lines(str(method), rows, "group")]
+
+
+def _lines(name: str, rows: pd.DataFrame, column: str) -> Iterator[str]:
+    """`baseline (1) and (2) differ: method: algorithm.gamma: 0.99 and 0.995`."""
+    first = rows.drop_duplicates(column)
+    if len(first) > 1:
+        numbers = " and ".join(label.removeprefix(name).strip() for label in first[column])
+        yield f"{name} {numbers} differ: {'; '.join([*_specs(first), *_sizes(first, column)])}"
+
+
+def _specs(first: pd.DataFrame) -> list[str]:
+    from kickbench.results.specs import differences, stored_specs
+
+    if first.identity.nunique() < 2:
+        return []
+    try:
+        return differences([stored_specs(RunDirectory(Path(path))) for path in first.path])
+    except KickbenchError as error:
+        return [f"specs, of which some cannot be read ({error})"]
+
+
+def _sizes(first: pd.DataFrame, column: str) -> Sequence[str]:
+    words = []
+    if column == "group":
+        if first.iterations.nunique() > 1:
+            words.append(f"{' and '.join(f'{count:,.0f}' for count in first.iterations)} iterations")
+        if first.scale.nunique(dropna=False) > 1:
+            words.append(f"scale {' and '.join('1' if pd.isna(of) else f'{of:g}' for of in first.scale)}")
+    return words
 
 
 def unfinished_words(row: pd.Series) -> str:
@@ -29,48 +112,48 @@ def lack(row: pd.Series) -> str | None:
     return row.deviation if row.state == "finished" else unfinished_words(row)
 
 
-def repeat_lines(frame: pd.DataFrame, shown: Shown) -> list[str]:
+def repeat_lines(frame: pd.DataFrame, write: Shown = shown) -> list[str]:
     """A line for each run that repeats another."""
     lines = []
     for _, run in runs_of(frame).iterrows():
         if run.copy_of is not None:
-            lines.append(f"counted once: {shown(run.path)} is a copy of {shown(run.copy_of)}")
+            lines.append(f"counted once: {write(run.path)} is a copy of {write(run.copy_of)}")
         elif run.contradicts is not None:
-            lines.append(f"not counted: {contradiction(run, shown)}")
+            lines.append(f"not counted: {contradiction(run, write)}")
     return lines
 
 
-def unplanned_lines(frame: pd.DataFrame, shown: Shown) -> list[str]:
+def unplanned_lines(frame: pd.DataFrame, write: Shown = shown) -> list[str]:
     """A line for each run that an experiment does not plan."""
     lines = []
     for _, run in runs_of(frame[frame.condition.isna()]).iterrows():
-        repeats = "" if run.copy_of is None else f": a copy of {shown(run.copy_of)}"
+        repeats = "" if run.copy_of is None else f": a copy of {write(run.copy_of)}"
         state = "" if run.state == "finished" else f": {unfinished_words(run)}"
-        lines.append(f"{run.deviation}, left out: {shown(run.path)}{repeats}{state}")
+        lines.append(f"{run.deviation}, left out: {write(run.path)}{repeats}{state}")
     return lines
 
 
-def contradiction(run: pd.Series, shown: Shown) -> str:
+def contradiction(run: pd.Series, write: Shown = shown) -> str:
     """Which two runs of one identity and seed have different results."""
     return (
-        f"{shown(run.path)} holds seed {run.seed} of {run.method} on {run.task} with another result "
-        f"than {shown(run.contradicts)}"
+        f"{write(run.path)} holds seed {run.seed} of {run.method} on {run.task} with another result "
+        f"than {write(run.contradicts)}"
     )
 
 
-def refuse_contradictions(frame: pd.DataFrame, shown: Shown) -> None:
+def refuse_contradictions(frame: pd.DataFrame, write: Shown = shown) -> None:
     """For verbs that draw conclusions.
 
     Raises:
         KickbenchError: Two runs of one identity and seed have different results.
     """
     runs = runs_of(frame)
-    lines = [contradiction(run, shown) for _, run in runs[runs.contradicts.notna()].iterrows()]
+    lines = [contradiction(run, write) for _, run in runs[runs.contradicts.notna()].iterrows()]
     if lines:
         raise KickbenchError("\n".join([*lines, "remove one of each two: which of them counts is not known"]))
 
 
-def left_out_lines(frame: pd.DataFrame, shown: Shown) -> list[str]:
+def left_out_lines(frame: pd.DataFrame, write: Shown = shown) -> list[str]:
     """A line for each run, or result on a transfer task, that has no figures, and why."""
     without = frame[(frame.state != "finished") & (frame.state != "missing")]
-    return [f"left out: {shown(row.path)}: {unfinished_words(row)}" for _, row in without.iterrows()]
+    return [f"left out: {write(row.path)}: {unfinished_words(row)}" for _, row in without.iterrows()]

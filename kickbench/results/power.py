@@ -15,10 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from kickbench.config.claims import AnyClaim, Operand
-from kickbench.results.columns import render_block
 from kickbench.results.contrast import RunTerms, Term, contrast_of
-from kickbench.results.run_figures import Figure
+from kickbench.results.figures import Figure
 from kickbench.results.statistics import wilson
+from kickbench.results.tables import render_block
 from kickbench.results.verdicts import judge_parts
 from kickbench.trials.experiment import LoadedExperiment
 
@@ -76,7 +76,7 @@ def rates_table(experiment: LoadedExperiment, draws: int = 2000) -> str:
         judged = "yes" if found.decides else "no"
         rows.append([(name, f"{100 * found.replication:.1f}", equal, f"{100 * found.worse:.1f}", judged)])
     header = ("claim, met [%]", "replication", "equal methods", "15 points worse", "decidable")
-    return render_block(f"{experiment.name}: {draws:,} draws", ("",) * len(header), header, rows)
+    return render_block(f"{experiment.name}: {draws:,} draws", header, rows)
 
 
 def _reported(experiment: LoadedExperiment, operand: Operand, claim: AnyClaim) -> tuple[float, float] | None:

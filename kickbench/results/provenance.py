@@ -3,29 +3,25 @@
 from __future__ import annotations
 
 import platform
+import re
 import subprocess
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
+from functools import partial
 from importlib import metadata
 from pathlib import Path
+from typing import Any, NamedTuple
 
-from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveInt
+from pydantic import NonNegativeFloat, NonNegativeInt, PositiveInt
 
 from kickbench.errors import printable
-from kickbench.results.record import Record
+from kickbench.results.atomic import Record
 
 # Distribution names; the ones that are not installed are left out of a record.
 _PACKAGES = (
-    "kickbench",
-    "torch",
-    "mujoco",
-    "mujoco-warp",
-    "warp-lang",
-    "rsl-rl-lib",
-    "tensordict",
-    "numpy",
+    *("kickbench", "torch", "mujoco", "mujoco-warp", "warp-lang"),
+    *("rsl-rl-lib", "tensordict", "numpy"),
 )
 
 
@@ -33,7 +29,8 @@ class ExperimentRef(Record):
     """The experiment that a run was begun for."""
 
     name: str
-    claims: str = Field(description="SHA-256 of its claims as they were when the run began")
+    claims: str
+    """SHA-256 of its claims as they were when the run began."""
 
 
 class InitialRef(Record):
@@ -42,51 +39,56 @@ class InitialRef(Record):
     task: str
     method: str
     seed: int
-    env_steps: NonNegativeInt = Field(description="control steps that it was trained for")
-    fingerprint: str = Field(description="its identity")
-    policy: str = Field(description="SHA-256 of the policy as it began, the standard deviation included")
-    std: float | None = Field(
-        description="standard deviation that its own was replaced by; null: it was kept"
-    )
+    env_steps: NonNegativeInt
+    """Control steps that it was trained for."""
+    fingerprint: str
+    """Its identity."""
+    policy: str
+    """SHA-256 of the policy as it began, the standard deviation included."""
+    std: float | None
+    """Standard deviation that its own was replaced by; null: it was kept."""
 
 
 class Provenance(Record):
     """Where a result comes from. Holds no path of the machine that made it."""
 
-    versions: dict[str, str] = Field(
-        description="version of python and of each package that the result needs"
-    )
-    device: str = Field(description="model of the processor, or name of the CUDA device")
-    num_threads: PositiveInt = Field(description="threads that stepped the physics, of each process")
-    num_processes: PositiveInt = Field(default=1, description="processes that trained together")
-    platform: str = Field(description="operating system and architecture")
-    seed: int = Field(description="seed of the run")
-    commit: str | None = Field(description="git commit of kickbench's checkout; null outside of one")
-    dirty: bool | None = Field(
-        description="whether that checkout had uncommitted changes; null outside of one"
-    )
-    started: str = Field(description="start of the run, UTC, ISO 8601")
-    finished: str = Field(description="end of the run, UTC, ISO 8601")
-    seconds: NonNegativeFloat = Field(description="wall-clock time from start to end [s]")
-    env_steps: NonNegativeInt = Field(description="control steps of training, summed over worlds")
-    command: list[str] = Field(description="the command; absolute paths made relative, or reduced to a name")
-    experiment: ExperimentRef | None = Field(
-        default=None,
-        description="experiment that the run was begun for; null: none, or a run of an older version",
-    )
-    initial: InitialRef | None = Field(
-        default=None, description="run whose policy it began with; null: it began with random networks"
-    )
-    resumed_from: tuple[Provenance, ...] = Field(
-        default=(),
-        description="of a run that was interrupted: its earlier parts, each up to the checkpoint that the next "
-        "one went on from. The run's `started` is the first part's, its `seconds` and `env_steps` are sums over "
-        "all parts, everything else describes the last one",
-    )
+    versions: dict[str, str]
+    """Version of python and of each package that the result needs."""
+    device: str
+    """Model of the processor, or name of the CUDA device."""
+    num_threads: PositiveInt
+    """Threads that stepped the physics, of each process."""
+    num_processes: PositiveInt = 1
+    """Processes that trained together."""
+    platform: str
+    """Operating system and architecture."""
+    seed: int
+    """Seed of the run."""
+    commit: str | None
+    """Git commit of kickbench's checkout; null outside of one."""
+    dirty: bool | None
+    """Whether that checkout had uncommitted changes; null outside of one."""
+    started: str
+    """Start of the run, UTC, ISO 8601."""
+    finished: str
+    """End of the run, UTC, ISO 8601."""
+    seconds: NonNegativeFloat
+    """Wall-clock time from start to end [s]."""
+    env_steps: NonNegativeInt
+    """Control steps of training, summed over envs."""
+    command: list[str]
+    """The command; absolute paths made relative, or reduced to a name."""
+    experiment: ExperimentRef | None = None
+    """Experiment that the run was begun for; null: none, or a run of an older version."""
+    initial: InitialRef | None = None
+    """Run whose policy it began with; null: it began with random networks."""
+    resumed_from: tuple[Provenance, ...] = ()
+    """Of a run that was interrupted: its earlier parts, each up to the checkpoint that the next one went on
+    from. The run's `started` is the first part's, its `seconds` and `env_steps` are sums over all parts,
+    everything else describes the last one."""
 
 
-@dataclass(frozen=True)
-class Moment:
+class Moment(NamedTuple):
     """A point in time.
 
     Attributes:
@@ -112,30 +114,25 @@ def collect_provenance(
     num_processes: int = 1,
     device: str = "cpu",
     argv: Sequence[str] = (),
-    finished: Moment | None = None,
     code: tuple[str | None, bool | None] | None = None,
     experiment: ExperimentRef | None = None,
     initial: InitialRef | None = None,
 ) -> Provenance:
-    """Look at this process and its machine.
+    """Looks at this process and its machine as of now.
 
     Args:
         seed: seed of the run.
-        env_steps: control steps of training, summed over worlds.
+        env_steps: control steps of training, summed over envs.
         started: start of the run.
         num_threads: threads that stepped the physics, of each process.
         num_processes: processes that trained together.
         device: torch device, `cpu` or `cuda[:k]`.
         argv: the command as `sys.argv` has it, program first.
-        finished: end of the run, now if left out.
-        code: what `code_state` said when the code was loaded; now if left out.
+        code: what `code_state` returned when the code was loaded; now if left out.
         experiment: the experiment that the run was begun for.
         initial: the run whose policy it began with.
-
-    Returns:
-        The record.
     """
-    finished = finished or Moment.now()
+    finished = Moment.now()
     commit, dirty = code or code_state()
     return Provenance(
         versions=package_versions(),
@@ -146,14 +143,78 @@ def collect_provenance(
         seed=seed,
         commit=commit,
         dirty=dirty,
-        started=_utc(started.utc),
-        finished=_utc(finished.utc),
+        started=started.utc.astimezone(UTC).isoformat(timespec="seconds"),
+        finished=finished.utc.astimezone(UTC).isoformat(timespec="seconds"),
         seconds=round(finished.seconds - started.seconds, 3),
         env_steps=env_steps,
         command=portable_command(argv),
         experiment=experiment,
         initial=initial,
     )
+
+
+class RunHistory:
+    """What `metrics.json` calls a run, and the parts it was made in, one per process; the last part is this process.
+
+    Checkpoints carry it from one process to the next. A process that is killed leaves the part that its last checkpoint
+    records: what it did after that is done again, and counts only then.
+
+    Args:
+        task: Name of the task.
+        method: Name of the method.
+        seed: Seed of the run.
+        scale: Factor that the run was scaled down by.
+        earlier: The parts before this one.
+        origin: What else `collect_provenance` is given.
+    """
+
+    def __init__(
+        self,
+        task: str,
+        method: str,
+        seed: int,
+        *,
+        scale: float | None = None,
+        earlier: Sequence[Provenance] = (),
+        **origin: Any,
+    ) -> None:
+        self.labels: dict[str, Any] = {"task": task, "method": method, "seed": seed, "scale": scale}
+        self._earlier = tuple(earlier)
+        self._collect = partial(
+            collect_provenance, seed=seed, started=Moment.now(), code=code_state(), **origin
+        )
+
+    def provenance(self, env_steps: int) -> Provenance:
+        """Provenance of the run as of now: this part's, with start, seconds and steps of all parts.
+
+        Args:
+            env_steps: Control steps of training so far, those of earlier parts included.
+        """
+        part = self._part(env_steps)
+        if not self._earlier:
+            return part
+        whole = {
+            "started": self._earlier[0].started,
+            "seconds": round(part.seconds + sum(earlier.seconds for earlier in self._earlier), 3),
+            "env_steps": env_steps,
+            # The claims of the beginning count: they were fixed before anything was trained.
+            "experiment": self._earlier[0].experiment,
+            "resumed_from": self._earlier,
+        }
+        return part.model_copy(update=whole)
+
+    def state_dict(self, env_steps: int) -> dict[str, Any]:
+        """Labels and all parts as of now, in plain values."""
+        parts = (*self._earlier, self._part(env_steps))
+        return {**self.labels, "parts": [part.model_dump(mode="json") for part in parts]}
+
+    def _part(self, env_steps: int) -> Provenance:
+        return self._collect(env_steps=env_steps - sum(earlier.env_steps for earlier in self._earlier))
+
+
+def earlier_parts(state: Mapping[str, Any]) -> tuple[Provenance, ...]:
+    """The parts in what `RunHistory.state_dict` has returned."""
+    return tuple(Provenance.model_validate(part) for part in state["parts"])
 
 
 def code_state() -> tuple[str | None, bool | None]:
@@ -182,13 +243,10 @@ def device_name(device: str) -> str:
 
 
 def cpu_name(cpuinfo: Path = Path("/proc/cpuinfo")) -> str:
-    """The processor's model as Linux tells it, or what Python knows elsewhere."""
-    if cpuinfo.is_file():
-        for line in cpuinfo.read_text(encoding="utf-8", errors="replace").splitlines():
-            key, _, value = line.partition(":")
-            if key.strip() == "model name" and value.strip():
-                return value.strip()
-    return platform.processor() or platform.machine() or "unknown"
+    """The processor's model as Linux names it, or what Python knows elsewhere."""
+    text = cpuinfo.read_text(encoding="utf-8", errors="replace") if cpuinfo.is_file() else ""
+    found = re.search(r"^model name\s*:\s*(\S.*?)\s*$", text, re.MULTILINE)
+    return found[1] if found else platform.processor() or platform.machine() or "unknown"
 
 
 def git_state(file: Path) -> tuple[str | None, bool | None]:
@@ -212,22 +270,18 @@ def portable_command(argv: Sequence[str]) -> list[str]:
     The program becomes `kickbench`. An absolute path, alone or behind `key=`, becomes relative to the working
     directory if it lies in it, and its last name otherwise.
     """
-    return ["kickbench", *(_portable_argument(argument) for argument in argv[1:])]
+    return ["kickbench", *(printable(_portable(argument)) for argument in argv[1:])]
 
 
-def _portable_argument(argument: str) -> str:
+def _portable(argument: str) -> str:
     key, equals, value = argument.rpartition("=")
-    return printable(f"{key}{equals}{_portable_path(value)}")
-
-
-def _portable_path(text: str) -> str:
-    path = Path(text)
-    if not path.is_absolute():
-        return text
-    for root in (Path.cwd(), Path.cwd().resolve()):
-        if path.is_relative_to(root):
-            return path.relative_to(root).as_posix()
-    return path.name or "."
+    path = Path(value)
+    if path.is_absolute():
+        inside = (
+            path.relative_to(root) for root in (Path.cwd(), Path.cwd().resolve()) if path.is_relative_to(root)
+        )
+        value = next((of.as_posix() for of in inside), path.name or ".")
+    return f"{key}{equals}{value}"
 
 
 def _git(folder: Path, *arguments: str) -> str | None:
@@ -239,9 +293,3 @@ def _git(folder: Path, *arguments: str) -> str | None:
     except (OSError, subprocess.TimeoutExpired):
         return None
     return done.stdout if done.returncode == 0 else None
-
-
-def _utc(moment: datetime) -> str:
-    if moment.tzinfo is None:
-        raise ValueError("expected a time that knows its zone, such as datetime.now(UTC)")
-    return moment.astimezone(UTC).isoformat(timespec="seconds")

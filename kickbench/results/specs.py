@@ -1,22 +1,33 @@
-"""The resolved specs of a run, stored beside its result so that it can be repeated from its folder alone."""
+"""The resolved specs of a run, stored beside its result so that it can be repeated from its folder alone.
+
+In what they differ from those of other runs, key by key; what the identity leaves out excepted.
+"""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from pydantic import BaseModel
 
-from kickbench.config.load import LoadedMethod, load_method, load_task
+from kickbench.config.load import LoadedMethod, LoadedTask, load_method, load_task
 from kickbench.config.terms import TermParams, TermTable
-from kickbench.config.yamlio import Document, dump_yaml, flow_yaml
+from kickbench.config.yamldump import dump_yaml, flow_yaml
+from kickbench.config.yamlio import Document
 from kickbench.envs.catalog import model_of_task
-from kickbench.errors import KeyPath, KickbenchError, Problem
+from kickbench.errors import KeyPath, KickbenchError, Problem, dotted
 from kickbench.results.atomic import atomic_write_bytes, atomic_write_text
-from kickbench.results.identity import Identity, counted_fields, identity_of, read_identity, write_identity
+from kickbench.results.identity import (
+    Identity,
+    counted_fields,
+    identity_of,
+    loaded_specs,
+    read_identity,
+    write_identity,
+)
 from kickbench.results.integrity import MODEL_FOLDER, forget, seal
 from kickbench.results.store import RunDirectory
 from kickbench.sim.build import files_read_by
@@ -24,6 +35,14 @@ from kickbench.trials.trial import Trial, load_trial
 
 _MODEL_SIZE = 200_000_000
 """Largest size of a model's files in all, bytes: every run has a copy of them."""
+EPISODES = "task: evaluation.episodes"
+_MOST = 4
+"""Keys that are named; of others it is said how many there are."""
+_BY_HASH = {
+    "model": "the compiled model of the robot",
+    "terms": "the source of the terms",
+    "initial_policy": "the policy begun with",
+}
 
 
 def write_specs(directory: RunDirectory, experiment: Trial) -> None:
@@ -109,46 +128,6 @@ def stored_experiment(directory: RunDirectory) -> Trial:
     return load_trial(directory.task_spec, directory.method_spec)
 
 
-def spec_differences(directory: RunDirectory, experiment: Trial) -> list[Problem]:
-    """Every key in which an experiment differs from the stored one by its identity, and whether its model does.
-
-    Defaults count as if they were written out. The order of terms counts too: it is the order of the vectors.
-
-    Raises:
-        SpecError: A stored file is missing or not valid.
-        KickbenchError: The run has no identity.
-    """
-    ours, theirs = identity_of(experiment), read_identity(directory)
-    changed = [part for part in ours.parts | theirs.parts if ours.parts.get(part) != theirs.parts.get(part)]
-    if not changed:
-        return []
-    task, method = experiment.loaded_task, experiment.method
-    old_task, old_method = load_task(model_of_task, directory.task_spec), stored_method(directory)
-    pairs = (
-        (task, old_task),
-        (task.robot, old_task.robot),
-        (method, old_method),
-        (method.representations, old_method.representations),
-    )
-    problems = [
-        new.document.problem(path, message)
-        for new, old in pairs
-        for path, message in _differences(new.spec, old.spec, ())
-    ]
-    if "model" in changed:
-        problems.append(task.robot.document.problem(("model",), _model_difference(ours, theirs)))
-    if "terms" in changed:
-        problems.append(task.document.problem(("terms",), "the run's terms have other code"))
-    if "initial_policy" in changed:
-        problems.append(Problem(None, ("--init-from",), "the run began with another policy"))
-    return problems or [Problem(None, (part,), "not that of the run") for part in changed]
-
-
-def _model_difference(ours: Identity, theirs: Identity) -> str:
-    names = sorted(dict(ours.model_arrays.items() ^ theirs.model_arrays.items()))
-    return f"not the model of the run: the MJCF, a file it reads or the scene has changed {', '.join(names)}"
-
-
 def _check_copy(
     directory: RunDirectory, experiment: Trial, copies: Iterable[str], identity: Identity
 ) -> None:
@@ -169,31 +148,127 @@ def _check_copy(
         raise robot.error(("model",), "the copy of this model in the run is another model")
 
 
-def _differences(new: Any, old: Any, path: KeyPath) -> Iterator[tuple[KeyPath, str]]:
+def _write(path: Path, document: Document, paths: dict[str, Any]) -> None:
+    atomic_write_text(path, dump_yaml({**document.data, **paths}))
+
+
+def spec_differences(directory: RunDirectory, experiment: Trial) -> list[Problem]:
+    """Every key in which an experiment differs from the stored one by its identity, and whether its model does.
+
+    Defaults count as if they were written out. The order of terms counts too: it is the order of the vectors.
+
+    Raises:
+        SpecError: A stored file is missing or not valid.
+        KickbenchError: The run has no identity.
+    """
+    ours, theirs = identity_of(experiment), read_identity(directory)
+    changed = [part for part in ours.parts | theirs.parts if ours.parts.get(part) != theirs.parts.get(part)]
+    if not changed:
+        return []
+    task, method = experiment.loaded_task, experiment.method
+    both = [_specs(task, method, ours).values, stored_specs(directory).values]
+    problems = [
+        loaded.document.problem(path, _unlike(new, old))
+        for name, loaded in loaded_specs(task, method).items()
+        for path, (new, old) in _differing([values[name] for values in both])
+    ]
+    if "model" in changed:
+        names = ", ".join(sorted(dict(ours.model_arrays.items() ^ theirs.model_arrays.items())))
+        what = f"not the model of the run: the MJCF, a file it reads or the scene has changed {names}"
+        problems.append(task.robot.document.problem(("model",), what))
+    if "terms" in changed:
+        problems.append(task.document.problem(("terms",), "the run's terms have other code"))
+    if "initial_policy" in changed:
+        problems.append(Problem(None, ("--init-from",), "the run began with another policy"))
+    return problems or [Problem(None, (part,), "not that of the run") for part in changed]
+
+
+def _unlike(new: Any, old: Any) -> str:
+    if isinstance(old, Order):
+        return f"the run has them in another order: {', '.join(old)}"
+    return f"{_text(new)}, but the run has {_text(old)}"
+
+
+class Specs(NamedTuple):
+    """The specs of a run by what they are, and its identity."""
+
+    values: Mapping[str, BaseModel]
+    identity: Identity
+
+    @property
+    def fingerprint(self) -> str:
+        """That of the identity."""
+        return self.identity.fingerprint
+
+
+def stored_specs(directory: RunDirectory) -> Specs:
+    """The specs that a run has been made with.
+
+    Raises:
+        KickbenchError: A file is missing or not valid.
+    """
+    task = load_task(model_of_task, directory.task_spec)
+    return _specs(task, stored_method(directory), read_identity(directory.path))
+
+
+def planned_specs(experiment: Trial) -> Specs:
+    """The specs of a compiled task and method."""
+    return _specs(experiment.loaded_task, experiment.method, identity_of(experiment))
+
+
+def _specs(task: LoadedTask[Any], method: LoadedMethod, identity: Identity) -> Specs:
+    return Specs({name: of.spec for name, of in loaded_specs(task, method).items()}, identity)
+
+
+def differences(
+    found: Sequence[Specs], write: Callable[[Sequence[str]], str] = " and ".join, without: Sequence[str] = ()
+) -> list[str]:
+    """Every key whose values are not equal: `method: algorithm.gamma: 0.99 and 0.995`.
+
+    Args:
+        found: The specs, two or more.
+        write: How values are written.
+        without: Keys that are not compared.
+    """
+    keys = {
+        f"{name}: {dotted((*path, 'order') if isinstance(values[0], Order) else path)}": values
+        for name in found[0].values
+        for path, values in _differing([specs.values[name] for specs in found])
+    }
+    lines = [f"{key}: {write([_text(v) for v in keys[key]])}" for key in keys if key not in without]
+    more = [f"{len(lines) - _MOST} more keys"] if len(lines) > _MOST else []
+    unequal = [part for part in _BY_HASH if len({specs.identity.parts.get(part) for specs in found}) > 1]
+    return [*lines[:_MOST], *more, *(_BY_HASH[part] for part in unequal)]
+
+
+class Order(tuple[str, ...]):
+    """Names of terms or keys in their order, which counts."""
+
+
+def _differing(values: Sequence[Any], path: KeyPath = ()) -> Iterator[tuple[KeyPath, Sequence[Any]]]:
+    """The keys below a path that count and whose values are not all equal."""
+    first = values[0]
     # Models of tasks with terms of their own are made for each file.
-    if isinstance(new, BaseModel) and type(new).__name__ == type(old).__name__:
-        yield from _order_of_terms(new, old, path)
-        for name, value in counted_fields(new, path):
-            yield from _differences(value, getattr(old, name, None), (*path, name))
-    elif isinstance(new, Mapping) and isinstance(old, Mapping):
-        if set(new) == set(old) and list(new) != list(old):
-            yield path, f"the run has them in another order: {', '.join(old)}"
-        for name in dict.fromkeys((*new, *old)):
-            yield from _differences(new.get(name), old.get(name), (*path, name))
-    elif new != old:
-        yield path, f"{_text(new)}, but the run has {_text(old)}"
-
-
-def _order_of_terms(new: BaseModel, old: BaseModel, path: KeyPath) -> Iterator[tuple[KeyPath, str]]:
-    if isinstance(new, TermTable) and isinstance(old, TermTable):
-        ours, theirs = list(new.active(TermParams)), list(old.active(TermParams))
-        if set(ours) == set(theirs) and ours != theirs:
-            yield path, f"the run has them in another order: {', '.join(theirs)}"
+    if isinstance(first, BaseModel) and len({type(value).__name__ for value in values}) == 1:
+        items = [dict(counted_fields(value, path)) for value in values]
+        orders = [Order(value.active(TermParams)) for value in values if isinstance(value, TermTable)]
+    elif all(isinstance(value, Mapping) for value in values):
+        items, orders = values, [Order(value) for value in values]
+    else:
+        if any(value != first for value in values):
+            yield path, values
+        return
+    if len({frozenset(order) for order in orders}) == 1 < len(set(orders)):
+        yield path, orders
+    for name in dict.fromkeys(name for item in items for name in item):
+        yield from _differing([item.get(name) for item in items], (*path, name))
 
 
 def _text(value: Any) -> str:
-    return flow_yaml(value.model_dump() if isinstance(value, BaseModel) else value)
+    return value if isinstance(value, str) else flow_yaml(_plain(value))
 
 
-def _write(path: Path, document: Document, paths: dict[str, Any]) -> None:
-    atomic_write_text(path, dump_yaml({**document.data, **paths}))
+def _plain(value: Any) -> Any:
+    if isinstance(value, BaseModel):
+        return value.model_dump()
+    return [_plain(item) for item in value] if isinstance(value, list | tuple) else value

@@ -6,35 +6,19 @@ import fcntl
 import os
 import shutil
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from kickbench.errors import KickbenchError
 from kickbench.results import integrity
-from kickbench.results.atomic import (
-    TEMPORARY_PREFIX,
-    atomic_file,
-    atomic_write_bytes,
-    atomic_write_text,
-    sync_folder,
-)
+from kickbench.results.atomic import TEMPORARY_PREFIX, atomic_write_bytes, sync_folder
 from kickbench.results.episodes import episodes_file
 from kickbench.results.metrics import Metrics, metrics_bytes
-
-__all__ = [
-    "RunDirectory",
-    "atomic_file",
-    "atomic_write_bytes",
-    "atomic_write_text",
-    "find_begun_runs",
-]
 
 _BESIDE, _READY = f"{TEMPORARY_PREFIX}force", f"{TEMPORARY_PREFIX}finished"
 """Where a run is made while an older one holds the folder, and where it lies when the older one has made room."""
 _FOLDERS = ("specs", "checkpoints", "tensorboard", "also")
-_EVENT_FILES = "events.out.tfevents.*"
-_CHECKPOINT_FILES = "iteration_*.pt"
 
 _PATIENCE = 0.5
 """How long a run waits for its folder's lock, s."""
@@ -45,10 +29,41 @@ class RunDirectory:
 
     Args:
         path: the folder; it need not exist yet.
+
+    Attributes:
+        path: the folder.
+        specs: folder of the resolved specs.
+        task_spec: the resolved task.
+        method_spec: the resolved method.
+        robot_spec: the resolved robot.
+        representations_spec: the resolved table of field representations.
+        terms: the file of the task's own terms, if it has one.
+        initial_policy: the policy that the run began with, if that was another run's.
+        model: folder of the robot's MJCF and of every file it reads, as the run used them.
+        metrics: the result; written last, so its presence says that the run is finished.
+        progress: one row per training iteration.
+        checkpoints: folder of the checkpoints: everything that training needs to go on.
+        policy: the trained policy.
+        tensorboard: folder of the TensorBoard event files.
+        log: what the run has printed, where `kickbench reproduce` has started it.
     """
 
     def __init__(self, path: Path | str) -> None:
         self.path = Path(path)
+        self.specs = self.path / "specs"
+        self.task_spec = self.specs / "task.yaml"
+        self.method_spec = self.specs / "method.yaml"
+        self.robot_spec = self.specs / "robot.yaml"
+        self.representations_spec = self.specs / "representations.yaml"
+        self.terms = self.specs / "terms.py"
+        self.initial_policy = self.specs / "initial_policy.pt"
+        self.model = self.path / integrity.MODEL_FOLDER
+        self.metrics = self.path / "metrics.json"
+        self.progress = self.path / "progress.csv"
+        self.checkpoints = self.path / "checkpoints"
+        self.policy = self.path / "policy.pt"
+        self.tensorboard = self.path / "tensorboard"
+        self.log = self.path / "run.log"
 
     def __fspath__(self) -> str:
         return str(self.path)
@@ -57,84 +72,14 @@ class RunDirectory:
         return f"RunDirectory({str(self.path)!r})"
 
     @property
-    def specs(self) -> Path:
-        """Folder of the resolved specs."""
-        return self.path / "specs"
-
-    @property
-    def task_spec(self) -> Path:
-        """The resolved task."""
-        return self.specs / "task.yaml"
-
-    @property
-    def method_spec(self) -> Path:
-        """The resolved method."""
-        return self.specs / "method.yaml"
-
-    @property
-    def robot_spec(self) -> Path:
-        """The resolved robot."""
-        return self.specs / "robot.yaml"
-
-    @property
-    def representations_spec(self) -> Path:
-        """The resolved table of field representations."""
-        return self.specs / "representations.yaml"
-
-    @property
-    def terms(self) -> Path:
-        """The file of the task's own terms, if it has one."""
-        return self.specs / "terms.py"
-
-    @property
-    def initial_policy(self) -> Path:
-        """The policy that the run began with, if that was another run's."""
-        return self.specs / "initial_policy.pt"
-
-    @property
-    def model(self) -> Path:
-        """Folder of the robot's MJCF and of every file it reads, as the run used them."""
-        return self.path / integrity.MODEL_FOLDER
-
-    @property
     def beside(self) -> RunDirectory:
         """Where a run is made that is to replace the one in this folder: `--force` erases nothing before it ends."""
         return RunDirectory(self.path / _BESIDE)
 
     @property
-    def metrics(self) -> Path:
-        """The result; written last, so its presence says that the run is finished."""
-        return self.path / "metrics.json"
-
-    @property
     def episodes(self) -> Path:
         """The per-episode table of the evaluation."""
         return episodes_file(self.path)
-
-    @property
-    def progress(self) -> Path:
-        """One row a training iteration."""
-        return self.path / "progress.csv"
-
-    @property
-    def checkpoints(self) -> Path:
-        """Folder of the checkpoints: everything that training needs to go on."""
-        return self.path / "checkpoints"
-
-    @property
-    def policy(self) -> Path:
-        """The trained policy."""
-        return self.path / "policy.pt"
-
-    @property
-    def tensorboard(self) -> Path:
-        """Folder of the TensorBoard event files."""
-        return self.path / "tensorboard"
-
-    @property
-    def log(self) -> Path:
-        """What the run has printed, where `kickbench reproduce` has started it."""
-        return self.path / "run.log"
 
     def also(self, task: str) -> Path:
         """The metrics of the run's policy on a task that it was not trained on (not metrics.json: it is no run)."""
@@ -143,17 +88,13 @@ class RunDirectory:
     @property
     def is_occupied(self) -> bool:
         """Whether a process runs in the folder at this moment."""
-        try:
-            descriptor = os.open(self.path, os.O_RDONLY)
-        except OSError:
+        if not self.path.is_dir():
             return False
+        descriptor = os.open(self.path, os.O_RDONLY)
         try:
-            fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
-        except BlockingIOError:
-            return True
+            return not _locked(descriptor, fcntl.LOCK_SH)
         finally:
             os.close(descriptor)
-        return False
 
     @property
     def is_finished(self) -> bool:
@@ -177,10 +118,11 @@ class RunDirectory:
         Raises:
             KickbenchError: another process runs in it, or it cannot be made.
         """
-        self._make(self.path)
+        self._make()
         descriptor = os.open(self.path, os.O_RDONLY)
         try:
-            if not _locked(descriptor):
+            # `is_occupied` of another process may hold the lock for a moment.
+            if not _locked(descriptor, fcntl.LOCK_EX, _PATIENCE):
                 raise KickbenchError(f"{self.path}: another process runs in it")
             yield
         finally:
@@ -188,7 +130,7 @@ class RunDirectory:
 
     def reopen(self) -> None:
         """Make a run ready to go on: remove its result and what a kill left half written, keep its training."""
-        for file in (self.metrics, self.episodes, self.policy, *self._also_files(), *self._half_written()):
+        for file in (self.metrics, self.episodes, self.policy, *self._mended_files()):
             file.unlink(missing_ok=True)
 
     def prepare(self, force: bool = False) -> RunDirectory:
@@ -204,11 +146,15 @@ class RunDirectory:
         Raises:
             KickbenchError: a run is there and `force` is not set, or the path is not a folder.
         """
-        self._make(self.path)
+        self._make()
         if not self.holds_a_run:
             return self
+        if not force and not self.metrics.exists():
+            choice = "an unfinished run; --resume goes on with it, --force starts again"
+            raise KickbenchError(f"{self.path}: holds {choice}")
         if not force:
-            raise KickbenchError(f"{self.path}: holds {self._state_and_choice()}")
+            state = "a damaged run" if self.damage else "a finished run"
+            raise KickbenchError(f"{self.path}: holds {state}; --force runs it again and overwrites it")
         self.beside.clear()
         return self.beside
 
@@ -238,17 +184,11 @@ class RunDirectory:
             file.replace(place)
         shutil.rmtree(ready)
 
-    def _state_and_choice(self) -> str:
-        if not self.metrics.exists():
-            return "an unfinished run; --resume goes on with it, --force starts again"
-        state = "a damaged run" if self.damage else "a finished run"
-        return f"{state}; --force runs it again and overwrites it"
-
-    def _make(self, folder: Path) -> None:
+    def _make(self) -> None:
         if self.path.exists() and not self.path.is_dir():
             raise KickbenchError(f"{self.path}: expected a folder for the run, found a file")
         try:
-            folder.mkdir(parents=True, exist_ok=True)
+            self.path.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise KickbenchError(f"{self.path}: cannot make the run's folder: {error.strerror}") from None
 
@@ -265,25 +205,23 @@ class RunDirectory:
     def _own_files(self) -> Iterator[Path]:
         models = integrity.written_model_files(self.path)
         yield from (self.path / name for name in (*integrity.FIXED, *models, integrity.FILE))
-        yield from self.tensorboard.glob(_EVENT_FILES)
-        yield from self.checkpoints.glob(_CHECKPOINT_FILES)
-        yield from self._also_files()
-        yield from self._half_written()
+        yield from self.tensorboard.glob("events.out.tfevents.*")
+        yield from self.checkpoints.glob("iteration_*.pt")
+        yield from self._mended_files()
 
-    def _also_files(self) -> Iterator[Path]:
+    def _mended_files(self) -> Iterator[Path]:
+        """What is made again when a run goes on: results on further tasks, and what a kill left half written."""
         yield from (self.path / "also").glob("*.json")
-
-    def _half_written(self) -> Iterator[Path]:
         for folder in (self.path, self.specs, self.checkpoints, self.path / "also"):
             yield from (file for file in folder.glob(f"{TEMPORARY_PREFIX}*") if not file.is_dir())
 
 
-def _locked(descriptor: int) -> bool:
-    """Takes the lock of a folder; `is_occupied` of another process may hold it for a moment."""
-    deadline = time.monotonic() + _PATIENCE
+def _locked(descriptor: int, kind: int, patience: float = 0.0) -> bool:
+    """Takes the lock of a folder."""
+    deadline = time.monotonic() + patience
     while True:
         try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(descriptor, kind | fcntl.LOCK_NB)
             return True
         except BlockingIOError:
             if time.monotonic() > deadline:
@@ -294,11 +232,7 @@ def _locked(descriptor: int) -> bool:
 def find_begun_runs(root: Path | str) -> list[RunDirectory]:
     """The runs in `root` (itself or any folder below), finished or not, in the order of their paths."""
     root = Path(root)
-    candidates = {file.parent for name in ("metrics.json", "progress.csv") for file in root.rglob(name)}
-    candidates |= {file.parent.parent for file in root.rglob("specs/method.yaml")}
-    return _directories(candidates)
-
-
-def _directories(folders: Iterable[Path]) -> list[RunDirectory]:
-    """The folders in the order of their paths, without those of runs that are being made beside another."""
+    folders = {file.parent for name in ("metrics.json", "progress.csv") for file in root.rglob(name)}
+    folders |= {file.parent.parent for file in root.rglob("specs/method.yaml")}
+    # Without those of runs that are being made beside another.
     return [RunDirectory(path) for path in sorted(folders) if path.name not in (_BESIDE, _READY)]

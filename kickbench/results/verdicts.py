@@ -7,26 +7,29 @@ unfinished or smaller than planned. A claim about each seed is met if it is by e
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Literal
 
 import pandas as pd
+from pydantic import Field, TypeAdapter, ValidationError
 
 from kickbench.config.claims import AnyClaim, NearReported, Operand, RatioAtLeast, RatioAtMost
-from kickbench.results.columns import NOTHING, non_finite_note, render_block
+from kickbench.errors import KickbenchError
+from kickbench.results.atomic import Record, problems_of
 from kickbench.results.contrast import (
     Contrast,
     Estimated,
+    Parts,
     RunTerms,
     contrast_of,
     estimate,
     over_episodes,
     run_terms,
 )
-from kickbench.results.run_figures import lack_of, non_finite_share
-from kickbench.results.run_units import Unit, unit_of
+from kickbench.results.figures import Unit, lack_of, non_finite_share, unit_of
 from kickbench.results.statistics import Interval
+from kickbench.results.tables import NOTHING, Row, non_finite_note, render_block
 from kickbench.trials.experiment import LoadedExperiment
 
 Outcome = Literal["met", "not met", "holds", "does not hold", "not enough data"]
@@ -37,34 +40,44 @@ FEWEST_SEEDS = 3
 _OF_POLICIES: dict[Outcome, Outcome] = {"met": "holds", "not met": "does not hold"}
 
 
-@dataclass(frozen=True)
-class Verdict:
-    """What the data say of a claim.
-
-    Attributes:
-        name: The claim's name.
-        claim: The claim.
-        outcome: Met, not met, or not enough data; of one or two seeds: holds or does not hold for these policies.
-        figure: What the claim compares with its bound: a figure, a difference or a ratio; of the seed nearest to the
-            bound, if each seed is meant. None if nothing was measured. In the metric's unit.
-        interval: Its 95 % interval, None where it is not known.
-        basis: What the interval covers, in words.
-        reported: The same figure from what the thesis reported; None if it did not.
-        reason: Why there is not enough data.
-        unit: How figures are written.
-        seeds: Seeds of the condition that has the fewest.
-    """
+class RecordedVerdict(Record):
+    """A verdict in the file `verdicts.json`, which is kept beside an experiment's runs."""
 
     name: str
-    claim: AnyClaim
+    """Name of the claim."""
+    statement: str
+    """The claim in words."""
     outcome: Outcome
     figure: float | None
+    """What the claim compares with its bound: a figure, a difference or a ratio; of the seed nearest to the
+    bound, if each seed is meant; null: not measured."""
     interval: Interval | None
+    """Its 95 % interval; null: not known."""
     basis: str
-    reported: float | None
+    """What the interval covers."""
     reason: str | None
-    unit: Unit
-    seeds: int = 0
+    """Why there is not enough data."""
+
+
+class Verdict(RecordedVerdict):
+    """What the data say of a claim."""
+
+    claim: AnyClaim = Field(exclude=True)
+    """The claim."""
+    reported: float | None = Field(exclude=True)
+    """The same figure from what the thesis reported; None if it did not."""
+    seeds: int = Field(exclude=True)
+    """Seeds of the condition that has the fewest."""
+
+    @property
+    def unit(self) -> Unit:
+        """How figures are written."""
+        return unit_of(self.claim)
+
+    @property
+    def measured(self) -> str:
+        """The figure with its interval as text."""
+        return NOTHING if self.figure is None else self.unit.write(self.figure, self.interval)
 
     @property
     def words(self) -> str:
@@ -76,10 +89,9 @@ class Verdict:
     @property
     def sentence(self) -> str:
         """The verdict in one line: claim, outcome, figure with interval, and why."""
-        figure = NOTHING if self.figure is None else self.unit.write(self.figure, self.interval)
         basis = f" ({self.basis})" if self.figure is not None else ""
         reason = f"; {self.reason}" if self.reason else ""
-        return f"{self.claim.statement}: {self.words}. {figure}{basis}{reason}"
+        return f"{self.statement}: {self.words}. {self.measured}{basis}{reason}"
 
 
 def judge(experiment: LoadedExperiment, measured: pd.DataFrame) -> tuple[Verdict, ...]:
@@ -99,23 +111,42 @@ def verdict_lines(experiment: LoadedExperiment, verdicts: Sequence[Verdict]) -> 
     """Verdicts as lines of a table: outcome, figure beside what was reported, and below it what is missing."""
     if not verdicts:
         return [f"{experiment.name}: no claims"]
-    rows = [(_row(verdict),) for verdict in verdicts]
     header = ("claim", "verdict", "measured [95 % interval]", "over", "reported")
-    lines = render_block(f"claims: {experiment.name}", ("",) * len(header), header, rows).splitlines()
-    lines.append("")
+    rows = [(_row(verdict),) for verdict in verdicts]
+    lines = [*render_block(f"claims: {experiment.name}", header, rows).splitlines(), ""]
     for verdict in verdicts:
         section = f" (thesis {verdict.claim.section})" if verdict.claim.section else ""
         section += "" if verdict.claim.decidable else "; three seeds cannot decide it"
-        lines.append(f"{verdict.name}: {verdict.claim.statement}{section}")
+        lines.append(f"{verdict.name}: {verdict.statement}{section}")
         lines += [f"    {verdict.reason}"] if verdict.reason else []
     return lines
 
 
-def _row(verdict: Verdict) -> tuple[str, ...]:
-    unit = verdict.unit
-    measured = NOTHING if verdict.figure is None else unit.write(verdict.figure, verdict.interval)
-    reported = NOTHING if verdict.reported is None else unit.write(verdict.reported)
-    return verdict.name, verdict.words, measured, verdict.basis, reported
+def _row(verdict: Verdict) -> Row:
+    reported = NOTHING if verdict.reported is None else verdict.unit.write(verdict.reported)
+    return verdict.name, verdict.words, verdict.measured, verdict.basis, reported
+
+
+_FILE = TypeAdapter(list[RecordedVerdict])
+
+
+def verdicts_json(verdicts: Sequence[Verdict]) -> str:
+    """The text of a `verdicts.json`, without a final newline."""
+    return TypeAdapter(list[Verdict]).dump_json(list(verdicts), indent=2).decode()
+
+
+def read_verdicts(path: Path) -> list[RecordedVerdict]:
+    """Reads a `verdicts.json`.
+
+    Raises:
+        KickbenchError: the file is missing or not valid; the message names the file and every wrong key.
+    """
+    try:
+        return _FILE.validate_json(Path(path).read_bytes())
+    except OSError as error:
+        raise KickbenchError(f"{path}: cannot read verdicts: {error.strerror}") from error
+    except ValidationError as error:
+        raise KickbenchError(f"{path}: no valid verdicts: {problems_of(error)}") from error
 
 
 def _judge(name: str, claim: AnyClaim, experiment: LoadedExperiment, measured: pd.DataFrame) -> Verdict:
@@ -127,20 +158,20 @@ def _judge(name: str, claim: AnyClaim, experiment: LoadedExperiment, measured: p
     figure, interval = _shown(claim, estimated, parts) if estimated else (None, None)
     return Verdict(
         name=name,
-        claim=claim,
+        statement=claim.statement,
         outcome=outcome,
         figure=figure,
         interval=interval,
         basis=f"{estimated.basis}{_non_finite(contrast, measured)}" if estimated else NOTHING,
-        reported=_reported_figure(claim, contrast, experiment),
         reason=reason,
-        unit=unit_of(claim),
+        claim=claim,
+        reported=_reported_figure(claim, contrast, experiment),
         seeds=min(map(len, parts.values())),
     )
 
 
 def judge_parts(
-    claim: AnyClaim, contrast: Contrast, parts: Mapping[str, Sequence[RunTerms]]
+    claim: AnyClaim, contrast: Contrast, parts: Parts
 ) -> tuple[Outcome, Estimated | None, str | None]:
     """The verdict on a claim, its figure and why there is not enough data, from what each condition's runs give."""
     if not all(parts.values()):
@@ -161,20 +192,15 @@ def _parts(
     parts: dict[str, list[RunTerms]] = {}
     lacks: list[str] = []
     for arm in dict.fromkeys(operand.arm for _, operand in contrast.terms):
-        rows = measured[measured.condition == arm]
-        runs = {int(run.seed.iloc[0]): run for _, run in rows.groupby("seed", sort=False)}
-        given = {
-            seed: run_terms(run, claim, contrast) if run.counted.any() else None for seed, run in runs.items()
-        }
-        parts[arm] = [terms for terms in given.values() if terms is not None]
         own = [operand for _, operand in contrast.terms if operand.arm == arm]
-        without = {
-            seed: lack_of(run, own) or (None if given[seed] else f"no {claim.metric}")
-            for seed, run in runs.items()
-        }
-        for lack in dict.fromkeys(filter(None, without.values())):
-            seeds = [str(seed) for seed, found in without.items() if found == lack]
-            lacks.append(f"{arm} seed{'s' * (len(seeds) > 1)} {', '.join(seeds)}: {lack}")
+        parts[arm], without = [], {}
+        for seed, run in measured[measured.condition == arm].groupby("seed", sort=False):
+            terms = run_terms(run, claim, contrast) if run.counted.any() else None
+            parts[arm] += [] if terms is None else [terms]
+            if words := lack_of(run, own) or (None if terms else f"no {claim.metric}"):
+                without.setdefault(words, []).append(str(seed))
+        for words, seeds in without.items():
+            lacks.append(f"{arm} seed{'s' * (len(seeds) > 1)} {', '.join(seeds)}: {words}")
     return parts, lacks
 
 
@@ -196,9 +222,7 @@ def _outcome(contrast: Contrast, interval: Interval | None) -> tuple[Outcome, st
     return "not enough data", "the interval reaches across the bound"
 
 
-def _each(
-    contrast: Contrast, parts: Mapping[str, Sequence[RunTerms]]
-) -> tuple[Outcome, Estimated, str | None]:
+def _each(contrast: Contrast, parts: Parts) -> tuple[Outcome, Estimated, str | None]:
     """Every seed by itself, each by its episodes; the seed nearest to the bound is shown.
 
     Of two conditions the runs of the same seed are compared.
@@ -206,41 +230,28 @@ def _each(
     runs = list(zip(*parts.values(), strict=False))
     judged = [(sum(run.value for run in of), over_episodes([[run] for run in of])) for of in runs]
     value, interval = min(judged, key=lambda pair: contrast.margin(pair[0]))
+    basis = f"worst of {len(runs)} seeds" if len(runs) > 1 else "episodes of one seed"
     outcomes = [_outcome(contrast, interval) for _, interval in judged]
-    shown = Estimated(
-        value, interval, f"worst of {len(runs)} seeds" if len(runs) > 1 else "episodes of one seed"
-    )
-    for wanted in ("not met", "not enough data"):
-        for outcome, reason in outcomes:
-            if outcome == wanted:
-                return outcome, shown, reason
-    return "met", shown, None
+    worst = min(outcomes, key=lambda pair: ("not met", "not enough data", "met").index(pair[0]))
+    return worst[0], Estimated(value, interval, basis), worst[1]
 
 
-def _shown(
-    claim: AnyClaim, estimated: Estimated, parts: Mapping[str, Sequence[RunTerms]]
-) -> tuple[float | None, Interval | None]:
+def _shown(claim: AnyClaim, estimated: Estimated, parts: Parts) -> tuple[float | None, Interval | None]:
     """The figure as people read it: of a ratio claim the ratio, of any other the contrast itself."""
     value, interval = estimated.value, estimated.interval
-    if not isinstance(claim, RatioAtMost | RatioAtLeast):
-        return value, _possible(claim, interval)
-    runs = parts[claim.over.arm]
-    figures = [t.figure.value for run in runs for t in run.terms if t.operand is claim.over]
-    over = sum(figures) / len(figures)
-    if over <= 0:
-        return None, None
-    # value - bound over = 0 is where the ratio is the bound: so the interval judges the same way in either form.
-    ratio = claim.bound + value / over
-    if interval is None:
-        return ratio, None
-    return ratio, Interval(claim.bound + interval.low / over, claim.bound + interval.high / over)
-
-
-def _possible(claim: AnyClaim, interval: Interval | None) -> Interval | None:
-    """An interval of a share without what no share can be; that of a few seeds may reach beyond."""
-    if interval is None or len(claim.operands()) > 1 or not unit_of(claim).is_share:
-        return interval
-    return Interval(max(0.0, interval.low), min(1.0, interval.high))
+    if isinstance(claim, RatioAtMost | RatioAtLeast):
+        runs = parts[claim.over.arm]
+        figures = [t.figure.value for run in runs for t in run.terms if t.operand is claim.over]
+        over = sum(figures) / len(figures)
+        if over <= 0:
+            return None, None
+        # value - bound over = 0 is where the ratio is the bound: so the interval judges the same way in either form.
+        value = claim.bound + value / over
+        interval = interval and Interval(*(claim.bound + end / over for end in interval))
+    elif interval and unit_of(claim).is_share and len(claim.operands()) == 1:
+        # The interval of a few seeds may reach beyond what a share can be.
+        interval = Interval(max(0.0, interval.low), min(1.0, interval.high))
+    return value, interval
 
 
 def _reported(operand: Operand, claim: AnyClaim, experiment: LoadedExperiment) -> float | None:

@@ -24,7 +24,7 @@ from kickbench.errors import KickbenchError
 from kickbench.nets.layers import residual_share
 from kickbench.nets.threads import torch_threads
 from kickbench.results.frame import SIDES
-from kickbench.results.history import RunHistory
+from kickbench.results.provenance import RunHistory
 from kickbench.training.checkpoint import Checkpoints
 from kickbench.training.ppo import BoundedPPO, build_ppo, check_samples, checked_update
 from kickbench.training.progress import Progress, Record

@@ -8,7 +8,7 @@ import pytest
 
 from kickbench.cli import main
 from kickbench.errors import KickbenchError
-from kickbench.results.verdict_file import read_verdicts
+from kickbench.results.verdicts import read_verdicts
 from kickbench.trials.experiment import load_experiment
 
 ROOT = Path(__file__).parents[2]

@@ -9,7 +9,8 @@ from pydantic import Field, PrivateAttr
 
 from kickbench.config.base import FileRef, FloatList, NameList, Range, Spec, validate
 from kickbench.config.explain import explain
-from kickbench.config.yamlio import dump_yaml, load_document
+from kickbench.config.yamldump import dump_yaml
+from kickbench.config.yamlio import load_document
 
 
 class Foot(Enum):

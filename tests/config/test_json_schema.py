@@ -2,7 +2,8 @@ import json
 
 from pydantic import Field
 
-from kickbench.config.base import FileRef, PositiveFloat, Range, Spec, json_schema
+from kickbench.config.base import FileRef, PositiveFloat, Range, Spec
+from kickbench.config.json_schema import json_schema
 
 
 class Part(Spec):

@@ -16,7 +16,7 @@ from kickbench.envs.engines import make_engine
 from kickbench.envs.env import KickEnv
 from kickbench.envs.graph import CapturedStep, graph_obstacle
 from kickbench.envs.tensors import flat as paths
-from kickbench.results.history import RunHistory
+from kickbench.results.provenance import RunHistory
 from kickbench.training.checkpoint import Checkpoints
 from kickbench.training.trainer import Trainer
 from kickbench.trials.trial import load_trial

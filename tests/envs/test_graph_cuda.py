@@ -24,7 +24,7 @@ from kickbench.envs.env import KickEnv
 from kickbench.envs.graph import CapturedStep, WithoutGraphs
 from kickbench.envs.initial_states import InitialStateSampler
 from kickbench.envs.tensors import flat
-from kickbench.results.history import RunHistory
+from kickbench.results.provenance import RunHistory
 from kickbench.sim.engine import ModelField
 from kickbench.training.checkpoint import Checkpoints
 from kickbench.training.trainer import Trainer

@@ -6,12 +6,14 @@ from pathlib import Path
 
 import pytest
 
+from kickbench.results.atomic import atomic_write_bytes, atomic_write_text
 from kickbench.results.episodes import EpisodeSides, EpisodeTable
 from kickbench.results.integrity import with_digest
-from kickbench.results.metrics import Metrics, summarise_sides
+from kickbench.results.measure import summarise_sides
+from kickbench.results.metrics import Metrics
 from kickbench.results.progress import row_check
 from kickbench.results.provenance import Provenance
-from kickbench.results.store import RunDirectory, atomic_write_bytes, atomic_write_text
+from kickbench.results.store import RunDirectory
 
 from ..conftest import write_result
 

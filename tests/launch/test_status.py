@@ -8,7 +8,7 @@ from pathlib import Path
 
 from kickbench.cli import main
 from kickbench.launch.record import PlanRecord, RunRecord, write_record
-from kickbench.results.store import atomic_write_text
+from kickbench.results.atomic import atomic_write_text
 
 from ..conftest import write_result
 from .conftest import make_metrics

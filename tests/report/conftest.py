@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from kickbench.results.episodes import EpisodeSides, EpisodeTable, write_episodes
-from kickbench.results.metrics import Metrics, summarise_sides
+from kickbench.results.measure import summarise_sides
+from kickbench.results.metrics import Metrics
 from kickbench.results.provenance import Provenance
 
 from ..conftest import write_result

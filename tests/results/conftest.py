@@ -8,10 +8,19 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from kickbench.results.asymmetry import Asymmetry, EquivarianceError, LegPreference, MirroredPairs
 from kickbench.results.frame import frame_of
 from kickbench.results.identity import Identity, identity_of
-from kickbench.results.metrics import Evaluation, EvaluationMetrics, FootCounts, Kicks, Metrics
+from kickbench.results.metrics import (
+    Asymmetry,
+    EquivarianceError,
+    Evaluation,
+    EvaluationMetrics,
+    FootCounts,
+    Kicks,
+    LegPreference,
+    Metrics,
+    MirroredPairs,
+)
 from kickbench.results.provenance import Provenance
 from kickbench.results.statistics import Interval, wilson
 from kickbench.trials.experiment import LoadedExperiment, load_experiment

@@ -17,12 +17,11 @@ from kickbench.results.contrast import (
     contrast_of,
     estimate,
     over_episodes,
-    over_seeds,
     run_terms,
 )
+from kickbench.results.figures import Figure
 from kickbench.results.frame import frame_of
-from kickbench.results.run_figures import Figure
-from kickbench.results.statistics import Interval, two_proportions, wilson
+from kickbench.results.statistics import Interval, student, two_proportions, wilson
 
 ARM = Operand(arm="a")
 NUMBER = st.floats(-100, 100)
@@ -48,13 +47,13 @@ def test_at_least_and_less_than_contradict_each_other(interval, bound):
 
 @given(st.lists(NUMBER, min_size=2, max_size=6), NUMBER)
 def test_the_interval_over_seeds_moves_with_the_figures(values, shift):
-    first, second = over_seeds(values), over_seeds([value + shift for value in values])
+    first, second = student(values), student([value + shift for value in values])
     assert second == pytest.approx((first.low + shift, first.high + shift), abs=1e-6)
 
 
 def test_the_interval_over_seeds_is_students():
     # Mean 2, s = 1, t(0.975, 2) = 4.3027.
-    assert over_seeds([1.0, 2.0, 3.0]) == pytest.approx((2 - 2.4841, 2 + 2.4841), abs=1e-4)
+    assert student([1.0, 2.0, 3.0]) == pytest.approx((2 - 2.4841, 2 + 2.4841), abs=1e-4)
 
 
 @given(st.integers(0, 200), st.integers(0, 300))

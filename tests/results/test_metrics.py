@@ -10,14 +10,8 @@ from pydantic import ValidationError
 
 from kickbench.errors import KickbenchError
 from kickbench.results.episodes import EpisodeSides, EpisodeTable
-from kickbench.results.metrics import (
-    Metrics,
-    load_metrics,
-    metrics_json_schema,
-    summarise,
-    summarise_sides,
-    write_metrics,
-)
+from kickbench.results.measure import summarise, summarise_sides
+from kickbench.results.metrics import Metrics, load_metrics, metrics_json_schema, write_metrics
 from kickbench.results.provenance import Provenance
 from kickbench.results.statistics import wilson
 

@@ -6,13 +6,8 @@ import pytest
 
 from kickbench.errors import KickbenchError
 from kickbench.results import integrity
-from kickbench.results.store import (
-    RunDirectory,
-    atomic_file,
-    atomic_write_bytes,
-    atomic_write_text,
-    find_begun_runs,
-)
+from kickbench.results.atomic import atomic_file, atomic_write_bytes, atomic_write_text
+from kickbench.results.store import RunDirectory, find_begun_runs
 
 METRICS = "metrics.json"
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import torch
 
-from kickbench.envs.env import make_engine
-from kickbench.sim.cpu import CpuEngine, usable_cores
-from kickbench.sim.engine import ModelField
+from kickbench.envs.engines import make_engine
+from kickbench.sim.cpu import CpuEngine
+from kickbench.sim.engine import ModelField, usable_cores
 from kickbench.symmetry.torch_ops import Mirror
 
 WORLDS = 8

@@ -22,10 +22,10 @@ from kickbench.envs.env import KickEnv
 from kickbench.errors import KickbenchError
 from kickbench.launch import run as runner
 from kickbench.results import specs
-from kickbench.results.history import RunHistory
 from kickbench.results.identity import read_identity
 from kickbench.results.integrity import check
 from kickbench.results.metrics import load_metrics
+from kickbench.results.provenance import RunHistory
 from kickbench.training.checkpoint import FORMAT, Checkpoints
 from kickbench.training.progress import CsvProgress
 from kickbench.training.trainer import Trainer

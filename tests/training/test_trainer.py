@@ -14,7 +14,7 @@ from kickbench.envs.engines import make_engine
 from kickbench.envs.env import KickEnv
 from kickbench.errors import KickbenchError
 from kickbench.nets.build import build_actor
-from kickbench.results.history import RunHistory
+from kickbench.results.provenance import RunHistory
 from kickbench.symmetry.torch_ops import Mirror
 from kickbench.training.checkpoint import Checkpoints, load_policy, save_policy
 from kickbench.training.ppo import build_ppo

@@ -6,13 +6,17 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
+from scipy import stats
 
 from kickbench.cli import main
+from kickbench.results.compare import SeedComparison, StartComparison, compare_on_starts, compare_seeds
 from kickbench.results.episodes import EpisodeSides, EpisodeTable, write_episodes
 from kickbench.results.integrity import seal
-from kickbench.results.metrics import Metrics, load_metrics, summarise_sides
-from kickbench.results.paired import PairedComparison, compare_on_starts
+from kickbench.results.measure import summarise_sides
+from kickbench.results.metrics import Metrics, load_metrics
 from kickbench.results.provenance import Provenance
+from kickbench.results.statistics import mcnemar, welch
 
 from ..conftest import write_result
 
@@ -119,7 +123,7 @@ def test_policies_are_paired_by_start(tmp_path, capsys) -> None:
     tables = [write_run(tmp_path, name, seed, 0.8) for name, seed in (("a", 0), ("a", 1), ("b", 2), ("b", 3))]
     success = np.array([table.success for table in tables], dtype=float)
     expected = compare_on_starts(success[:2], success[2:])
-    assert isinstance(expected, PairedComparison)
+    assert isinstance(expected, StartComparison)
     on_starts = rows(compare(tmp_path, capsys), "a - b")[1]
     assert on_starts[-2] == f"{expected.p_value:.3f}"
     low, high = (100 * end for end in expected.difference.interval)
@@ -216,3 +220,89 @@ def test_a_method_without_a_figure_is_said_to_be_left_out_and_a_scaled_one_to_be
     mirrored_block = text[text.index("success mirrored") : text.index("|success")]
     assert "c: left out, it has runs without this figure" in mirrored_block
     assert "c:" not in text[: text.index("success mirrored")].replace("b - c:", "").replace("a - c:", "")
+
+
+def compared(first, second) -> StartComparison:
+    outcome = compare_on_starts(first, second)
+    assert isinstance(outcome, StartComparison)
+    return outcome
+
+
+def successes(seed: int, policies: int, rate: float, starts: int = 2000) -> np.ndarray:
+    """Successes [policies, starts] of policies that find the same initial states hard."""
+    hardness = np.random.default_rng(99).normal(size=starts)
+    skill = stats.norm.ppf(rate) * np.sqrt(2)
+    own = np.random.default_rng(seed).normal(size=(policies, starts))
+    return (own + skill > hardness).astype(float)
+
+
+def test_one_policy_each_is_mcnemars_test() -> None:
+    x, y = successes(1, 1, 0.7), successes(2, 1, 0.68)
+    only_x, only_y = int((x > y).sum()), int((y > x).sum())
+    outcome = compared(x, y)
+    assert outcome.p_value == pytest.approx(mcnemar(only_x, only_y), abs=0.03)
+    assert outcome.difference.value == pytest.approx((only_x - only_y) / 2000)
+
+
+def test_several_policies_agree_with_flipping_signs_at_random() -> None:
+    x, y = successes(3, 3, 0.70, starts=400), successes(4, 2, 0.67, starts=400)
+    difference = x.mean(axis=0) - y.mean(axis=0)
+    expected = stats.permutation_test(
+        (difference,), np.sum, permutation_type="samples", n_resamples=9999, rng=np.random.default_rng(0)
+    )
+    assert compared(x, y).p_value == pytest.approx(expected.pvalue, abs=0.02)
+
+
+def test_seeds_on_one_initial_state_count_as_one_observation() -> None:
+    """A policy entered three times is no more evidence than once."""
+    x, y = successes(5, 1, 0.7), successes(6, 1, 0.66)
+    thrice = compared(np.repeat(x, 3, axis=0), np.repeat(y, 3, axis=0))
+    assert thrice.p_value == pytest.approx(compared(x, y).p_value)
+
+
+def test_intervals_cover_the_truth_and_the_test_keeps_its_level() -> None:
+    repeats, inside, rejected = 400, 0, 0
+    for seed in range(repeats):
+        source = np.random.default_rng(seed)
+        hardness = source.normal(size=300)
+        x, y = ((source.normal(size=(3, 300)) > hardness).astype(float) for _ in range(2))
+        outcome = compared(x, y)
+        inside += outcome.difference.interval.low <= 0 <= outcome.difference.interval.high
+        rejected += outcome.p_value < 0.05
+    assert 0.92 < inside / repeats < 0.98
+    assert 0.02 < rejected / repeats < 0.08
+
+
+def test_equal_outcomes_are_no_difference_and_few_unequal_ones_no_answer() -> None:
+    x = successes(7, 1, 0.7)
+    assert compared(x, x) == ((0.0, (0.0, 0.0)), 2000, 1.0)
+    other = x.copy()
+    other[0, :5] = 1 - other[0, :5]
+    assert compare_on_starts(x, other) == "the policies differ on 5 of 2000 starts; 30 are the least"
+    assert isinstance(compare_on_starts(x[:, :29], x[:, :29]), str)
+
+
+def test_two_methods_over_three_seeds() -> None:
+    outcome = compare_seeds([0.7, 0.8, 0.9], [0.1, 0.2, 0.3])
+    assert isinstance(outcome, SeedComparison)
+    assert outcome.difference == welch([0.7, 0.8, 0.9], [0.1, 0.2, 0.3])
+    assert outcome.improvement == (1.0, (1.0, 1.0))
+    assert outcome.test == pytest.approx((0.1, 0.1))
+
+
+def test_a_smaller_distance_can_be_the_better_one() -> None:
+    outcome = compare_seeds([0.2, 0.3], [0.8, 0.9], lower_is_better=True)
+    assert isinstance(outcome, SeedComparison)
+    assert outcome.difference.value == pytest.approx(-0.6)
+    assert outcome.improvement.value == 1
+
+
+def test_p_values_are_adjusted_for_all_pairs_that_have_one(tmp_path, capsys) -> None:
+    for method, rate, seeds in (("a", 0.9, 4), ("b", 0.3, 4), ("c", 0.6, 4), ("d", 0.5, 1)):
+        for seed in range(seeds):
+            write_run(tmp_path, method, seed, rate, table=False)
+    text = compare(tmp_path, capsys)
+    first = text[: text.index("success mirrored")]
+    assert [row[-1] for row in rows(first, "a - ")[:2]] == ["0.086", "0.086"], "3 times 2/70"
+    assert rows(first, "a - d")[0][-1] == "-"
+    assert "a - d: the second method has one seed; two are the least" in first

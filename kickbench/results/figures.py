@@ -1,0 +1,289 @@
+"""How each metric that a claim may be about (`kickbench.config.claims.Metric`) follows from one run, and its unit.
+
+Learning curves are those of exploration, from `progress.csv`, smoothed by a moving mean over 2 % of the training.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from kickbench.config.claims import (
+    AnyClaim,
+    AtLeast,
+    AtMost,
+    Metric,
+    NearReported,
+    Operand,
+    RatioAtLeast,
+    RatioAtMost,
+)
+from kickbench.errors import KickbenchError
+from kickbench.results.frame import known
+from kickbench.results.notes import lack, unfinished_words
+from kickbench.results.progress import read_progress
+from kickbench.results.statistics import Interval, wilson
+from kickbench.results.store import RunDirectory
+
+MOST_NON_FINITE = 0.01
+"""Share of a run's episodes that may become non-finite (NaN or infinite) before nothing is concluded from it."""
+KICKING = 0.05
+"""Success rate in exploration from which on a policy counts as kicking."""
+_LAST = 0.1
+"""Share of the iterations, from the last backwards, that the end of a training is taken from."""
+_SMOOTHED = 0.02
+"""Share of the iterations that a smoothed value is the mean of."""
+
+Curve = NDArray[np.float64]
+"""One figure per iteration [n], NaN where it is not known."""
+
+
+class Figure(NamedTuple):
+    """A metric of one run.
+
+    Attributes:
+        value: The figure, in the metric's unit.
+        interval: What its episodes leave open, 95 %; None where no interval is known.
+    """
+
+    value: float
+    interval: Interval | None = None
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A unit and how many digits it is worth.
+
+    Attributes:
+        name: What follows a figure.
+        factor: What a figure is multiplied by.
+        decimals: Digits after the point.
+        is_share: Whether the figure is a share from 0 to 1.
+    """
+
+    name: str
+    factor: float
+    decimals: int
+    is_share: bool = False
+
+    def write(self, value: float, interval: Interval | None = None) -> str:
+        """A figure with its unit, and its interval if there is one."""
+        ends = f" [{self._number(interval.low)}, {self._number(interval.high)}]" if interval else ""
+        return f"{self._number(value)}{ends} {self.name}".rstrip()
+
+    def _number(self, value: float) -> str:
+        return f"{self.factor * value:z.{self.decimals}f}"
+
+
+Measure = Callable[[pd.Series, AnyClaim], Figure | None]
+"""A row of a run, of the side and task that are meant, and the claim -> figure; None if the run does not have it."""
+
+
+def _column(name: str, ends: str = "") -> Measure:
+    """A column of the table of runs, with the interval in the columns `<ends>_low` and `<ends>_high`."""
+
+    def measure(row: pd.Series, _: AnyClaim) -> Figure | None:
+        value = known(row, name)
+        interval = Interval(row[f"{ends}_low"], row[f"{ends}_high"]) if ends else None
+        return None if value is None else Figure(value, interval)
+
+    return measure
+
+
+def _share(count: float, total: float) -> Figure:
+    return Figure(round(count) / total, wilson(round(count), int(total)))
+
+
+def _kicked(row: pd.Series, _: AnyClaim) -> Figure:
+    return _share(row.kicked_fraction * row.episodes, row.episodes)
+
+
+def _terminations(row: pd.Series, claim: AnyClaim) -> Figure:
+    # A termination that ended no episode of any run has no column.
+    share = sum(row.get(f"termination/{name}", 0.0) for name in claim.terminations)
+    return _share(share * row.episodes, row.episodes)
+
+
+def _favourite_foot(row: pd.Series, _: AnyClaim) -> Figure | None:
+    """Share of the kicks by foot made with the foot that made more of them: 1/2 for none preferred, 1 for one leg."""
+    feet = [
+        row[f"kicks/ball_left/{foot}"] + row[f"kicks/ball_right/{foot}"]
+        for foot in ("left_foot", "right_foot")
+    ]
+    return _share(max(feet), sum(feet)) if any(feet) else None
+
+
+def _equivariance(row: pd.Series, _: AnyClaim) -> Figure | None:
+    error = known(row, "equivariance/relative")
+    # Thousands of states of one network: what is left open is far below what anyone would claim of it.
+    return None if error is None else Figure(error, Interval(error, error))
+
+
+def _of_curves(figure: Callable[[Curve, Curve], float | None], name: str, other: str) -> Measure:
+    """A figure of two columns of the progress table; `reward_raw/` stands for the claim's reward."""
+
+    def measure(row: pd.Series, claim: AnyClaim) -> Figure | None:
+        path = RunDirectory(row.path).progress
+        if not path.exists():
+            return None
+        columns = read_progress(path).columns
+        names = (f"{name}{claim.reward}" if name.endswith("/") else name, other)
+        if missing := [column for column in names if column not in columns]:
+            raise KickbenchError(f"{path}: no column {missing[0]}")
+        value = figure(*(columns[column] for column in names))
+        return None if value is None else Figure(value)
+
+    return measure
+
+
+def correlation(first: Curve, second: Curve) -> float | None:
+    """Pearson's correlation over iterations (thesis Fig. 4.1)."""
+    both = np.stack([first, second])
+    both = both[:, np.isfinite(both).all(axis=0)]
+    return float(np.corrcoef(both).item(1)) if both.shape[1] > 2 and both.std(axis=1).all() else None
+
+
+def mean_per_step(sums: Curve, steps: Curve) -> float | None:
+    """Mean per control step, over the episodes of the last tenth of the training, of sums over episodes."""
+    last = np.stack([sums, steps])[:, -max(1, round(_LAST * len(sums))) :]
+    total, count = last[:, np.isfinite(last).all(axis=0)].sum(axis=1)
+    return float(total / count) if count else None
+
+
+def smoothed(curve: Curve) -> Curve:
+    """Moving mean over the last iterations up to each one [n]; NaN is left out."""
+    window = max(1, round(_SMOOTHED * len(curve)))
+    return pd.Series(curve).rolling(window, min_periods=1).mean().to_numpy()
+
+
+def steps_to_kick(success: Curve, steps: Curve) -> float | None:
+    """Control steps until the smoothed success rate reaches `KICKING`; None if it never does."""
+    return _steps_until(success, steps, KICKING)
+
+
+def steps_to_half_success(success: Curve, steps: Curve) -> float | None:
+    """Control steps until the smoothed success rate reaches half of the final one, the mean of the last tenth."""
+    last = success[-max(1, round(_LAST * len(success))) :]
+    final = float(np.nanmean(last)) if np.isfinite(last).any() else 0.0
+    return _steps_until(success, steps, final / 2) if final > 0 else None
+
+
+def _steps_until(success: Curve, steps: Curve, level: float) -> float | None:
+    reached = np.flatnonzero(smoothed(success) >= level)
+    return float(steps[reached[0]]) if len(reached) else None
+
+
+def success_area(success: Curve, _: Curve) -> float | None:
+    """Area under the success rate over control steps, divided by all steps: its mean, a share."""
+    return float(np.nanmean(success)) if np.isfinite(success).any() else None
+
+
+def return_trough(returns: Curve, _: Curve) -> float | None:
+    """Deepest fall of the smoothed return below its highest value so far, over the range of its values.
+
+    With r the smoothed return and M_t = max(r_0, ..., r_t): max_t (M_t - r_t) / (max r - min r). 0 for a return that
+    only rises, 1 for one that loses all it had.
+    """
+    curve = smoothed(returns)
+    curve = curve[np.isfinite(curve)]
+    spread = float(np.ptp(curve)) if curve.size else 0.0
+    return float((np.maximum.accumulate(curve) - curve).max()) / spread if spread else None
+
+
+_PERCENT, _METRES, _MILLIONS = Unit("%", 100.0, 1, is_share=True), Unit("m", 1.0, 3), Unit("M steps", 1e-6, 2)
+METRICS: Mapping[Metric, tuple[Measure, Unit]] = {
+    "success_rate": (_column("success_rate", "success"), _PERCENT),
+    "mean_distance": (_column("mean_distance", "mean_distance"), _METRES),
+    "median_distance": (_column("median_distance", "median_distance"), _METRES),
+    "kicked_fraction": (_kicked, _PERCENT),
+    "mean_episode_steps": (_column("mean_episode_steps"), Unit("steps", 1.0, 1)),
+    "termination_share": (_terminations, _PERCENT),
+    "same_side_share": (_column("kicks/same_side_share", "kicks/same_side"), _PERCENT),
+    "favourite_foot_share": (_favourite_foot, _PERCENT),
+    "touches": (_column("kick/mean_touches"), Unit("touches", 1.0, 2)),
+    "walked_after_touch": (_column("kick/mean_walked_after_touch"), _METRES),
+    "equivariance_error": (_equivariance, Unit("%", 100.0, 2)),
+    "pair_agreement": (_column("pairs/agreement", "pairs/agreement"), _PERCENT),
+    "return_length_correlation": (
+        _of_curves(correlation, "mean_return", "mean_episode_steps"),
+        Unit("", 1.0, 3),
+    ),
+    "raw_reward": (_of_curves(mean_per_step, "reward_raw/", "mean_episode_steps"), Unit("a step", 1.0, 4)),
+    "steps_to_kick": (_of_curves(steps_to_kick, "success_rate", "env_steps"), _MILLIONS),
+    "steps_to_half_success": (_of_curves(steps_to_half_success, "success_rate", "env_steps"), _MILLIONS),
+    "success_area": (_of_curves(success_area, "success_rate", "env_steps"), _PERCENT),
+    "return_trough": (_of_curves(return_trough, "mean_return", "env_steps"), Unit("", 1.0, 2)),
+}
+"""Of each metric, how it follows from a run, and its unit."""
+_POINTS, _RATIO = Unit("points", 100.0, 1), Unit("", 1.0, 2)
+
+
+def unit_of(claim: AnyClaim) -> Unit:
+    """The unit of what a claim compares with its bound."""
+    if isinstance(claim, RatioAtMost | RatioAtLeast):
+        return _RATIO
+    unit = METRICS[claim.metric][1]
+    single = isinstance(claim, AtLeast | AtMost | NearReported)
+    return unit if single or not unit.is_share else _POINTS
+
+
+def figure_of(run: pd.DataFrame, claim: AnyClaim, operand: Operand) -> Figure | None:
+    """The figure that an operand of a claim means, from one run; None if the run does not have it.
+
+    Args:
+        run: The rows of a run of the operand's arm (`kickbench.results.frame`).
+        claim: Says which metric.
+        operand: Says which side, and which task.
+
+    Raises:
+        KickbenchError: `progress.csv` is needed and cannot be read.
+    """
+    row = row_of(run, operand)
+    return None if row is None or row.state != "finished" else METRICS[claim.metric][0](row, claim)
+
+
+def row_of(run: pd.DataFrame, operand: Operand) -> pd.Series | None:
+    """The run's row of the operand's side and task; None if it has none."""
+    # The run's own rows come first, of a transfer task that is called as the run's own none.
+    rows = run[(run.evaluated_on == (operand.task or run.task)) & (run.side == operand.side)]
+    return None if rows.empty else rows.iloc[0]
+
+
+def lack_of(run: pd.DataFrame, operands: Sequence[Operand]) -> str | None:
+    """Why a run cannot count in a claim about these operands, whatever its figures are; None if it can."""
+    if run.state.iloc[0] != "finished" or run.deviation.iloc[0]:
+        return lack(run.iloc[0])
+    rows = (row_of(run, operand) for operand in operands)
+    for row in rows:
+        if row is not None and row.state != "finished":
+            return unfinished_words(row)
+    share = non_finite_share(run, operands)
+    return f"{100 * share:.1f} % of its episodes became non-finite" if share > MOST_NON_FINITE else None
+
+
+def non_finite_share(run: pd.DataFrame, operands: Sequence[Operand]) -> float:
+    """Share of non-finite episodes on the operands' tasks, the larger of the two sides."""
+    tasks = {operand.task or run.task.iloc[0] for operand in operands}
+    shares = run.non_finite[run.evaluated_on.isin(tasks)].dropna()
+    return float(shares.max()) if len(shares) else 0.0
+
+
+def pair_correlation(home: pd.Series) -> float:
+    """Correlation phi of the success on an initial state and on its mirror image; 0 where it is not known.
+
+    With n pairs, of which a succeed on both sides, b and c only on one, and d on neither:
+    phi = (a d - b c) / sqrt((a + b) (c + d) (a + c) (b + d)).
+    """
+    pairs = known(home, "pairs/pairs")
+    if pairs is None:
+        return 0.0
+    b, c = home["pairs/only_original"], home["pairs/only_mirrored"]
+    a = round(home.success_rate * pairs) - b
+    d = pairs - a - b - c
+    spread = (a + b) * (c + d) * (a + c) * (b + d)
+    return (a * d - b * c) / spread**0.5 if spread > 0 else 0.0

@@ -1,0 +1,228 @@
+"""The tables of runs that `kickbench table`, `run`, `eval`, `claims` and `compare` print, in plain fixed columns."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import pandas as pd
+
+from kickbench.errors import printable
+from kickbench.results.frame import HOME, known
+from kickbench.results.notes import differing_lines, left_out_lines, repeat_lines, with_groups
+from kickbench.results.statistics import mean_std_over_seeds
+
+NOTHING = "-"
+"""What stands for a figure that is not there."""
+
+Row = tuple[str, ...]
+
+
+def render_block(title: str, header: Row, blocks: Sequence[Sequence[Row]], groups: Row | None = ("",)) -> str:
+    """A title, two lines of headings, and blocks of rows; nothing is ever cut off.
+
+    Args:
+        title: first line, if there is one.
+        header: for each column its heading.
+        blocks: rows with a cell a column. A block of several rows is set off from the next.
+        groups: for each column the heading of a group of columns that begins there, or nothing; None: no such line.
+    """
+    blocks = [[tuple(map(_one_line, row)) for row in block] for block in blocks]
+    body = [row for block in blocks for row in block]
+    widths = [max(map(len, column)) for column in zip(header, *body, strict=True)]
+    lines = [printable(title)] if title else []
+    lines += [] if groups is None else [_group_line(groups, widths)]
+    lines += [_line(header, widths), "-" * len(_line(header, widths))]
+    for index, block in enumerate(blocks):
+        lines += [_line(row, widths) for row in block]
+        if len(block) > 1 and index < len(blocks) - 1:
+            lines.append("")
+    return "\n".join(lines)
+
+
+def _one_line(cell: str) -> str:
+    """A cell as a terminal can show it, whatever the names in it."""
+    return " ".join(printable(cell).split("\n"))
+
+
+def _group_line(groups: Row, widths: Sequence[int]) -> str:
+    """The headings above the columns that they span."""
+    line = ""
+    for index, title in enumerate(groups):
+        if title:
+            line = line.ljust(sum(widths[:index]) + 2 * index) + title
+    return line
+
+
+def _line(cells: Row, widths: Sequence[int]) -> str:
+    """Cells side by side, two blanks apart: the name to the left, figures to the right."""
+    padded = [cell.rjust(width) for cell, width in zip(cells, widths, strict=True)]
+    padded[0] = cells[0].ljust(widths[0])
+    return "  ".join(padded).rstrip()
+
+
+def mean_and_spread(values: Sequence[float], decimals: int) -> tuple[str, str]:
+    """Mean and sample standard deviation over seeds as text."""
+    if not values:
+        return NOTHING, NOTHING
+    mean, std, _ = mean_std_over_seeds(values)
+    return f"{mean:z.{decimals}f}", NOTHING if std is None else f"{std:.{decimals}f}"
+
+
+def probability(p: float) -> str:
+    """A p-value as text."""
+    return "<0.001" if p < 0.001 else f"{p:.3f}"
+
+
+def non_finite_note(share: float) -> str:
+    """What stands behind a figure of which some episodes became non-finite: ` (2.5 % non-finite)`; else nothing."""
+    if not share > 0:
+        return ""
+    return f" ({'<0.1' if share < 0.001 else f'{100 * share:.1f}'} % non-finite)"
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of a table of runs.
+
+    Attributes:
+        title: Its heading.
+        name: The column of `pairs_of` that it shows.
+        factor: From the unit of that column to the one shown.
+        decimals: Digits shown.
+        group: Heading of a group of columns that begins here.
+        ends: Prefix of the columns of its interval.
+        non_finite: The column of the share of its episodes that became non-finite.
+        kind: A figure has a mean and a spread over seeds, a p-value neither, of a count the common value is shown.
+    """
+
+    title: str
+    name: str
+    factor: float = 100.0
+    decimals: int = 1
+    group: str = ""
+    ends: str = ""
+    non_finite: str = ""
+    kind: Literal["figure", "p", "count"] = "figure"
+
+    def cell(self, run: pd.Series) -> str:
+        """The figure of a run as text."""
+        value, low = known(run, self.name), known(run, f"{self.ends}_low")
+        if value is None:
+            text = NOTHING
+        elif self.kind != "figure":
+            text = probability(value) if self.kind == "p" else f"{value:,.0f}"
+        else:
+            text = self._number(value)
+            text += (
+                f" [{self._number(low)}, {self._number(run[f'{self.ends}_high'])}]" if low is not None else ""
+            )
+        return text + non_finite_note(run.get(self.non_finite, 0.0))
+
+    def _number(self, value: float) -> str:
+        return f"{self.factor * value:z.{self.decimals}f}"
+
+    def summary(self, runs: pd.DataFrame) -> tuple[str, str]:
+        """Mean and standard deviation over seeds as text."""
+        values = runs[self.name]
+        if self.kind == "count":
+            return f"{values.iloc[0]:,.0f}" if values.nunique() == 1 else NOTHING, ""
+        # A mean over some of the seeds would not belong beside a mean over all of them.
+        whole = values.notna().all() and self.kind != "p"
+        mean, spread = mean_and_spread(list(self.factor * values) if whole else [], self.decimals)
+        return mean + (non_finite_note(runs[self.non_finite].mean()) if self.non_finite else ""), spread
+
+
+_SUCCESS = (
+    Column(
+        "in-dist. [95 % CI]", "success_rate", group="success [%]", ends="success", non_finite="non_finite"
+    ),
+    Column("mirrored", "mirrored/success_rate", non_finite="mirrored/non_finite"),
+    Column("gap [pts]", "gap"),
+    Column("in-dist.", "mean_distance", 1, 3, "mean distance [m]"),
+    Column("mirrored", "mirrored/mean_distance", 1, 3),
+    Column("iter.", "iterations", kind="count"),
+    Column("env steps", "env_steps", kind="count"),
+)
+_ASYMMETRY = (
+    Column("err. [%]", "equivariance/relative", decimals=2, group="equiv."),
+    Column("ball's side [95 % CI]", "legs/same_side_share", group="kicks by foot [%]", ends="legs/same_side"),
+    Column("left foot [95 % CI]", "legs/left_foot_share", ends="legs/left_foot"),
+    Column("left", "success/left_rate", group="success [%], ball"),
+    Column("right", "success/right_rate"),
+    Column("p", "success/p_value", kind="p"),
+    Column("alike [%]", "pairs/agreement", group="pairs"),
+)
+"""The equivariance error is relative to the size of the actions, over visited states. p is the two-proportion test's
+for success with the ball on the left against on the right. Pairs start from mirrored states and end the same way."""
+_DEGREES = 180.0 / math.pi
+_KICK = (
+    Column("launch [m/s]", "kick/mean_launch_speed", 1, 2),
+    Column("aim error [deg]", "kick/mean_direction_error", _DEGREES),
+    Column("median", "kick/median_direction_error", _DEGREES),
+    Column("bias", "kick/direction_bias", _DEGREES),
+    Column("touch [s]", "kick/mean_time_to_touch", 1, 2),
+    Column("touches", "kick/mean_touches", 1, 2),
+    Column("walked [m]", "kick/mean_walked_after_touch", 1, 2),
+    Column("falls [%]", "kick/falls"),
+    Column("non-finite [%]", "kick/non_finite"),
+)
+
+
+def render_table(frame: pd.DataFrame, columns: Literal["success", "kick"] = "success") -> str:
+    """The tables of runs, without a final newline: a block per setting, a line per run, seeds of a method together.
+
+    Rates are in percent, the gap (in-distribution minus mirrored success) in percentage points, distances in metres.
+    Several seeds are followed by their mean and their sample standard deviation; a seed with a star is not in them.
+    Below the tables it says in what runs of one name differ, which runs repeat others, and which have no result.
+
+    Args:
+        frame: runs; tasks and methods keep the order in which they first appear.
+        columns: success, and where runs have it how differently their policies treat left and right; or the kick.
+    """
+    finished = with_groups(frame[frame.evaluated_on == frame.task])
+    blocks = []
+    for name, rows in finished[finished.copy_of.isna()].groupby("setting_name", sort=False):
+        methods = [pairs_of(group) for _, group in rows.groupby("group", sort=False)]
+        if columns == "kick":
+            blocks.append(_block(f"task: {name}: kick", _KICK, methods, summary=False))
+        else:
+            blocks.append(_block(f"task: {name}", _SUCCESS, methods))
+            measured = [runs[runs["legs/kicks"].notna()] for runs in methods]
+            blocks.append(_block(f"asymmetry: {name}", _ASYMMETRY, [runs for runs in measured if len(runs)]))
+    lines = [*differing_lines(finished), *repeat_lines(frame), *left_out_lines(frame)]
+    return "\n\n".join(block for block in (*blocks, "\n".join(lines)) if block) or "no finished runs"
+
+
+def pairs_of(rows: pd.DataFrame) -> pd.DataFrame:
+    """A row per run, by seed, with the figures of its mirrored side in columns of the prefix `mirrored/`."""
+    home, mirrored = rows[rows.side == HOME], rows[rows.side != HOME]
+    names = ["success_rate", "mean_distance", "non_finite"]
+    away = mirrored.set_index("path")[names].add_prefix("mirrored/")
+    paired = home.join(away, on="path").sort_values("seed", kind="stable")
+    paired["gap"] = paired.success_rate - paired["mirrored/success_rate"]
+    return paired
+
+
+def _block(
+    title: str, columns: Sequence[Column], methods: Sequence[pd.DataFrame], summary: bool = True
+) -> str:
+    header = ("method", "seed", *(column.title for column in columns))
+    groups = ("", "", *(column.group for column in columns))
+    rows = [_method_rows(columns, runs, summary) for runs in methods]
+    return render_block(title, header, rows, groups) if rows else ""
+
+
+def _method_rows(columns: Sequence[Column], runs: pd.DataFrame, summary: bool) -> list[Row]:
+    rows: list[Row] = [
+        (run.group, f"{run.seed}{'' if run.counted else '*'}", *(column.cell(run) for column in columns))
+        for _, run in runs.iterrows()
+    ]
+    if summary and len(rows) > 1:
+        counted = runs[runs.counted]
+        means, spreads = zip(*(column.summary(counted) for column in columns), strict=True)
+        label = str(runs.group.iloc[0])
+        rows += [(label, "mean", *means), (label, "std", *spreads)]
+    return rows
