@@ -118,8 +118,9 @@ def _default_pose(layout: SceneLayout) -> tuple[float, ...]:
     return tuple(layout.default_qpos[layout.joint_qpos].tolist())
 
 
-def _limits(bounds: np.ndarray) -> tuple[float, ...] | None:
-    return tuple(bounds.tolist()) if np.isfinite(bounds).all() else None
+def _limits(bounds: np.ndarray) -> tuple[float, float] | None:
+    low, high = bounds.tolist()
+    return (low, high) if np.isfinite(bounds).all() else None
 
 
 def _observation(task: CompiledTask, field: Field) -> parts.Observation:

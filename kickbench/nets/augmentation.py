@@ -44,5 +44,5 @@ class Augmentation:
         return obs, None if actions is None else _append(actions, self._actions)
 
 
-def _append(x: Tensor, mirror: Mirror) -> Tensor:
+def _append(x: Any, mirror: Mirror) -> Tensor:
     return torch.cat((x, mirror.to(x.device)(x)))

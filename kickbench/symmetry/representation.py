@@ -105,7 +105,7 @@ class Representation:
         lines = []
         for parity, basis in zip(("even", "odd"), self.isotypic(), strict=True):
             for column in basis.T:
-                places = np.flatnonzero(column)
+                places = np.flatnonzero(column).tolist()
                 terms = "".join(f" {'-' if column[i] < 0 else '+'} {names[i]}" for i in places)[3:]
                 lines.append(f"{parity}: {terms if len(places) == 1 else f'({terms})/sqrt{len(places)}'}")
         return tuple(lines)
