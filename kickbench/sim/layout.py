@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 
 from kickbench.config.robot import ActuatorSpec, FootSpec, RobotSpec
-from kickbench.sim.sensors import ROBOT, SensorGroup, SensorPlan, robot_feet
+from kickbench.sim.sensors import ROBOT, SIDES, SensorGroup, SensorPlan, robot_feet
 from kickbench.symmetry.mirror import Coordinate
 
 Indices = np.ndarray
@@ -113,7 +113,8 @@ def read_layout(
     driven = [spec.joint for spec in actuators if spec.joint is not None]
     joints = np.array([model.joint(ROBOT + name).id for name in driven], dtype=np.int64)
     default = _default_qpos(model, robot, by_name)
-    sides = _body_sides(model, robot)
+    joint_sides = _joint_sides(robot)
+    sides = _body_sides(model, joint_sides)
     frames, contacts, forces = _sensor_maps(model, plans)
     if "body_floor" in needs:  # where the feet alone collide there is nothing to sense of the rest
         contacts.setdefault("body_floor", np.array([], dtype=np.int64))
@@ -137,7 +138,7 @@ def read_layout(
         foot_geoms=tuple(_foot_geoms(model, foot) for _, foot in robot_feet(robot)),
         base_body=model.body(ROBOT + robot.base).id,
         body_sides=sides,
-        actuator_sides=np.array([_side(spec.joint, robot) for spec in actuators]),
+        actuator_sides=np.array([joint_sides.get(str(spec.joint), MIDDLE) for spec in actuators]),
         servos=Servo(*map(np.array, zip(*map(Servo.of, actuators), strict=True))),
         obstacles=_obstacles(model, default, sides),
     )
@@ -167,22 +168,20 @@ def _foot_geoms(model: mujoco.MjModel, foot: FootSpec) -> Indices:
     return np.flatnonzero(model.geom_bodyid == model.body(ROBOT + foot.body).id)
 
 
-def _side(joint: str | None, robot: RobotSpec) -> int:
+def _joint_sides(robot: RobotSpec) -> dict[str, int]:
+    """Sides of the joints that have one."""
     pairs = (robot.symmetry.regular, robot.symmetry.regular_sign)
-    if any(joint in pair.left for pair in pairs):
-        return LEFT
-    return RIGHT if any(joint in pair.right for pair in pairs) else MIDDLE
+    left, right = ({joint for pair in pairs for joint in getattr(pair, side)} for side in SIDES)
+    return dict.fromkeys(left, LEFT) | dict.fromkeys(right, RIGHT)
 
 
-def _body_sides(model: mujoco.MjModel, robot: RobotSpec) -> Indices:
+def _body_sides(model: mujoco.MjModel, joint_sides: Mapping[str, int]) -> Indices:
     sides = np.full(model.nbody, NO_SIDE, dtype=np.int64)
     for body in range(1, model.nbody):  # parents come before their children
-        inherited = sides[model.body_parentid[body]]
-        if inherited == NO_SIDE and not model.body(body).name.startswith(ROBOT):
-            continue
-        joints = np.flatnonzero(model.jnt_bodyid == body)
-        own = [_side(model.joint(joint).name.removeprefix(ROBOT), robot) for joint in joints]
-        sides[body] = own[0] if own else inherited
+        joint, inherited = model.body_jntadr[body], sides[model.body_parentid[body]]
+        moves = joint >= 0 and model.body(body).name.startswith(ROBOT)
+        name = model.joint(joint).name.removeprefix(ROBOT) if moves else ""
+        sides[body] = joint_sides.get(name, MIDDLE) if moves else inherited
     return sides
 
 
