@@ -104,8 +104,10 @@ def _curriculum_problems(task: LoadedTask[Any]) -> Iterator[Problem]:
     ramps = task.spec.curriculum.ramps if task.spec.curriculum else {}
     problems = [problem for key, ramp in ramps.items() if (problem := _ramp_problem(task, key, ramp))]
     yield from problems
-    first = None if problems else _first(task)
-    for key in ramps if first else ():
+    first = _first(task)
+    if problems or first is None:
+        return
+    for key in ramps:
         params = value_at(first.spec, key.split(".")[:2])
         for _, message in params.misfits(first.spec) if isinstance(params, TermParams) else ():
             yield task.document.problem(("curriculum", key, "from"), message)

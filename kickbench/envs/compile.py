@@ -108,7 +108,7 @@ def grown(task: CompiledTask, levels: Mapping[str, float]) -> CompiledTask:
     return replace(task, spec=spec, **_bind_growing(spec))
 
 
-def _bind_growing(spec: TaskSpec) -> dict[str, tuple[Any, ...]]:
+def _bind_growing(spec: TaskSpec) -> dict[str, Any]:
     """The parts of a compiled task whose parameters may grow with a curriculum."""
     terms = catalog(spec.terms)
     rewards = _bind(terms.rewards, spec.rewards)
