@@ -48,6 +48,16 @@ class Catalog:
         tables = (self.observations, self.rewards, self.terminations, self.randomizations)
         return tuple(term for table in tables for term in table.values())
 
+    def tables(self, spec: TaskSpec) -> dict[tuple[str, ...], tuple[Mapping[str, Term], TermTable]]:
+        """Every table of terms in a task by its keys: the terms that are known, and those that the task names."""
+        return {
+            ("observations", "actor"): (self.observations, spec.observations.actor),
+            ("observations", "critic"): (self.observations, spec.observations.critic),
+            ("rewards",): (self.rewards, spec.rewards),
+            ("terminations",): (self.terminations, spec.terminations),
+            ("randomization",): (self.randomizations, spec.randomization),
+        }
+
 
 def catalog(own: str | Path | None = None) -> Catalog:
     """The terms that a task may use.

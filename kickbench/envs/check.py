@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -11,7 +11,7 @@ from pydantic import ValidationError
 
 from kickbench.config.curriculum import Ramp
 from kickbench.config.load import LoadedTask
-from kickbench.config.terms import TermParams, TermTable
+from kickbench.config.terms import TermParams
 from kickbench.envs.catalog import Catalog
 from kickbench.envs.curriculum import spec_at, value_at
 from kickbench.envs.initial_states import LEAST_FREE, free_share
@@ -24,14 +24,7 @@ from kickbench.sim.sensors import available_groups
 def task_problems(task: LoadedTask[Any], terms: Catalog) -> Iterator[Problem]:
     """What can be said before there is a scene: terms that it could not serve, empty tables, a wrong curriculum."""
     spec, document = task.spec, task.document
-    tables: dict[tuple[str, ...], tuple[Mapping[str, Term], TermTable]] = {
-        ("observations", "actor"): (terms.observations, spec.observations.actor),
-        ("observations", "critic"): (terms.observations, spec.observations.critic),
-        ("rewards",): (terms.rewards, spec.rewards),
-        ("terminations",): (terms.terminations, spec.terminations),
-        ("randomization",): (terms.randomizations, spec.randomization),
-    }
-    for path, (known, table) in tables.items():
+    for path, (known, table) in terms.tables(spec).items():
         active = table.active(TermParams)
         if not active and path != ("randomization",):
             yield document.problem(path, "no term is on", f"one of: {', '.join(known)}")
@@ -105,7 +98,9 @@ def _curriculum_problems(task: LoadedTask[Any]) -> Iterator[Problem]:
     problems = [problem for key, ramp in ramps.items() if (problem := _ramp_problem(task, key, ramp))]
     yield from problems
     first = None if problems else _first(task)
-    for key in ramps if first else ():
+    if first is None:
+        return
+    for key in ramps:
         params = value_at(first.spec, key.split(".")[:2])
         for _, message in params.misfits(first.spec) if isinstance(params, TermParams) else ():
             yield task.document.problem(("curriculum", key, "from"), message)

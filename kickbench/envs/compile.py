@@ -11,11 +11,11 @@ from kickbench.config.load import Loaded, LoadedTask, load_task
 from kickbench.config.robot import RobotSpec
 from kickbench.config.shipped import find
 from kickbench.config.task import TaskSpec
-from kickbench.config.terms import ObservationParams, RewardParams, TermParams, TermTable
+from kickbench.config.terms import ObservationParams, RewardParams, TermParams
 from kickbench.envs.catalog import catalog, model_of_task
 from kickbench.envs.check import scene_problems, task_problems
 from kickbench.envs.curriculum import spec_at
-from kickbench.envs.term import Bound, Field, Term, field_size
+from kickbench.envs.term import Bound, Field, field_size
 from kickbench.errors import SpecError
 from kickbench.sim.build import Scene, build_scene
 from kickbench.sim.sensors import SensorGroup, available_groups
@@ -71,30 +71,23 @@ def compile_task(task: LoadedTask[Any]) -> CompiledTask:
         SpecError: A term needs a sensor that the robot's scene lacks, the robot's MJCF lacks a name, ...
     """
     spec: TaskSpec = task.spec
-    terms = catalog(spec.terms)
-    if problems := list(task_problems(task, terms)):
+    if problems := list(task_problems(task, catalog(spec.terms))):
         raise SpecError(problems)
-    observed = {
-        group: _bind(terms.observations, getattr(spec.observations, group)) for group in ("actor", "critic")
-    }
-    growing = _bind_growing(spec)
-    terminations = _bind(terms.terminations, spec.terminations)
-    used = [
-        *observed["actor"],
-        *observed["critic"],
-        *terminations,
-        *(bound for bound, _ in growing["rewards"]),
-    ]
-    used += [*growing["randomizers"], *growing["processes"]]
-    needs: frozenset[SensorGroup] = frozenset(group for bound in used for group in bound.term.needs)
+    bound = _bound(spec)
+    needs: frozenset[SensorGroup] = frozenset(
+        group for bounds in bound.values() for item in bounds for group in item.term.needs
+    )
     # Which foot kicks is a result of every task, so robots with feet always sense it.
     needs |= available_groups(task.robot.spec) & {"foot_ball"}
     scene = build_scene(spec, task.robot, needs)
     if problems := list(scene_problems(task, scene.layout)):
         raise SpecError(problems)
     sizes = len(scene.layout.joint_names), len(scene.layout.actuator_names)
-    groups = {group: _fields(bounds, *sizes) for group, bounds in observed.items()}
-    return CompiledTask(task.name, spec, task.robot, scene, groups, terminations=terminations, **growing)
+    groups = {group: _fields(bound["observations", group], *sizes) for group in ("actor", "critic")}
+    terminations = bound["terminations",]
+    return CompiledTask(
+        task.name, spec, task.robot, scene, groups, terminations=terminations, **_growing(bound)
+    )
 
 
 def grown(task: CompiledTask, levels: Mapping[str, float]) -> CompiledTask:
@@ -105,23 +98,25 @@ def grown(task: CompiledTask, levels: Mapping[str, float]) -> CompiledTask:
         levels: Level of every ramp by its key, in [0, 1].
     """
     spec = spec_at(task.spec, levels)
-    return replace(task, spec=spec, **_bind_growing(spec))
+    return replace(task, spec=spec, **_growing(_bound(spec)))
 
 
-def _bind_growing(spec: TaskSpec) -> dict[str, tuple[Any, ...]]:
-    """The parts of a compiled task whose parameters may grow with a curriculum."""
-    terms = catalog(spec.terms)
-    rewards = _bind(terms.rewards, spec.rewards)
-    randomizations = _bind(terms.randomizations, spec.randomization)
+def _bound(spec: TaskSpec) -> dict[tuple[str, ...], tuple[Bound, ...]]:
+    """The terms that are on, with their parameters, by the keys of their table."""
     return {
-        "rewards": tuple((b, b.params.weight) for b in rewards if isinstance(b.params, RewardParams)),
-        "randomizers": tuple(bound for bound in randomizations if bound.term.stage == "initial"),
-        "processes": tuple(bound for bound in randomizations if bound.term.stage != "initial"),
+        path: tuple(Bound(known[name], params) for name, params in table.active(TermParams).items())
+        for path, (known, table) in catalog(spec.terms).tables(spec).items()
     }
 
 
-def _bind(known: Mapping[str, Term], table: TermTable) -> tuple[Bound, ...]:
-    return tuple(Bound(known[name], params) for name, params in table.active(TermParams).items())
+def _growing(bound: Mapping[tuple[str, ...], tuple[Bound, ...]]) -> dict[str, Any]:
+    """The parts of a compiled task whose parameters may grow with a curriculum."""
+    rewards, randomizations = bound["rewards",], bound["randomization",]
+    return {
+        "rewards": tuple((b, b.params.weight) for b in rewards if isinstance(b.params, RewardParams)),
+        "randomizers": tuple(b for b in randomizations if b.term.stage == "initial"),
+        "processes": tuple(b for b in randomizations if b.term.stage != "initial"),
+    }
 
 
 def _fields(bounds: tuple[Bound, ...], joints: int, actions: int) -> tuple[Field, ...]:

@@ -271,9 +271,9 @@ class KickEnv(VecEnv):
         self.engine.reset(mask, states.qpos, states.qvel)
         self._vary(mask, states.by_side)
         target = torch.where(mask.unsqueeze(1), states.target.float(), self.episode.target)
-        self.episode.clear(mask)
+        self.episode.reset(mask)
         self.episode.target = target
-        self.record.clear(mask)
+        self.record.reset(mask)
         for process in self._processes.values():
             process.reset(mask)
         self._observe()

@@ -42,9 +42,9 @@ class EpisodeRecord(Tensors):
             peak_ball_speed=torch.zeros(envs, device=device),
         )
 
-    def clear(self, mask: Tensor) -> None:
+    def reset(self, mask: Tensor) -> None:
         """Starts new records in the envs in `mask` [B]."""
-        super().clear(mask)
+        super().reset(mask)
         self.kick_step.masked_fill_(mask, -1)
 
     def note_touch(self, state: State, failed: Tensor, has_feet: bool) -> None:

@@ -15,7 +15,6 @@ import ctypes
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Protocol
 
 import torch
 from tensordict import TensorDict
@@ -27,18 +26,6 @@ from kickbench.sim.engine import Engine
 
 StepResult = tuple[TensorDict, Tensor, Tensor, dict[str, Tensor]]
 """Observations, rewards, dones and extras of a step, as rsl_rl takes them."""
-
-
-class Steps(Protocol):
-    """What a training steps: an environment, or its captured step."""
-
-    def get_observations(self) -> TensorDict:
-        """Observations of the present state by group, {group: [B, width]}."""
-        ...
-
-    def step(self, actions: Tensor) -> StepResult:
-        """Advances every env by one control step."""
-        ...
 
 
 _LEAST_DRIVER = (12, 4)
@@ -140,7 +127,7 @@ class CapturedStep:
         return recorded.replay
 
 
-def fastest_steps(env: KickEnv, *, graph: bool = True) -> Steps:
+def fastest_steps(env: KickEnv, *, graph: bool = True) -> KickEnv | CapturedStep:
     """The captured step of an environment on a CUDA device; elsewhere the environment, which copies nothing."""
     return CapturedStep(env, graph=graph) if env.device.type == "cuda" else env
 

@@ -30,7 +30,7 @@ from torch import Tensor
 
 from kickbench.config.base import NameList, PositiveInt, Range
 from kickbench.config.terms import JointName, JointNames, TermParams
-from kickbench.envs.term import COMMON, Kind, Term
+from kickbench.envs.term import COMMON, Kind, Size, Term
 from kickbench.errors import KickbenchError, Mark, Problem, SpecError, shown
 from kickbench.sim.sensors import SensorGroup
 
@@ -72,12 +72,10 @@ def reward(units: str = "1", source: str = "", needs: tuple[SensorGroup, ...] = 
 
 
 def observation(
-    size: int | str, units: str = "1", source: str = "", needs: tuple[SensorGroup, ...] = ()
+    size: Size, units: str = "1", source: str = "", needs: tuple[SensorGroup, ...] = ()
 ) -> Marker:
     """Marks a function `(state, parameters...) -> Tensor[B, size]` as an observation."""
-    return Marker.model_validate(
-        {"kind": "observation", "size": size, "units": units, "source": source, "needs": needs}
-    )
+    return Marker(kind="observation", size=size, units=units, source=source, needs=needs)
 
 
 def termination(source: str = "", needs: tuple[SensorGroup, ...] = ()) -> Marker:

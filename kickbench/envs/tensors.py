@@ -51,7 +51,7 @@ class Tensors(dict[str, Any]):
         for path, tensor in here.items():
             tensor.copy_(there[path])
 
-    def clear(self, mask: Tensor) -> None:
+    def reset(self, mask: Tensor) -> None:
         """Sets the rows of the envs in `mask` [B] to zero."""
         for tensor in self.values():
             tensor.masked_fill_(mask.view(-1, *[1] * (tensor.dim() - 1)), 0)
