@@ -158,9 +158,8 @@ def film_runs(
         check_mp4(*size)
     policies = [fitting(task, load_run(run, unfinished=True)) for run in runs] or [None]
     titles = [_title(run) for run in runs] if len(runs) > 1 else [""]
-    sessions = [
-        (title, Session(task, policy, seed, episodes)) for title, policy in zip(titles, policies, strict=True)
-    ]
+    named = zip(policies, titles, strict=True)
+    sessions = [Session(task, policy, seed, episodes, title) for policy, title in named]
     frames = tracked(film(task, sessions, episodes, *size, mirrored=mirrored), "drawing", "frames")
     (write_mp4 if is_mp4 else write_webp)(out, frames, frame_time(task))
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from kickbench.envs.env import KickEnv
-from kickbench.evaluation.episodes import draw_starts, mirror_starts, run_episodes
+from kickbench.evaluation.episodes import draw_starts, mirror_starts, run_episodes, run_sides
 from kickbench.nets.build import build_actor
 
 
@@ -114,6 +114,15 @@ def test_the_mirrored_side_starts_from_exact_mirror_images(short):
     assert (starts.target[:, 1] >= 0).all(), "home field: targets on the left"
     again = mirror_starts(short.task, images)
     assert torch.equal(again.qpos, starts.qpos)
+
+
+def test_an_evaluation_meets_its_own_episodes_and_their_mirror_images(short):
+    sides, _ = run_sides(short.task, kicker(short), episodes=12)
+    home, mirrored = sides.in_distribution, sides.mirrored
+    assert (home.start_ball_y > 0.0).all()
+    np.testing.assert_array_equal(mirrored.start_ball_x, home.start_ball_x)
+    np.testing.assert_array_equal(mirrored.start_ball_y, -home.start_ball_y)
+    np.testing.assert_array_equal(mirrored.target_y, -home.target_y)
 
 
 def test_an_equivariant_policy_fares_alike_on_both_sides(short):
