@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import io
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
@@ -102,21 +101,17 @@ def last_rows(path: Path, count: int) -> list[dict[str, str]]:
         return []
     try:
         with open(path, "rb") as file:
-            header = file.readline()
+            header = file.readline().decode("utf-8", errors="replace")
             start = file.tell()
-            file.seek(max(start, file.seek(0, io.SEEK_END) - _TAIL_BYTES))
-            at_start = file.tell() == start
-            body = file.read()
-    except OSError:
-        return []
-    lines = body[: body.rfind(b"\n") + 1].decode("utf-8", errors="replace").splitlines()
-    try:
-        columns = next(csv.reader([header.decode("utf-8", errors="replace")]), [])
+            begin = max(start, path.stat().st_size - _TAIL_BYTES)
+            file.seek(begin)
+            body = file.read().decode("utf-8", errors="replace")
         # A read from the middle of the file begins in the middle of a row.
-        rows = [row for row in csv.reader(lines if at_start else lines[1:]) if len(row) == len(columns)]
-    except csv.Error:  # not a progress table of ours
+        lines = body[: body.rfind("\n") + 1].splitlines()[begin > start :]
+        rows = list(csv.DictReader([header, *lines]))
+    except (OSError, csv.Error):
         return []
-    return [dict(zip(columns, row, strict=True)) for row in rows[-count:]]
+    return [row for row in rows if None not in row and None not in row.values()][-count:]
 
 
 def read_done(path: Path) -> int | None:
