@@ -65,7 +65,7 @@ def _call(argv: list[str]) -> int:
         command(prog_name="kickbench")  # a shell asks for completions
     try:
         with command.make_context("kickbench", argv) as context:
-            return command.invoke(context)
+            return command.invoke(context) or 0
     except typer.Exit as end:
         raise SystemExit(end.exit_code) from None
     except typer.TyperException as error:

@@ -55,10 +55,11 @@ app.add_typer(symmetry, name="symmetry", rich_help_panel="Define")
 
 def verb(
     panel: str, example: str, name: str | None = None, of: typer.Typer = app
-) -> Callable[[Callable[..., int]], Callable[..., int]]:
-    """Makes a function a verb. Its docstring is the help, its parameters are the arguments, it returns the exit code.
+) -> Callable[[Callable[..., int | None]], Callable[..., int | None]]:
+    """Makes a function a verb: its docstring is the help, its parameters are the arguments.
 
-    What takes long to import is imported in the function: every verb is defined whenever one of them is called.
+    It returns its exit code, or nothing for 0. What takes long to import is imported in the function: every verb is
+    defined whenever one of them is called.
 
     Args:
         panel: The group in `kickbench --help`.

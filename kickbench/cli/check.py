@@ -73,7 +73,7 @@ def bench(
     overrides: cli.Set = cli.NONE,
     device: cli.Device = "cpu",
     threads: cli.Threads = None,
-) -> int:
+) -> None:
     """Measure speed, as ratios within one run."""
     file = find(task, "task")
     cli.refuse_contradiction(overrides, _NUM_ENVS, "--num-envs", num_envs)
@@ -96,7 +96,6 @@ def bench(
     print_report(report)
     for name, trial in chosen[0].items() if profile else ():
         print(f"\none iteration of {name}:\n{profile_iteration(trial, device, threads)}")
-    return 0
 
 
 def _trials(task: Path, folder: Path | None, overrides: list[str]) -> dict[str, Trial]:

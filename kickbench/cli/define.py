@@ -22,7 +22,7 @@ def list_files(
     folder: Path | None = cli.argument(
         "Folder whose files and runs are listed instead.", "DIR", default=None
     ),
-) -> int:
+) -> None:
     """List tasks, methods, robots and experiments by name, or what is below a folder."""
     if folder is not None and not folder.is_dir():
         raise KickbenchError(f"{folder}: no such folder")
@@ -35,7 +35,6 @@ def list_files(
             print("\n".join([f"{kind}:", *lines]))
     if folder is not None:
         _print_runs(folder)
-    return 0
 
 
 @cli.verb("Define", "new task my_task --from mini_general")
@@ -43,7 +42,7 @@ def new(
     kind: Literal["task", "method"] = cli.argument("What to define.", "KIND"),
     name: str = cli.argument("Its name; the file is NAME.yaml.", "NAME"),
     base: Path = cli.option("What it extends: a YAML file or a name.", "--from", metavar="BASE", default=...),
-) -> int:
+) -> None:
     """Write a YAML file that extends another one, with every value as a comment to edit."""
     from kickbench.config.yamldump import dump_yaml
     from kickbench.config.yamlio import load_document
@@ -62,14 +61,13 @@ def new(
     own = dump_yaml({"extends": str(place), "description": f"{out.stem}: {data.get('description', '')}"})
     atomic_write_text(out, f"{head}{own}\n{text}")
     print(shown(out))
-    return 0
 
 
 @cli.verb("Define", "validate my_task.yaml mini/equivariant")
 def validate(
     files: list[Path] = cli.argument("YAML files of any kind, or names.", "FILE...", *_KINDS),
     overrides: cli.Set = cli.NONE,
-) -> int:
+) -> None:
     """Check YAML files, a single task with every method among them, and report all errors."""
     paths = [find(file, *_KINDS) for file in files]
     from kickbench.trials.validate import check_files
@@ -83,7 +81,6 @@ def validate(
             print(f"{shown(report.name)}: note: {printable(note)}")
     if problems:
         raise SpecError(problems)
-    return 0
 
 
 @cli.verb("Define", "show mini_home_field --set ball.mass=0.2")
@@ -96,7 +93,7 @@ def show(
         "Print how a task's observations and actions mirror, by this method, instead.", metavar="METHOD"
     ),
     overrides: cli.Set = cli.NONE,
-) -> int:
+) -> None:
     """Print a resolved spec and where each value came from."""
     cli.exclude("--fields", fields, "--plot", plot)
     path = find(file, *_KINDS)
@@ -113,7 +110,6 @@ def show(
     kind = kind_of(load_document(path, overrides))
     loaded = load(model_of_task if kind == "task" else model_of(kind), path, overrides)
     print(explain(loaded.spec, loaded.document).rstrip("\n"))
-    return 0
 
 
 @cli.verb("Define", "terms rewards")
@@ -122,7 +118,7 @@ def terms(
     own: Path | None = cli.option(
         "With those of a Python file (a task's key `terms`).", "--own", metavar="FILE"
     ),
-) -> int:
+) -> None:
     """List all terms with parameters, units and source."""
     if own is not None and not own.is_file():
         raise KickbenchError(f"{own}: no such file")
@@ -138,17 +134,15 @@ def terms(
                     print(f"every {term.kind} accepts\n{common}\n")
             last = term.kind
             print(term.describe())
-    return 0
 
 
 @cli.verb("Define", "schema task")
-def schema(kind: Kind = cli.argument("Kind of file.", "KIND")) -> int:
+def schema(kind: Kind = cli.argument("Kind of file.", "KIND")) -> None:
     """Print the JSON Schema of a kind of file."""
     from kickbench.config.json_schema import json_schema
     from kickbench.trials.validate import model_of
 
     print(json.dumps(json_schema(model_of(kind)), indent=2))
-    return 0
 
 
 @cli.verb("Define", "symmetry derive my_robot.xml", of=cli.symmetry)
@@ -169,7 +163,7 @@ def derive(
     return 1 if derivation.unclear else 0
 
 
-def _plot(file: Path, out: Path, overrides: list[str]) -> int:
+def _plot(file: Path, out: Path, overrides: list[str]) -> None:
     """Draws a task's sampling regions from above."""
     from kickbench.config.yamlio import load_document
     from kickbench.envs.compile import read_task
@@ -181,10 +175,9 @@ def _plot(file: Path, out: Path, overrides: list[str]) -> int:
         raise KickbenchError(f"--plot draws the sampling regions of a task; {file} is a {kind} file")
     plot_regions(read_task(file, overrides), out)
     print(shown(out))
-    return 0
 
 
-def _show_fields(task: Path, method: Path, overrides: list[str]) -> int:
+def _show_fields(task: Path, method: Path, overrides: list[str]) -> None:
     """Prints field tables, and the actions in both bases."""
     from kickbench.trials.trial import load_trial
 
@@ -194,7 +187,6 @@ def _show_fields(task: Path, method: Path, overrides: list[str]) -> int:
     parts.append("\n".join((f"actions: {symmetry.actions}", *symmetry.actions.describe(names))))
     parts.append("\n".join(("actions, isotypic form", *symmetry.actions.describe_isotypic(names))))
     print("\n\n".join(parts))
-    return 0
 
 
 Entry = tuple[str, str, str]

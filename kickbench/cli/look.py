@@ -24,16 +24,15 @@ def table(
     columns: Literal["success", "kick"] = cli.option(
         "Figures to print (default: success).", default="success"
     ),
-) -> int:
+) -> None:
     """Print the table of finished runs."""
     from kickbench.results.tables import render_table
 
     print(render_table(_runs(roots), columns))
-    return 0
 
 
 @cli.verb("Look at results", "compare runs")
-def compare(roots: cli.Roots) -> int:
+def compare(roots: cli.Roots) -> None:
     """Compare methods over their seeds and on the same initial states."""
     from kickbench.results.compare import render_comparison
     from kickbench.results.notes import refuse_contradictions
@@ -41,7 +40,6 @@ def compare(roots: cli.Roots) -> int:
     runs = _runs(roots)
     refuse_contradictions(runs, shown)
     print(render_comparison(runs))
-    return 0
 
 
 @cli.verb("Look at results", "claims mini_home_field runs/mini_home_field")
@@ -106,7 +104,7 @@ def report(
         "Write README.md's results and results/pictures from results/measured instead.", "--readme"
     ),
     root: Path = typer.Option(Path(), hidden=True),
-) -> int:
+) -> None:
     """Write one self-contained page about a folder of runs, or the README's results."""
     if readme:
         if folder or out or experiment:
@@ -114,7 +112,7 @@ def report(
         from kickbench.report.readme import write_readme
 
         print("\n".join(map(str, write_readme(root))))
-        return 0
+        return
     if folder is None:
         raise KickbenchError("expected a folder of runs: kickbench report DIR, or kickbench report --readme")
     file = find(experiment, "reported") if experiment else None
@@ -124,7 +122,6 @@ def report(
     out = out or folder / "report.html"
     write_report(folder, out, load_experiment(file) if file else None)
     print(shown(out))
-    return 0
 
 
 def _runs(roots: list[Path]) -> pd.DataFrame:

@@ -27,7 +27,7 @@ def evaluate(
     json: cli.Json = False,
     threads: cli.Threads = None,
     trust_code: cli.Trust = False,
-) -> int:
+) -> None:
     """Evaluate the policy of a finished run again."""
     if save and not task:
         raise KickbenchError("--save keeps the figures on another task beside the run: it needs --task")
@@ -50,7 +50,6 @@ def evaluate(
         with directory.occupied():
             write_also(directory, f"also/{metrics.task}.json", metrics_bytes(metrics))
     print(metrics.model_dump_json(indent=2) if json else render_table(frame_of([metrics])))
-    return 0
 
 
 @cli.verb("Look at results", "render mini_home_field --out starts.png")
@@ -68,7 +67,7 @@ def render(
     size: cli.Size = None,
     mirrored: bool = cli.flag("Film the mirror images of the initial states.", "--mirrored"),
     overrides: cli.Set = cli.NONE,
-) -> int:
+) -> None:
     """Draw initial states of a task, or film episodes."""
     file = find(task, "task")
     from kickbench.view.backend import check_mujoco
@@ -95,7 +94,6 @@ def render(
     else:
         film_runs(compiled, policy, out, episodes or _EPISODES, seed, size or _FILM_SIZE, mirrored=mirrored)
     print(shown(out))
-    return 0
 
 
 def _refuse(reason: str, **options: object) -> None:
@@ -122,7 +120,7 @@ def play(
     ),
     trust_code: cli.Trust = False,
     overrides: cli.Set = cli.NONE,
-) -> int:
+) -> None:
     """Show a policy live in a browser."""
     if port >= 2**16:
         raise typer.BadParameter(f"--port: expected a port below 65536, found {port}")
@@ -153,7 +151,6 @@ def play(
         port=port,
         browser=browser,
     )
-    return 0
 
 
 @cli.verb("Look at results", "export runs/mini_home_field/equivariant/seed0")
@@ -164,9 +161,8 @@ def export(
     ),
     states: int = cli.count("Write so many initial states of the evaluation, too.", least=0, default=0),
     force: bool = cli.flag("Overwrite a policy that is there.", "--force"),
-) -> int:
+) -> None:
     """Write a run's policy as ONNX, with a contract of inputs, outputs, gains and limits."""
     from kickbench.deploy.export import export as write
 
     print(shown(write(run, out, states=states, force=force)))
-    return 0

@@ -245,7 +245,7 @@ def _pictures(folder: Path) -> Iterator[str]:
 
 
 @cli.verb("Train", "status runs/mini_home_field")
-def status(root: Path = cli.argument("Folder of runs.", "DIR")) -> int:
+def status(root: Path = cli.argument("Folder of runs.", "DIR")) -> None:
     """Print how far the runs of a folder are."""
     if not root.is_dir():
         raise KickbenchError(f"{root}: no such folder")
@@ -264,7 +264,6 @@ def status(root: Path = cli.argument("Folder of runs.", "DIR")) -> int:
         # Without a plan the folder above a seed's is the nearest thing to a condition.
         conditions = [(str(Path(name).parent), state) for name, state, _ in runs]
         print(f"time left: {time_left(conditions, max(1, running))}")
-    return 0
 
 
 def _states(root: Path, record: PlanRecord | None) -> Iterator[tuple[str, RunState, str]]:
