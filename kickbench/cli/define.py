@@ -150,7 +150,7 @@ def terms(
 @cli.verb("Define", "schema task")
 def schema(kind: Annotated[Kind, cli.argument("Kind of file.", "KIND")]) -> int:
     """Print the JSON Schema of a kind of file."""
-    from kickbench.config.json_schema import json_schema
+    from kickbench.config.explain import json_schema
     from kickbench.trials.validate import model_of
 
     print(json.dumps(json_schema(model_of(kind)), indent=2))

@@ -1,4 +1,4 @@
-"""A resolved spec as YAML that says, value by value, where it came from."""
+"""A kind of file explained: a resolved spec with the source of each value, and the JSON Schema for editors."""
 
 from __future__ import annotations
 
@@ -7,8 +7,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
+from pydantic import BaseModel
+from pydantic.json_schema import GenerateJsonSchema
+
 from kickbench.config.base import Spec
-from kickbench.config.yamlio import Document, flow_yaml
+from kickbench.config.yamlio import EXTENDS, Document, flow_yaml
 from kickbench.config.yamltree import Tree
 from kickbench.errors import KeyPath, from_here
 
@@ -117,3 +120,37 @@ def _places(tree: Tree) -> Iterator[str]:
     yield tree.key.place
     items = tree.value if isinstance(tree.value, list) else []
     yield from (place for item in items for place in _places(item) if item.key.is_override)
+
+
+_REF = "#/$defs/"
+_PARTIAL = "Partial"
+
+
+def json_schema(model: type[BaseModel]) -> dict[str, Any]:
+    """Makes the JSON Schema (draft 2020-12) of the YAML files of a model.
+
+    A file that extends another may leave out any key at any depth, so what is required is stated in a second,
+    complete copy of the schema, which only a file without `extends` must meet.
+    """
+    complete = model.model_json_schema()
+    definitions = complete.pop("$defs", {})
+    partial = {f"{name}{_PARTIAL}": _optional(schema) for name, schema in definitions.items()}
+    root = _optional(complete)
+    extends = {"type": "string", "description": "Path of the file to build on, relative to this file."}
+    root["properties"] = {EXTENDS: extends} | root.get("properties", {})
+    rule = {"if": {"not": {"required": [EXTENDS]}}, "then": {"$ref": f"{_REF}{model.__name__}"}}
+    head = {"$schema": GenerateJsonSchema.schema_dialect, "title": model.__name__}
+    return head | root | rule | {"$defs": {model.__name__: complete} | definitions | partial}
+
+
+def _optional(schema: Any) -> Any:
+    """Copies a schema without what is required, its references pointing to other such copies."""
+    if isinstance(schema, list):
+        return [_optional(item) for item in schema]
+    if isinstance(schema, str) and schema.startswith(_REF):
+        return f"{schema}{_PARTIAL}"
+    if not isinstance(schema, dict):
+        return schema
+    # `required` is a keyword where it is a list; a property of that name is a schema.
+    kept = {key: item for key, item in schema.items() if key != "required" or not isinstance(item, list)}
+    return {key: _optional(item) for key, item in kept.items()}

@@ -11,13 +11,13 @@ import errno
 import os
 import stat
 from codecs import BOM_UTF8
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from kickbench.config.yamldump import dump_yaml, flow_yaml
-from kickbench.config.yamltree import MAX_DEPTH, Source, Tree, describe, parse
+from kickbench.config.yamltree import MAX_DEPTH, Tree, describe, dump_yaml, flow_yaml, parse
 from kickbench.errors import KeyPath, Mark, Problem, SpecError, did_you_mean, dotted, shown
 
 __all__ = ["Document", "describe", "dump_yaml", "flow_yaml", "load_document"]
@@ -28,19 +28,22 @@ EXTENDS = "extends"
 
 @dataclass(frozen=True)
 class Document:
-    """The data of a file with everything it extends and every override.
+    """A file with everything it extends and every override.
 
     Attributes:
         file: The file loaded, absolute.
-        data: Its data as dicts, lists and scalars.
         sources: Every file read: `file` first, then what it extends.
         tree: The data with marks.
+        data: The data as dicts, lists and scalars.
     """
 
     file: Path
-    data: dict[str, Any]
     sources: tuple[Path, ...]
     tree: Tree = field(repr=False)
+    data: dict[str, Any] = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "data", self.tree.plain())
 
     def mark(self, path: KeyPath) -> Mark:
         """Where the key at the path was written; else the nearest key above it; else the file's start."""
@@ -70,6 +73,14 @@ class Document:
         """Words a problem with the key at the path as an error to raise."""
         return SpecError([self.problem(path, message, hint)])
 
+    def changed(self, values: Mapping[str, Any]) -> Document:
+        """The document with scalars in place of others, by `key.path`, as if they were overrides."""
+        tree = self.tree
+        for key, value in values.items():
+            mark = Mark(f"--set {key}={value}", 0, 0)
+            tree = _put(tree, key.split("."), Tree(value, mark, mark, None), mark)
+        return replace(self, tree=tree)
+
     def _nearest(self, path: KeyPath) -> Tree:
         found = self.tree
         for key in path:
@@ -80,34 +91,47 @@ class Document:
         return found
 
 
-def load_document(
-    path: str | Path, overrides: Sequence[str] = (), *, named_by: tuple[Document, KeyPath] | None = None
-) -> Document:
+def load_document(path: str | Path, overrides: Sequence[str] = ()) -> Document:
     """Loads a YAML file, what it extends, and overrides.
 
     Args:
-        path: The file; relative to the file that names it, else to the working directory.
+        path: The file.
         overrides: `key.path=value` each; the value is YAML, a number in the path is a list index.
-        named_by: The document and the key that name the file: where to point if it cannot be read.
 
     Raises:
         SpecError: With every problem of the file, the files it extends and the overrides.
     """
     reading = _Reading()
-    naming = None
-    if named_by is not None:
-        document, key = named_by
-        origin = document.origin(key)
-        path = origin.parent / path if origin else path
-        naming = Problem(document.mark(key), key, "")
     file = Path(os.path.abspath(path))
-    tree = reading.tree(file, naming, ())
+    tree = reading.tree(file, Mark(str(file), 0, 0), ())
     for text in overrides:
         tree = reading.override(tree, text)
     if reading.problems:
         raise SpecError(reading.problems)
     assert tree is not None
-    return Document(file, tree.plain(), tuple(reading.sources), tree)
+    return Document(file, tuple(reading.sources), tree)
+
+
+@lru_cache(maxsize=256)
+def _parsed(data: bytes, file: Path) -> tuple[Tree | None, tuple[Problem, ...]]:
+    """Parses a file's content once, however many specs are built on it."""
+    start = Mark(str(file), 1, 1)
+    # Not the codec utf-8-sig: the places of its errors do not count the mark.
+    data = data.removeprefix(BOM_UTF8)
+    try:
+        tree, problems = parse(data.decode(), str(file), file)
+    except UnicodeDecodeError as error:
+        before = data[: error.start]
+        line, column = before.count(b"\n") + 1, len(before.rpartition(b"\n")[2].decode()) + 1
+        where, what = Mark(str(file), line, column), f"not UTF-8: the byte 0x{data[error.start]:02x}"
+        return None, (Problem(where, (), what),)
+    if tree is not None and isinstance(tree.value, dict):
+        return replace(tree, mark=start, key=start), tuple(problems)
+    if not problems:
+        data = tree.plain() if tree else None
+        found = "the file is empty" if data is None else f"found {describe(data)}"
+        problems = [Problem(start, (), f"expected keys at the top of the file; {found}")]
+    return None, tuple(problems)
 
 
 class _Reading:
@@ -117,28 +141,17 @@ class _Reading:
         self.sources: list[Path] = []
         self.problems: list[Problem] = []
 
-    def tree(self, file: Path, naming: Problem | None, chain: tuple[Path, ...]) -> Tree | None:
-        """Reads a file and what it extends.
-
-        Args:
-            file: The file, absolute.
-            naming: Where the file is named, without a message.
-            chain: The files that led here through `extends`.
-        """
-        text = self._text(file, naming)
-        if text is None:
+    def tree(self, file: Path, named: Mark, chain: tuple[Path, ...]) -> Tree | None:
+        """Reads a file, named at a mark and reached through a chain of others, and what it extends."""
+        try:
+            data = _read_regular(file)
+        except (OSError, ValueError) as error:  # ValueError: a null byte in the path
+            self._report(named, (EXTENDS,) if chain else (), *unreadable(file, error))
             return None
         self.sources.append(file)
-        start = Mark(str(file), 1, 1)
-        tree, problems = parse(Source(text, str(file), file))
+        tree, problems = _parsed(data, file)
         self.problems += problems
-        if tree is None or not isinstance(tree.value, dict):
-            if not problems:
-                data = tree.plain() if tree else None
-                found = "the file is empty" if data is None else f"found {describe(data)}"
-                self._report(start, (), f"expected keys at the top of the file; {found}")
-            return None
-        return self._extend(Tree(dict(tree.value), start, start, file), file, (*chain, file))
+        return self._extended(tree, file, (*chain, file)) if tree else None
 
     def override(self, tree: Tree | None, text: str) -> Tree | None:
         """Merges `key.path=value` into a tree."""
@@ -148,29 +161,26 @@ class _Reading:
         keys = [key.strip() for key in left.split(".")]
         if not equals or not all(keys):
             self._report(mark, (), "expected key.path=value", "for example rewards.fall.weight=-2")
-            return tree
-        path: KeyPath = tuple(keys)
-        if keys[0] == EXTENDS:
-            self._report(mark, path, f"`{EXTENDS}` cannot be set: it is read from files only")
-            return tree
-        if len(keys) > MAX_DEPTH:
+        elif keys[0] == EXTENDS:
+            self._report(mark, tuple(keys), f"`{EXTENDS}` cannot be set: it is read from files only")
+        elif len(keys) > MAX_DEPTH:
             self._report(mark, (), "nested too deeply")
-            return tree
-        value, problems = parse(Source(right, name, None, path))
-        self.problems += problems
-        if tree is None or problems:
-            return tree
-        try:
-            return _put(tree, keys, value or Tree(None, mark, mark, None), mark)
-        except _NoRoom as error:
-            self._report(mark, path, str(error))
-            return tree
+        else:
+            value, problems = parse(right, name, None, tuple(keys))
+            self.problems += problems
+            try:
+                if tree is not None and not problems:
+                    return _put(tree, keys, value or Tree(None, mark, mark, None), mark)
+            except _NoRoom as error:
+                self._report(mark, tuple(keys), str(error))
+        return tree
 
-    def _extend(self, child: Tree, file: Path, chain: tuple[Path, ...]) -> Tree | None:
+    def _extended(self, child: Tree, file: Path, chain: tuple[Path, ...]) -> Tree | None:
         assert isinstance(child.value, dict)
-        extends = child.value.pop(EXTENDS, None)
+        extends = child.value.get(EXTENDS)
         if extends is None:
             return child
+        child = replace(child, value={key: tree for key, tree in child.value.items() if key != EXTENDS})
         if not isinstance(extends.value, str) or not extends.value or "\0" in extends.value:
             found = describe(extends.plain())
             self._report(extends.key, (EXTENDS,), f"expected the path of a file, found {found}")
@@ -180,25 +190,8 @@ class _Reading:
             circle = " -> ".join(shown(link) for link in (*chain, base))
             self._report(extends.key, (EXTENDS,), f"files extend each other in a circle: {circle}")
             return None
-        tree = self.tree(base, Problem(extends.key, (EXTENDS,), ""), chain)
+        tree = self.tree(base, extends.key, chain)
         return merge(tree, child) if tree else None
-
-    def _text(self, file: Path, naming: Problem | None) -> str | None:
-        mark, path = (naming.mark, naming.path) if naming else (Mark(str(file), 0, 0), ())
-        try:
-            data = read_regular(file)
-        except (OSError, ValueError) as error:  # ValueError: a null byte in the path
-            self.problems.append(Problem(mark, path, *unreadable(file, error)))
-            return None
-        # Not the codec utf-8-sig: the places of its errors do not count the mark.
-        data = data.removeprefix(BOM_UTF8)
-        try:
-            return data.decode()
-        except UnicodeDecodeError as error:
-            before = data[: error.start]
-            line, column = before.count(b"\n") + 1, len(before.rpartition(b"\n")[2].decode()) + 1
-            self._report(Mark(str(file), line, column), (), f"not UTF-8: the byte 0x{data[error.start]:02x}")
-            return None
 
     def _report(self, mark: Mark, path: KeyPath, message: str, hint: str | None = None) -> None:
         self.problems.append(Problem(mark, path, message, hint))
@@ -208,12 +201,7 @@ _LARGEST_FILE = 2**24
 """Bytes of a YAML file at most."""
 
 
-def read_regular(file: Path) -> bytes:
-    """Reads a regular file of sensible size: a device or a pipe might never end.
-
-    Raises:
-        OSError: It cannot be read, or is no such file.
-    """
+def _read_regular(file: Path) -> bytes:
     check_regular(file)
     if file.stat().st_size > _LARGEST_FILE:
         raise OSError(errno.EFBIG, f"larger than {_LARGEST_FILE // 2**20} MiB")
@@ -221,7 +209,7 @@ def read_regular(file: Path) -> bytes:
 
 
 def check_regular(file: Path) -> None:
-    """Raises an `OSError` for what is there but is no regular file; a folder is `IsADirectoryError`."""
+    """Raises an `OSError` for what is there but is no regular file, which might never end."""
     mode = file.stat().st_mode
     if stat.S_ISDIR(mode):
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(file))
@@ -250,7 +238,7 @@ def merge(base: Tree, child: Tree) -> Tree:
     merged = dict(base.value)
     for key, tree in child.value.items():
         merged[key] = merge(merged[key], tree) if key in merged else tree
-    return Tree(merged, child.mark, child.key, child.origin)
+    return replace(child, value=merged)
 
 
 def _near_file(file: Path) -> str | None:
@@ -278,12 +266,11 @@ def _put(tree: Tree, keys: list[str], value: Tree, mark: Mark, done: KeyPath = (
         index = _index(keys[0], entries, done)
         items = list(entries)
         items[index] = _put(items[index], keys[1:], value, mark, (*done, index))
-        return Tree(items, tree.mark, tree.key, tree.origin)
+        return replace(tree, value=items)
     if not isinstance(entries, dict):
         raise _NoRoom(f"'{dotted(done)}' is {describe(entries)} and has no key '{keys[0]}'")
     inner = entries.get(keys[0]) or Tree(None, mark, mark, None)
-    changed = entries | {keys[0]: _put(inner, keys[1:], value, mark, (*done, keys[0]))}
-    return Tree(changed, tree.mark, tree.key, tree.origin)
+    return replace(tree, value=entries | {keys[0]: _put(inner, keys[1:], value, mark, (*done, keys[0]))})
 
 
 def _index(key: str, items: list[Tree], path: KeyPath) -> int:

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import BaseModel
 
-from kickbench.config.annotations import names_file
+from kickbench.config.base import names_file
 from kickbench.config.load import LoadedMethod, LoadedTask, load_method, load_task
 from kickbench.config.terms import TermParams, TermTable
-from kickbench.config.yamldump import flow_yaml
+from kickbench.config.yamlio import flow_yaml
 from kickbench.errors import KeyPath, dotted
 from kickbench.results.identity import identity_of, read_identity
 from kickbench.results.store import RunDirectory

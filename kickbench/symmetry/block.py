@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from kickbench.config.yamldump import flow_yaml
+from kickbench.config.yamlio import flow_yaml
 from kickbench.symmetry.derive import Derivation, Match
 from kickbench.symmetry.representation import BY_NAME, Representation
 

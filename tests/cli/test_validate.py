@@ -74,7 +74,7 @@ MALFORMED = {
         [HOME],
         (HOME, "mirrored: true", "mirrored: yes"),
         (HOME, "mirrored: ¦yes"),
-        "evaluation.mirrored: expected true or false, found the string 'yes' (write true without quotes)",
+        "evaluation.mirrored: expected true or false, found the string 'yes'",
     ),
     "list for a mapping": Case(
         [TASK],

@@ -7,8 +7,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pydantic import Field, PrivateAttr
 
-from kickbench.config.base import FileRef, FloatList, NameList, Range, Spec, validate
+from kickbench.config.base import FileRef, FloatList, NameList, Range, Spec
 from kickbench.config.explain import explain
+from kickbench.config.problems import validate
 from kickbench.config.yamlio import dump_yaml, load_document
 
 

@@ -1,8 +1,14 @@
 import json
+from pathlib import Path
 
+import jsonschema
+import pytest
 from pydantic import Field
 
-from kickbench.config.base import FileRef, PositiveFloat, Range, Spec, json_schema
+from kickbench.config.base import FileRef, PositiveFloat, Range, Spec
+from kickbench.config.explain import json_schema
+from kickbench.config.yamlio import load_document
+from kickbench.trials.validate import model_of
 
 
 class Part(Spec):
@@ -70,3 +76,24 @@ def test_every_reference_of_the_schema_leads_somewhere():
     text = json.dumps(schema)
     names = {part.split('"')[0] for part in text.split('"#/$defs/')[1:]}
     assert names <= set(schema["$defs"])
+
+
+ROOT = Path(__file__).parents[2]
+SHIPPED = [
+    path
+    for folder in ("tasks", "methods", "assets", "results/reported")
+    for path in sorted((ROOT / folder).rglob("*.yaml"))
+]
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: str(path.relative_to(ROOT)))
+def test_a_shipped_file_points_an_editor_at_its_schema_and_is_valid_by_it(path):
+    """`make schemas` writes them there."""
+    prefix = "# yaml-language-server: $schema="
+    first = path.read_text().splitlines()[0]
+    assert first.startswith(prefix)
+    schema = (path.parent / first.removeprefix(prefix)).resolve()
+    kind = schema.name.removesuffix(".schema.json")
+    assert schema.parent == ROOT / "kickbench/config/schemas"
+    schema = json.loads(json.dumps(json_schema(model_of(kind))))
+    jsonschema.validate(load_document(path).data, schema, jsonschema.Draft202012Validator)

@@ -6,8 +6,8 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from kickbench.config.yamldump import dump_yaml, flow_yaml
-from kickbench.config.yamltree import Source, parse
+from kickbench.config.yamlio import dump_yaml, flow_yaml
+from kickbench.config.yamltree import parse
 
 _CHARACTERS = st.characters(exclude_categories=["Cs"])
 _WORDS = ["on", "no", "1e-3", "1_0", ".5", "1:30", "2026-01-01", "010", "~"]
@@ -24,7 +24,7 @@ _VALUES = st.recursive(
 
 
 def _load(text: str):
-    tree, found = parse(Source(text, "a.yaml", Path("a.yaml")))
+    tree, found = parse(text, "a.yaml", Path("a.yaml"))
     assert not found
     assert tree is not None
     return tree.plain()
