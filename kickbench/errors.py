@@ -5,7 +5,8 @@ from __future__ import annotations
 import difflib
 import os
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -103,6 +104,15 @@ class SpecError(KickbenchError):
     def __reduce__(self) -> tuple[type[SpecError], tuple[tuple[Problem, ...]]]:
         # An exception is pickled by its message otherwise, and worker processes pickle exceptions.
         return type(self), (self.problems,)
+
+
+@contextmanager
+def collected(problems: list[Problem]) -> Iterator[None]:
+    """Adds the problems of a `SpecError` that is raised within to a list, once each, and goes on."""
+    try:
+        yield
+    except SpecError as error:
+        problems += [problem for problem in error.problems if problem not in problems]
 
 
 def dotted(path: KeyPath) -> str:

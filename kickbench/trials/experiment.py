@@ -7,21 +7,19 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
+from typing import Any
 
 from kickbench.config.claims import OF_A_RUN, AnyClaim, NearReported, Operand
-from kickbench.config.load import LoadedMethod, LoadedTask, load, load_method, load_task
-from kickbench.config.reported import ArmSpec, ExperimentSpec, FiguresSpec, ReportedFiguresSpec
+from kickbench.config.load import Loaded, LoadedMethod, LoadedTask, load, load_method, load_task
+from kickbench.config.reported import ExperimentSpec, FiguresSpec, ReportedFiguresSpec
 from kickbench.config.task import TaskSpec
 from kickbench.config.terms import RewardParams, TerminationParams
 from kickbench.config.yamlio import Document
 from kickbench.envs.catalog import model_of_task
-from kickbench.errors import KeyPath, Problem, SpecError, did_you_mean
-
-T = TypeVar("T")
+from kickbench.errors import KeyPath, Problem, SpecError, collected, did_you_mean
 
 
 @dataclass(frozen=True)
@@ -58,13 +56,14 @@ class Arm:
             own.append(f"evaluation.episodes={self.episodes}")
         return tuple(own)
 
+    @property
+    def tasks(self) -> dict[str, LoadedTask[TaskSpec]]:
+        """Every task that the policies are evaluated on, by name: the one trained on first."""
+        return {self.task.name: self.task, **self.also}
+
     def is_of_own_task(self, operand: Operand) -> bool:
         """Whether an operand is about the task trained on, named or not."""
         return operand.task in (None, self.task.name)
-
-    def task_of(self, operand: Operand) -> LoadedTask[TaskSpec]:
-        """The task whose episodes an operand is about."""
-        return self.task if self.is_of_own_task(operand) else self.also[str(operand.task)]
 
     def figures_of(self, operand: Operand) -> FiguresSpec | None:
         """What was reported of an operand's side; nothing is reported of a further task."""
@@ -72,25 +71,16 @@ class Arm:
 
 
 @dataclass(frozen=True)
-class LoadedExperiment:
-    """An experiment with everything it names.
+class LoadedExperiment(Loaded[ExperimentSpec]):
+    """An experiment with everything it names; its name is also that of its folder.
 
     Attributes:
-        spec: What the file says.
-        document: Where it says it.
         arms: The arms by name, in the order of the file.
         claims: The claims by name: those of other experiments first, then its own, in the order of the files.
     """
 
-    spec: ExperimentSpec
-    document: Document
     arms: Mapping[str, Arm]
     claims: Mapping[str, AnyClaim]
-
-    @property
-    def name(self) -> str:
-        """The file's stem, and the name of the experiment's folder."""
-        return self.document.file.stem
 
     @property
     def claims_hash(self) -> str:
@@ -104,81 +94,75 @@ def load_experiment(path: str | Path, overrides: Sequence[str] = ()) -> LoadedEx
     """Loads an experiment, its tasks and its methods, and checks claims and figures against them.
 
     Raises:
-        SpecError: With every problem of the file, or of the first file it names that has some.
+        SpecError: With every problem of the file, or of the files it names.
     """
     loaded = load(ExperimentSpec, path, overrides)
     spec, document = loaded.spec, loaded.document
-    files = _Files()
-    also = _also(spec, document, files)
-    claims = _all_claims(spec, document, files)
-    arms = {name: _arm(name, spec, document, files, also) for name in spec.arms}
-    if files.problems:
-        raise SpecError(files.problems)
-    complete = {name: arm for name, arm in arms.items() if arm is not None}
-    problems = [*_figure_problems(complete, document), *_claim_problems(claims, complete, document)]
+    files = _Files(document)
+    also = _also(spec, files)
+    claims = _all_claims(spec, files)
+    arms = {name: arm for name in spec.arms if (arm := _arm(name, spec, files, also))}
+    problems = files.problems or [*_figure_problems(arms, document), *_claim_problems(claims, arms, document)]
     if problems:
         raise SpecError(problems)
-    return LoadedExperiment(spec, document, complete, claims)
+    return LoadedExperiment(spec, document, arms, claims)
 
 
 class _Files:
-    """The tasks and methods that an experiment names, each read once, and what is wrong with them."""
+    """The files that an experiment names, each read once, and what is wrong with them."""
 
-    def __init__(self) -> None:
+    def __init__(self, document: Document) -> None:
+        self.document = document
         self.problems: list[Problem] = []
-        self._read: dict[tuple[str, str], object] = {}
+        self._read: dict[tuple[str, str], Any] = {}
 
-    def task(self, file: str, document: Document, path: KeyPath) -> LoadedTask[TaskSpec] | None:
-        return self._once("task", file, document, path, lambda: load_task(model_of_task, file))
-
-    def experiment(self, file: str, document: Document, path: KeyPath) -> ExperimentSpec | None:
-        return self._once("experiment", file, document, path, lambda: load(ExperimentSpec, file).spec)
-
-    def method(self, file: str, document: Document, path: KeyPath) -> LoadedMethod | None:
-        return self._once("method", file, document, path, lambda: load_method(file))
-
-    def _once(
-        self, kind: str, file: str, document: Document, path: KeyPath, read: Callable[[], T]
-    ) -> T | None:
+    def load(self, kind: str, file: str, path: KeyPath) -> Any:
+        """The file that the key at a path names: a `task`, a `method` or an `experiment`; None if it does not load."""
         if (kind, file) not in self._read:
             self._read[kind, file] = None
-            try:
-                self._read[kind, file] = read()
-            except SpecError as error:
-                what = f"this {kind} does not load; its problems follow"
-                self.problems += [document.problem(path, what), *error.problems]
-        return self._read[kind, file]  # pyright: ignore[reportReturnType] (the key names the type)
+            found: list[Problem] = []
+            with collected(found):
+                self._read[kind, file] = self._load(kind, file)
+            if found:
+                self.report(path, f"this {kind} does not load; its problems follow")
+                self.problems += found
+        return self._read[kind, file]
+
+    def report(self, path: KeyPath, message: str, hint: str | None = None) -> None:
+        """Adds a problem with a key of the experiment."""
+        self.problems.append(self.document.problem(path, message, hint))
+
+    def _load(self, kind: str, file: str) -> Any:
+        if kind == "task":
+            return load_task(model_of_task, file)
+        return load_method(file) if kind == "method" else load(ExperimentSpec, file).spec
 
 
-def _also(spec: ExperimentSpec, document: Document, files: _Files) -> dict[str, LoadedTask[TaskSpec]]:
+def _also(spec: ExperimentSpec, files: _Files) -> dict[str, LoadedTask[TaskSpec]]:
     """The further tasks by name, which is also that of their result's file."""
     also: dict[str, LoadedTask[TaskSpec]] = {}
     for index, file in enumerate(spec.evaluation.also):
         path = ("evaluation", "also", index)
-        task = files.task(file, document, path)
+        task = files.load("task", file, path)
         if task is not None and task.name in also:
-            files.problems.append(document.problem(path, f"there are two tasks of the name {task.name}"))
+            files.report(path, f"there are two tasks of the name {task.name}")
         elif task is not None:
             also[task.name] = task
     return also
 
 
 def _arm(
-    name: str,
-    spec: ExperimentSpec,
-    document: Document,
-    files: _Files,
-    also: Mapping[str, LoadedTask[TaskSpec]],
+    name: str, spec: ExperimentSpec, files: _Files, also: Mapping[str, LoadedTask[TaskSpec]]
 ) -> Arm | None:
-    arm: ArmSpec = spec.arms[name]
+    arm = spec.arms[name]
     own = ("arms", name, "task")
-    task = files.task(arm.task or str(spec.task), document, own if arm.task else ("task",))
-    method = files.method(arm.method, document, ("arms", name, "method"))
+    task = files.load("task", arm.task or str(spec.task), own if arm.task else ("task",))
+    method = files.load("method", arm.method, ("arms", name, "method"))
     if task is None or method is None:
         return None
     if task.name in also:
         what = f"the arm {name} is trained on {task.name}, and evaluated on it anyway"
-        files.problems.append(document.problem(("evaluation", "also"), what))
+        files.report(("evaluation", "also"), what)
     return Arm(
         name=name,
         task=task,
@@ -198,29 +182,25 @@ def _figure_problems(arms: Mapping[str, Arm], document: Document) -> Iterator[Pr
             yield document.problem(path, f"the task {arm.task.name} has no mirrored evaluation")
 
 
-def _all_claims(spec: ExperimentSpec, document: Document, files: _Files) -> dict[str, AnyClaim]:
+def _all_claims(spec: ExperimentSpec, files: _Files) -> dict[str, AnyClaim]:
     """The claims of the experiments that are named, and those of the file itself."""
     claims: dict[str, AnyClaim | None] = {}
     for index, file in enumerate(spec.claims_of):
         path = ("claims_of", index)
-        other = files.experiment(file, document, path)
+        other = files.load("experiment", file, path)
         if other is not None and other.claims_of:
-            files.problems.append(
-                document.problem(path, "its own claims are those of others: name them here")
-            )
+            files.report(path, "its own claims are those of others: name them here")
         elif other is not None:
             kept = {
                 n: claim for n, claim in other.claims.items() if not isinstance(claim, NearReported | None)
             }
-            files.problems += [
-                document.problem(path, f"the claim {name} stands in two of the files")
-                for name in kept
-                if name in claims and claims[name] != kept[name]
-            ]
+            for name in kept:
+                if name in claims and claims[name] != kept[name]:
+                    files.report(path, f"the claim {name} stands in two of the files")
             claims |= kept
     for name in (name for name, claim in spec.claims.items() if claim is None and name not in claims):
         what = f"null drops a claim of `claims_of`, and they have no '{name}'"
-        files.problems.append(document.problem(("claims", name), what, did_you_mean(name, claims)))
+        files.report(("claims", name), what, did_you_mean(name, claims))
     return {name: claim for name, claim in (claims | spec.claims).items() if claim is not None}
 
 
@@ -233,65 +213,50 @@ def _claim_problems(
             what = "each seed of two arms is compared with that of the same number: their seeds differ"
             yield document.problem(("claims", name, "seeds"), what)
         for key, operand in claim.operands().items():
-            path = ("claims", name, key)
-            if operand.arm not in arms:
+            path, arm = ("claims", name, key), arms.get(operand.arm)
+            if arm is None:
                 what = f"no such arm '{operand.arm}'; the arms: {', '.join(arms)}"
                 yield document.problem((*path, "arm"), what, did_you_mean(operand.arm, arms))
+            elif operand.task not in (None, *arm.tasks):
+                what = f"the arm {arm.name} is not evaluated on '{operand.task}'; on: {', '.join(arm.tasks)}"
+                yield document.problem((*path, "task"), what, did_you_mean(str(operand.task), arm.tasks))
             else:
-                yield from _operand_problems(claim, operand, arms[operand.arm], path, document)
-        yield from _term_problems(name, claim, arms, document)
+                task = arm.tasks[operand.task or arm.task.name]
+                for inner, what in _misfits(claim, operand, arm, task):
+                    yield document.problem((*path, *inner), what)
+                for inner, what, hint in _unknown_terms(claim, task):
+                    yield document.problem(("claims", name, *inner), what, hint)
 
 
-def _operand_problems(
-    claim: AnyClaim, operand: Operand, arm: Arm, path: KeyPath, document: Document
-) -> Iterator[Problem]:
-    if operand.task not in (None, arm.task.name, *arm.also):
-        known = [arm.task.name, *arm.also]
-        what = f"the arm {arm.name} is not evaluated on '{operand.task}'; on: {', '.join(known)}"
-        yield document.problem((*path, "task"), what, did_you_mean(str(operand.task), known))
-        return
-    of_a_run = claim.metric in OF_A_RUN
-    if of_a_run and operand.side == "mirrored":
-        yield document.problem((*path, "side"), f"the metric {claim.metric} is of a run, and has no sides")
-    if of_a_run and not arm.is_of_own_task(operand):
-        yield document.problem(
-            (*path, "task"), f"the metric {claim.metric} is measured on the task trained on only"
-        )
-    mirrored = operand.side == "mirrored" or claim.metric == "pair_agreement"
-    task = arm.task_of(operand)
+def _misfits(
+    claim: AnyClaim, operand: Operand, arm: Arm, task: LoadedTask[TaskSpec]
+) -> Iterator[tuple[KeyPath, str]]:
+    """What a claim asks of an operand and its metric, or its task, does not have."""
+    own, metric, side = arm.is_of_own_task(operand), claim.metric, operand.side
+    if metric in OF_A_RUN and side == "mirrored":
+        yield ("side",), f"the metric {metric} is of a run, and has no sides"
+    if metric in OF_A_RUN and not own:
+        yield ("task",), f"the metric {metric} is measured on the task trained on only"
+    mirrored = side == "mirrored" or metric == "pair_agreement"
     if mirrored and not task.spec.evaluation.mirrored:
-        yield document.problem((*path, "side"), f"the task {task.name} has no mirrored evaluation")
-    if isinstance(claim, NearReported):
-        yield from _unreported(claim, operand, arm, path, document)
-
-
-def _unreported(
-    claim: NearReported, operand: Operand, arm: Arm, path: KeyPath, document: Document
-) -> Iterator[Problem]:
-    if not arm.is_of_own_task(operand):
+        yield ("side",), f"the task {task.name} has no mirrored evaluation"
+    if isinstance(claim, NearReported) and not own:
         what = f"nothing was reported of the arm {arm.name} on a further task; {claim.kind} needs a figure"
-        yield document.problem((*path, "task"), what)
-    elif getattr(arm.figures_of(operand), claim.metric, None) is None:
-        what = f"no {claim.metric} of {operand.side} was reported of the arm {arm.name}"
-        yield document.problem(path, what)
+        yield ("task",), what
+    elif isinstance(claim, NearReported) and getattr(arm.figures_of(operand), metric, None) is None:
+        yield (), f"no {metric} of {side} was reported of the arm {arm.name}"
 
 
-def _term_problems(
-    name: str, claim: AnyClaim, arms: Mapping[str, Arm], document: Document
-) -> Iterator[Problem]:
+def _unknown_terms(claim: AnyClaim, task: LoadedTask[TaskSpec]) -> Iterator[tuple[KeyPath, str, str | None]]:
     """Terminations and rewards that a claim names and a task lacks."""
-    named = [("termination", ("terminations", i), term) for i, term in enumerate(claim.terminations)]
-    named += [("reward", ("reward",), claim.reward)] if claim.reward else []
-    for operand in claim.operands().values():
-        arm = arms.get(operand.arm)
-        if arm is None or operand.task not in (None, arm.task.name, *arm.also):
-            continue
-        task = arm.task_of(operand)
-        known = {
-            "termination": task.spec.terminations.active(TerminationParams),
-            "reward": task.spec.rewards.active(RewardParams),
-        }
-        for kind, key, term in named:
-            if term not in known[kind]:
-                what = f"the task {task.name} has no {kind} '{term}'; it has: {', '.join(known[kind])}"
-                yield document.problem(("claims", name, *key), what, did_you_mean(term, known[kind]))
+    terminations = task.spec.terminations.active(TerminationParams)
+    named: list[tuple[KeyPath, str, str, Mapping[str, Any]]] = [
+        (("terminations", index), "termination", term, terminations)
+        for index, term in enumerate(claim.terminations)
+    ]
+    if claim.reward:
+        named.append((("reward",), "reward", claim.reward, task.spec.rewards.active(RewardParams)))
+    for path, kind, term, known in named:
+        if term not in known:
+            what = f"the task {task.name} has no {kind} '{term}'; it has: {', '.join(known)}"
+            yield path, what, did_you_mean(term, known)
