@@ -7,23 +7,18 @@ stand for the robot's own representations, which follow from its joint symmetry.
 
 from __future__ import annotations
 
+import ast
 import re
 from dataclasses import dataclass
-from itertools import accumulate
 from typing import Annotated
 
 from pydantic import AfterValidator, Field
 
 from kickbench.config.base import Spec
-from kickbench.errors import nearest
+from kickbench.errors import did_you_mean
 
 NAMES = ("trivial", "sign", "regular", "regular_sign", "joints", "actions")
 """The four representations of the reflection group that occur, and the robot's own two."""
-
-_MAX_DEPTH = 20
-"""Parentheses within parentheses; Python has a limit of its own."""
-
-_TOKEN = re.compile(r"\s*(?:(\w+)|(\S))")
 
 
 @dataclass(frozen=True)
@@ -47,53 +42,42 @@ def parse_expression(text: str) -> Expression:
     """Parses a representation expression.
 
     Args:
-        text: `sum := product ('+' product)*`, `product := atom ('x' atom)*`, `atom := name | '(' sum ')'`.
+        text: Names, joined by `+` and `x`, of which `x` binds tighter, and parentheses.
 
     Raises:
         ValueError: The text is no expression; the message says what was expected.
     """
-    tokens = [word or sign for word, sign in _TOKEN.findall(text)]
-    if max(accumulate((token == "(") - (token == ")") for token in tokens), default=0) > _MAX_DEPTH:
-        raise ValueError(f"parentheses are nested more than {_MAX_DEPTH} deep")
-    expression, rest = _sum(tokens, text)
-    if rest:
-        raise ValueError(f"expected '+' or 'x' before '{rest[0]}' in '{text}'")
-    return expression
+    try:
+        # Written with `@`, an expression is one of Python's, with the same precedence.
+        return _read(ast.parse(re.sub(r"\bx\b", "@", " ".join(text.split())), mode="eval").body)
+    except (SyntaxError, RecursionError, MemoryError, _NoExpression):
+        what = f"expected names ({', '.join(NAMES)}) joined by '+' and 'x', and parentheses, found '{text}'"
+        raise ValueError(what) from None
 
 
-def _sum(tokens: list[str], text: str) -> tuple[Expression, list[str]]:
-    parts, rest = _separated(tokens, text, "+", _product)
-    return (parts[0] if len(parts) == 1 else Sum(parts)), rest
+class _NoExpression(Exception):
+    pass
 
 
-def _product(tokens: list[str], text: str) -> tuple[Expression, list[str]]:
-    parts, rest = _separated(tokens, text, "x", _atom)
-    return (parts[0] if len(parts) == 1 else Product(parts)), rest
+def _read(node: ast.expr) -> Expression:
+    match node:
+        case ast.Name(id=name) if name in NAMES:
+            return name
+        case ast.Name(id=name):
+            hint = did_you_mean(name, NAMES)
+            what = f"unknown representation '{name}'; expected one of: {', '.join(NAMES)}"
+            raise ValueError(what + (f" ({hint})" if hint else ""))
+        case ast.BinOp(op=ast.Add()):
+            return Sum(_parts(node, ast.Add))
+        case ast.BinOp(op=ast.MatMult()):
+            return Product(_parts(node, ast.MatMult))
+    raise _NoExpression
 
 
-def _separated(tokens, text, separator, parse) -> tuple[tuple[Expression, ...], list[str]]:
-    part, rest = parse(tokens, text)
-    parts = [part]
-    while rest and rest[0] == separator:
-        part, rest = parse(rest[1:], text)
-        parts.append(part)
-    return tuple(parts), rest
-
-
-def _atom(tokens: list[str], text: str) -> tuple[Expression, list[str]]:
-    if not tokens:
-        raise ValueError(f"'{text}' ends where a representation was expected ({', '.join(NAMES)})")
-    head, rest = tokens[0], tokens[1:]
-    if head == "(":
-        inner, rest = _sum(rest, text)
-        if not rest or rest[0] != ")":
-            raise ValueError(f"a parenthesis is not closed in '{text}'")
-        return inner, rest[1:]
-    if head not in NAMES:
-        guess = nearest(head, NAMES)
-        hint = f" (did you mean '{guess}'?)" if guess else ""
-        raise ValueError(f"unknown representation '{head}'; expected one of: {', '.join(NAMES)}{hint}")
-    return head, rest
+def _parts(node: ast.expr, kind: type[ast.operator]) -> tuple[Expression, ...]:
+    if isinstance(node, ast.BinOp) and isinstance(node.op, kind):
+        return (*_parts(node.left, kind), _read(node.right))
+    return (_read(node),)
 
 
 def _parses(text: str) -> str:

@@ -15,9 +15,8 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from kickbench.config.curriculum import COMPETENCE, CurriculumSpec, Ramp
 from kickbench.config.load import LoadedTask
-from kickbench.config.task import TaskSpec
+from kickbench.config.task import COMPETENCE, CurriculumSpec, Ramp, TaskSpec
 from kickbench.config.terms import TermParams
 from kickbench.envs.check import field_problems, start_problems, term_problems
 from kickbench.errors import Problem
