@@ -59,8 +59,8 @@ def test_an_unknown_name_says_what_was_expected(text, message):
 @pytest.mark.parametrize(
     "text",
     ["", "trivial +", "regular x", "(", "(trivial", "regular x (trivial + sign", "(trivial sign)", "trivial)",
-     "sign @ ", "trivial sign", "trivial, sign", "+ sign", "trivial + + sign", "()", "3 x trivial", "regular-sign", "sign()",
-     "sign.x", "(" * 3000 + "sign" + ")" * 3000],
+     "sign @ ", "trivial sign", "trivial, sign", "+ sign", "trivial + + sign", "()", "3 x trivial", "regular-sign",
+     "sign()", "sign.x", "(" * 3000 + "sign" + ")" * 3000],
 )  # fmt: skip
 def test_what_is_no_expression_says_what_was_expected(text):
     with pytest.raises(ValueError, match=r"expected names .* joined by") as error:
