@@ -10,6 +10,7 @@ from __future__ import annotations
 import errno
 import os
 import stat
+import sys
 from codecs import BOM_UTF8
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -24,6 +25,13 @@ __all__ = ["Document", "describe", "dump_yaml", "flow_yaml", "load_document"]
 
 EXTENDS = "extends"
 """The key that names the file to build on."""
+
+RENAMED: dict[KeyPath, str] = {
+    ("arms",): "conditions",
+    ("evaluation", "also"): "transfer",
+    ("claims", "*", "*", "arm"): "condition",
+}
+"""Keys of experiments that had other names, which are read until the next release; `*` is any key."""
 
 
 @dataclass(frozen=True)
@@ -126,7 +134,7 @@ def _parsed(data: bytes, file: Path) -> tuple[Tree | None, tuple[Problem, ...]]:
         where, what = Mark(str(file), line, column), f"not UTF-8: the byte 0x{data[error.start]:02x}"
         return None, (Problem(where, (), what),)
     if tree is not None and isinstance(tree.value, dict):
-        return replace(tree, mark=start, key=start), tuple(problems)
+        return replace(with_new_names(tree, ()), mark=start, key=start), tuple(problems)
     if not problems:
         data = tree.plain() if tree else None
         found = "the file is empty" if data is None else f"found {describe(data)}"
@@ -166,11 +174,14 @@ class _Reading:
         elif len(keys) > MAX_DEPTH:
             self._report(mark, (), "nested too deeply")
         else:
+            for index in range(len(keys)):
+                keys[index] = _new_name(tuple(keys[: index + 1]), mark)
             value, problems = parse(right, name, None, tuple(keys))
             self.problems += problems
             try:
                 if tree is not None and not problems:
-                    return _put(tree, keys, value or Tree(None, mark, mark, None), mark)
+                    value = with_new_names(value or Tree(None, mark, mark, None), tuple(keys))
+                    return _put(tree, keys, value, mark)
             except _NoRoom as error:
                 self._report(mark, tuple(keys), str(error))
         return tree
@@ -229,6 +240,29 @@ def unreadable(file: Path, error: Exception) -> tuple[str, str | None]:
         return f"no such file: '{shown(file)}'", _near_file(file)
     reason = error.strerror if isinstance(error, OSError) else str(error)
     return f"'{shown(file)}' cannot be read: {reason}", None
+
+
+def with_new_names(tree: Tree, path: KeyPath) -> Tree:
+    """The value at a path with the new names of its keys, with a warning for each old one."""
+    if not isinstance(tree.value, dict) or len(path) >= max(map(len, RENAMED)):
+        return tree
+    names = {key: _new_name((*path, key), child.key) for key, child in tree.value.items()}
+    value = {
+        # Where a file has both, the old one stays, which no model knows.
+        key if name in tree.value else name: with_new_names(child, (*path, name))
+        for (key, child), name in zip(tree.value.items(), names.values(), strict=True)
+    }
+    return replace(tree, value=value)
+
+
+def _new_name(path: tuple[str, ...], mark: Mark) -> str:
+    for old, new in RENAMED.items():
+        if len(old) == len(path) and all(
+            pattern in ("*", key) for pattern, key in zip(old, path, strict=True)
+        ):
+            print(f"{mark}: '{path[-1]}' is now '{new}'", file=sys.stderr)
+            return new
+    return path[-1]
 
 
 def merge(base: Tree, child: Tree) -> Tree:

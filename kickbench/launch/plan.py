@@ -12,7 +12,7 @@ from kickbench.launch.state import RunState, State, read_state
 from kickbench.results.metrics import load_metrics
 from kickbench.results.store import RunDirectory
 from kickbench.training.resume import run_differences
-from kickbench.trials.experiment import Arm, LoadedExperiment
+from kickbench.trials.experiment import Condition, LoadedExperiment
 from kickbench.trials.trial import Trial, load_trial
 
 
@@ -96,17 +96,17 @@ def make_plan(experiment: LoadedExperiment, selection: Selection) -> Plan:
         SpecError: An arm does not exist, an override does not fit, or a folder holds another run; all runs that
             do are named with every key that differs. Nothing has been written.
     """
-    unknown = [arm for arm in selection.only if arm not in experiment.arms]
+    unknown = [arm for arm in selection.only if arm not in experiment.conditions]
     if unknown:
-        known = ", ".join(experiment.arms)
+        known = ", ".join(experiment.conditions)
         raise SpecError.of(
             f"--only {unknown[0]}",
-            f"{experiment.name} has no such arm; it has: {known}",
-            did_you_mean(unknown[0], experiment.arms),
+            f"{experiment.name} has no such condition; it has: {known}",
+            did_you_mean(unknown[0], experiment.conditions),
         )
     folder = selection.out or default_folder(experiment.name, selection)
     runs, all_records, problems = [], [], []
-    for arm in experiment.arms.values():
+    for arm in experiment.conditions.values():
         overrides = (*arm.overrides, *selection.overrides)
         compiled = load_trial(arm.task.document.file, arm.method.document.file, overrides, selection.scale)
         asked = selection.seeds or arm.seeds
@@ -132,7 +132,7 @@ def make_plan(experiment: LoadedExperiment, selection: Selection) -> Plan:
     return Plan(experiment, record, in_order, folder)
 
 
-def _record(arm: Arm, compiled: Trial, seed: int) -> RunRecord:
+def _record(arm: Condition, compiled: Trial, seed: int) -> RunRecord:
     return RunRecord(
         arm=arm.name,
         seed=seed,
@@ -140,12 +140,12 @@ def _record(arm: Arm, compiled: Trial, seed: int) -> RunRecord:
         method=compiled.method.name,
         iterations=compiled.method.spec.algorithm.iterations,
         episodes=compiled.task.spec.evaluation.episodes,
-        also=tuple(arm.also),
+        also=tuple(arm.transfer),
     )
 
 
 def _planned(
-    arm: Arm,
+    arm: Condition,
     record: RunRecord,
     folder: Path,
     overrides: Sequence[str],
@@ -161,7 +161,7 @@ def _planned(
         record=record,
         directory=RunDirectory(out),
         arguments=(*files, "--seed", str(record.seed), *settings, *scale, *its, "--out", str(out)),
-        also={name: task.document.file for name, task in arm.also.items()},
+        also={name: task.document.file for name, task in arm.transfer.items()},
     )
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from kickbench.config.claims import Side
+from kickbench.config.experiment import Side
 from kickbench.results.episodes import EpisodeSides, EpisodeTable
 from kickbench.results.frame import SIDES
 from kickbench.results.statistics import Interval, wilson

@@ -8,7 +8,7 @@ from math import inf, sqrt
 
 import pandas as pd
 
-from kickbench.config.claims import Side
+from kickbench.config.experiment import Side
 from kickbench.results.frame import SIDES
 from kickbench.results.statistics import Interval, mean_std_over_seeds
 from kickbench.results.student import two_sided_quantile

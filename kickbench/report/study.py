@@ -9,7 +9,7 @@ from typing import TypeVar
 
 import pandas as pd
 
-from kickbench.config.claims import Side
+from kickbench.config.experiment import Side
 from kickbench.errors import KickbenchError
 from kickbench.results.episodes import EpisodeSides, read_episodes
 from kickbench.results.frame import load_runs, runs_of
@@ -17,7 +17,7 @@ from kickbench.results.groups import group_lines, setting_lines, with_groups
 from kickbench.results.notes import left_out_lines, repeat_lines, unplanned_lines
 from kickbench.results.progress import Progress, read_progress
 from kickbench.results.store import RunDirectory
-from kickbench.trials.experiment import Arm, LoadedExperiment
+from kickbench.trials.experiment import Condition, LoadedExperiment
 
 T = TypeVar("T")
 SIDE_WORDS: dict[Side, str] = {"in_distribution": "in distribution", "mirrored": "mirrored"}
@@ -53,7 +53,7 @@ class Study:
     question: str
     section: str
     rows: pd.DataFrame
-    plans: Mapping[str, Arm] = field(default_factory=dict)
+    plans: Mapping[str, Condition] = field(default_factory=dict)
     notes: tuple[Note, ...] = ()
     problems: tuple[str, ...] = ()
     curves: Mapping[str, list[tuple[int, Progress]]] = field(default_factory=dict)
@@ -94,7 +94,7 @@ def studies(root: Path, experiment: LoadedExperiment | None = None) -> tuple[Stu
         name, spec = experiment.name, experiment.spec
         planned = frame[frame.condition.notna()]
         unplanned = unplanned_lines(frame, lambda path: place(root, path))
-        whole = _study(root, name, spec.description, spec.section, planned, unplanned, experiment.arms)
+        whole = _study(root, name, spec.description, spec.section, planned, unplanned, experiment.conditions)
         return (whole,)
     if frame.empty:
         raise KickbenchError(f"{root}: no run in it, finished or not")
@@ -121,7 +121,7 @@ def _study(
     section: str,
     rows: pd.DataFrame,
     problems: Iterable[str],
-    plans: Mapping[str, Arm] | None = None,
+    plans: Mapping[str, Condition] | None = None,
 ) -> Study:
     def named(path: Path) -> str:
         return place(root, path)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import pandas as pd
 
-from kickbench.config.claims import Side
+from kickbench.config.experiment import Side
 from kickbench.report.remarks import listed, remarks
 from kickbench.report.spread import (
     DISTANCE,

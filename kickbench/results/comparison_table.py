@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from kickbench.config.claims import Side
+from kickbench.config.experiment import Side
 from kickbench.errors import shown
 from kickbench.results.columns import (
     NOTHING,

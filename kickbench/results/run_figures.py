@@ -1,4 +1,4 @@
-"""How each metric that a claim may be about (`kickbench.config.claims.Metric`) follows from one run."""
+"""How each metric that a claim may be about (`kickbench.config.experiment.Metric`) follows from one run."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from kickbench.config.claims import OF_A_RUN, AnyClaim, Metric, Operand
+from kickbench.config.experiment import OF_A_RUN, AnyClaim, Metric, Operand
 from kickbench.errors import KickbenchError
 from kickbench.results import learning
 from kickbench.results.frame import known

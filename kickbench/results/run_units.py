@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from kickbench.config.claims import (
+from kickbench.config.experiment import (
     AnyClaim,
     AtLeast,
     AtMost,

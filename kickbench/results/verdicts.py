@@ -13,7 +13,7 @@ from typing import Literal
 
 import pandas as pd
 
-from kickbench.config.claims import AnyClaim, NearReported, Operand, RatioAtLeast, RatioAtMost
+from kickbench.config.experiment import AnyClaim, NearReported, Operand, RatioAtLeast, RatioAtMost
 from kickbench.results.columns import NOTHING, non_finite_note, render_block
 from kickbench.results.contrast import (
     Contrast,
@@ -160,14 +160,14 @@ def _parts(
     """What the runs of each arm give, and in words what is missing."""
     parts: dict[str, list[RunTerms]] = {}
     lacks: list[str] = []
-    for arm in dict.fromkeys(operand.arm for _, operand in contrast.terms):
+    for arm in dict.fromkeys(operand.condition for _, operand in contrast.terms):
         rows = measured[measured.condition == arm]
         runs = {int(run.seed.iloc[0]): run for _, run in rows.groupby("seed", sort=False)}
         given = {
             seed: run_terms(run, claim, contrast) if run.counted.any() else None for seed, run in runs.items()
         }
         parts[arm] = [terms for terms in given.values() if terms is not None]
-        own = [operand for _, operand in contrast.terms if operand.arm == arm]
+        own = [operand for _, operand in contrast.terms if operand.condition == arm]
         without = {
             seed: lack_of(run, own) or (None if given[seed] else f"no {claim.metric}")
             for seed, run in runs.items()
@@ -181,7 +181,7 @@ def _parts(
 def _non_finite(contrast: Contrast, measured: pd.DataFrame) -> str:
     """A note on the run that has the largest share of non-finite episodes, if any has some."""
     operands = [operand for _, operand in contrast.terms]
-    rows = measured[measured.counted & measured.condition.isin([operand.arm for operand in operands])]
+    rows = measured[measured.counted & measured.condition.isin([operand.condition for operand in operands])]
     runs = [run for _, run in rows.groupby("path", sort=False)]
     return non_finite_note(max((non_finite_share(run, operands) for run in runs), default=0.0))
 
@@ -224,7 +224,7 @@ def _shown(
     value, interval = estimated.value, estimated.interval
     if not isinstance(claim, RatioAtMost | RatioAtLeast):
         return value, _possible(claim, interval)
-    runs = parts[claim.over.arm]
+    runs = parts[claim.over.condition]
     figures = [t.figure.value for run in runs for t in run.terms if t.operand is claim.over]
     over = sum(figures) / len(figures)
     if over <= 0:
@@ -245,7 +245,7 @@ def _possible(claim: AnyClaim, interval: Interval | None) -> Interval | None:
 
 def _reported(operand: Operand, claim: AnyClaim, experiment: LoadedExperiment) -> float | None:
     """What was reported of an operand's metric."""
-    return getattr(experiment.arms[operand.arm].figures_of(operand), claim.metric, None)
+    return getattr(experiment.conditions[operand.condition].figures_of(operand), claim.metric, None)
 
 
 def _reported_figure(claim: AnyClaim, contrast: Contrast, experiment: LoadedExperiment) -> float | None:

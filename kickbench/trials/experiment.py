@@ -12,9 +12,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from kickbench.config.claims import OF_A_RUN, AnyClaim, NearReported, Operand
+from kickbench.config.experiment import (
+    OF_A_RUN,
+    AnyClaim,
+    ExperimentSpec,
+    FiguresSpec,
+    NearReported,
+    Operand,
+    ReportedFiguresSpec,
+)
 from kickbench.config.load import Loaded, LoadedMethod, LoadedTask, load, load_method, load_task
-from kickbench.config.reported import ExperimentSpec, FiguresSpec, ReportedFiguresSpec
 from kickbench.config.task import TaskSpec
 from kickbench.config.terms import RewardParams, TerminationParams
 from kickbench.config.yamlio import Document
@@ -23,8 +30,8 @@ from kickbench.errors import KeyPath, Problem, SpecError, collected, did_you_mea
 
 
 @dataclass(frozen=True)
-class Arm:
-    """One arm of an experiment, with nothing left to default.
+class Condition:
+    """One condition of an experiment, with nothing left to default.
 
     Attributes:
         name: Its name, and that of its folder.
@@ -33,7 +40,7 @@ class Arm:
         seeds: Seeds of training; `seed<k>` is the folder of each.
         iterations: Training iterations of each.
         episodes: Evaluation episodes a side.
-        also: Further tasks the policies are evaluated on, by name.
+        transfer: Further tasks the policies are evaluated on, by name.
         reported: What was reported of it.
     """
 
@@ -43,7 +50,7 @@ class Arm:
     seeds: tuple[int, ...]
     iterations: int
     episodes: int
-    also: Mapping[str, LoadedTask[TaskSpec]]
+    transfer: Mapping[str, LoadedTask[TaskSpec]]
     reported: ReportedFiguresSpec | None
 
     @property
@@ -59,14 +66,14 @@ class Arm:
     @property
     def tasks(self) -> dict[str, LoadedTask[TaskSpec]]:
         """Every task that the policies are evaluated on, by name: the one trained on first."""
-        return {self.task.name: self.task, **self.also}
+        return {self.task.name: self.task, **self.transfer}
 
     def is_of_own_task(self, operand: Operand) -> bool:
         """Whether an operand is about the task trained on, named or not."""
         return operand.task in (None, self.task.name)
 
     def figures_of(self, operand: Operand) -> FiguresSpec | None:
-        """What was reported of an operand's side; nothing is reported of a further task."""
+        """What was reported of an operand's side; nothing is reported of a transfer task."""
         return self.reported.of_side(operand.side) if self.reported and self.is_of_own_task(operand) else None
 
 
@@ -75,11 +82,11 @@ class LoadedExperiment(Loaded[ExperimentSpec]):
     """An experiment with everything it names; its name is also that of its folder.
 
     Attributes:
-        arms: The arms by name, in the order of the file.
+        conditions: The conditions by name, in the order of the file.
         claims: The claims by name: those of other experiments first, then its own, in the order of the files.
     """
 
-    arms: Mapping[str, Arm]
+    conditions: Mapping[str, Condition]
     claims: Mapping[str, AnyClaim]
 
     @property
@@ -87,7 +94,9 @@ class LoadedExperiment(Loaded[ExperimentSpec]):
         """SHA-256 of what is claimed: kinds, figures and bounds, not the words."""
         words = {"statement", "section"}
         claims = {name: claim.model_dump(mode="json", exclude=words) for name, claim in self.claims.items()}
-        return hashlib.sha256(json.dumps(claims, sort_keys=True).encode()).hexdigest()
+        text = json.dumps(claims, sort_keys=True)
+        # Hashes of recorded runs were made when conditions were called arms.
+        return hashlib.sha256(text.replace('"condition": "', '"arm": "').encode()).hexdigest()
 
 
 def load_experiment(path: str | Path, overrides: Sequence[str] = ()) -> LoadedExperiment:
@@ -99,13 +108,18 @@ def load_experiment(path: str | Path, overrides: Sequence[str] = ()) -> LoadedEx
     loaded = load(ExperimentSpec, path, overrides)
     spec, document = loaded.spec, loaded.document
     files = _Files(document)
-    also = _also(spec, files)
+    transfer = _transfer(spec, files)
     claims = _all_claims(spec, files)
-    arms = {name: arm for name in spec.arms if (arm := _arm(name, spec, files, also))}
-    problems = files.problems or [*_figure_problems(arms, document), *_claim_problems(claims, arms, document)]
+    conditions = {
+        name: condition for name in spec.conditions if (condition := _condition(name, spec, files, transfer))
+    }
+    problems = files.problems or [
+        *_figure_problems(conditions, document),
+        *_claim_problems(claims, conditions, document),
+    ]
     if problems:
         raise SpecError(problems)
-    return LoadedExperiment(spec, document, arms, claims)
+    return LoadedExperiment(spec, document, conditions, claims)
 
 
 class _Files:
@@ -138,48 +152,48 @@ class _Files:
         return load_method(file) if kind == "method" else load(ExperimentSpec, file).spec
 
 
-def _also(spec: ExperimentSpec, files: _Files) -> dict[str, LoadedTask[TaskSpec]]:
-    """The further tasks by name, which is also that of their result's file."""
-    also: dict[str, LoadedTask[TaskSpec]] = {}
-    for index, file in enumerate(spec.evaluation.also):
-        path = ("evaluation", "also", index)
+def _transfer(spec: ExperimentSpec, files: _Files) -> dict[str, LoadedTask[TaskSpec]]:
+    """The transfer tasks by name, which is also that of their result's file."""
+    transfer: dict[str, LoadedTask[TaskSpec]] = {}
+    for index, file in enumerate(spec.evaluation.transfer):
+        path = ("evaluation", "transfer", index)
         task = files.load("task", file, path)
-        if task is not None and task.name in also:
+        if task is not None and task.name in transfer:
             files.report(path, f"there are two tasks of the name {task.name}")
         elif task is not None:
-            also[task.name] = task
-    return also
+            transfer[task.name] = task
+    return transfer
 
 
-def _arm(
-    name: str, spec: ExperimentSpec, files: _Files, also: Mapping[str, LoadedTask[TaskSpec]]
-) -> Arm | None:
-    arm = spec.arms[name]
-    own = ("arms", name, "task")
-    task = files.load("task", arm.task or str(spec.task), own if arm.task else ("task",))
-    method = files.load("method", arm.method, ("arms", name, "method"))
+def _condition(
+    name: str, spec: ExperimentSpec, files: _Files, transfer: Mapping[str, LoadedTask[TaskSpec]]
+) -> Condition | None:
+    condition = spec.conditions[name]
+    own = ("conditions", name, "task")
+    task = files.load("task", condition.task or str(spec.task), own if condition.task else ("task",))
+    method = files.load("method", condition.method, ("conditions", name, "method"))
     if task is None or method is None:
         return None
-    if task.name in also:
-        what = f"the arm {name} is trained on {task.name}, and evaluated on it anyway"
-        files.report(("evaluation", "also"), what)
-    return Arm(
+    if task.name in transfer:
+        what = f"the condition {name} is trained on {task.name}, and evaluated on it anyway"
+        files.report(("evaluation", "transfer"), what)
+    return Condition(
         name=name,
         task=task,
         method=method,
-        seeds=arm.seeds or spec.seeds,
-        iterations=arm.iterations or spec.iterations or method.spec.algorithm.iterations,
+        seeds=condition.seeds or spec.seeds,
+        iterations=condition.iterations or spec.iterations or method.spec.algorithm.iterations,
         episodes=spec.evaluation.episodes or task.spec.evaluation.episodes,
-        also=also,
-        reported=arm.reported,
+        transfer=transfer,
+        reported=condition.reported,
     )
 
 
-def _figure_problems(arms: Mapping[str, Arm], document: Document) -> Iterator[Problem]:
-    for name, arm in arms.items():
-        if arm.reported and arm.reported.mirrored and not arm.task.spec.evaluation.mirrored:
-            path = ("arms", name, "reported", "mirrored")
-            yield document.problem(path, f"the task {arm.task.name} has no mirrored evaluation")
+def _figure_problems(conditions: Mapping[str, Condition], document: Document) -> Iterator[Problem]:
+    for name, condition in conditions.items():
+        if condition.reported and condition.reported.mirrored and not condition.task.spec.evaluation.mirrored:
+            path = ("conditions", name, "reported", "mirrored")
+            yield document.problem(path, f"the task {condition.task.name} has no mirrored evaluation")
 
 
 def _all_claims(spec: ExperimentSpec, files: _Files) -> dict[str, AnyClaim]:
@@ -205,34 +219,45 @@ def _all_claims(spec: ExperimentSpec, files: _Files) -> dict[str, AnyClaim]:
 
 
 def _claim_problems(
-    claims: Mapping[str, AnyClaim], arms: Mapping[str, Arm], document: Document
+    claims: Mapping[str, AnyClaim], conditions: Mapping[str, Condition], document: Document
 ) -> Iterator[Problem]:
     for name, claim in claims.items():
-        seeds = {arms[operand.arm].seeds for operand in claim.operands().values() if operand.arm in arms}
-        if claim.seeds == "each" and len(seeds) > 1:
-            what = "each seed of two arms is compared with that of the same number: their seeds differ"
+        operands = claim.operands()
+        known = [conditions[of.condition] for of in operands.values() if of.condition in conditions]
+        if claim.seeds == "each" and len({condition.seeds for condition in known}) > 1:
+            what = "each seed of two conditions is compared with that of the same number: their seeds differ"
             yield document.problem(("claims", name, "seeds"), what)
-        for key, operand in claim.operands().items():
-            path, arm = ("claims", name, key), arms.get(operand.arm)
-            if arm is None:
-                what = f"no such arm '{operand.arm}'; the arms: {', '.join(arms)}"
-                yield document.problem((*path, "arm"), what, did_you_mean(operand.arm, arms))
-            elif operand.task not in (None, *arm.tasks):
-                what = f"the arm {arm.name} is not evaluated on '{operand.task}'; on: {', '.join(arm.tasks)}"
-                yield document.problem((*path, "task"), what, did_you_mean(str(operand.task), arm.tasks))
+        for key, operand in operands.items():
+            path, condition = ("claims", name, key), conditions.get(operand.condition)
+            if condition is None:
+                what = f"no such condition '{operand.condition}'; the conditions: {', '.join(conditions)}"
+                hint = did_you_mean(operand.condition, conditions)
+                yield document.problem((*path, "condition"), what, hint)
             else:
-                task = arm.tasks[operand.task or arm.task.name]
-                for inner, what in _misfits(claim, operand, arm, task):
-                    yield document.problem((*path, *inner), what)
-                for inner, what, hint in _unknown_terms(claim, task):
-                    yield document.problem(("claims", name, *inner), what, hint)
+                yield from _operand_problems(claim, operand, condition, path, document)
+
+
+def _operand_problems(
+    claim: AnyClaim, operand: Operand, condition: Condition, path: KeyPath, document: Document
+) -> Iterator[Problem]:
+    tasks = condition.tasks
+    if operand.task not in (None, *tasks):
+        on = f"'{operand.task}'; on: {', '.join(tasks)}"
+        what = f"the condition {condition.name} is not evaluated on {on}"
+        yield document.problem((*path, "task"), what, did_you_mean(str(operand.task), tasks))
+        return
+    task = tasks[operand.task or condition.task.name]
+    for key, what in _misfits(claim, operand, condition, task):
+        yield document.problem((*path, *key), what)
+    for key, what, hint in _unknown_terms(claim, task):
+        yield document.problem((*path[:-1], *key), what, hint)
 
 
 def _misfits(
-    claim: AnyClaim, operand: Operand, arm: Arm, task: LoadedTask[TaskSpec]
+    claim: AnyClaim, operand: Operand, condition: Condition, task: LoadedTask[TaskSpec]
 ) -> Iterator[tuple[KeyPath, str]]:
     """What a claim asks of an operand and its metric, or its task, does not have."""
-    own, metric, side = arm.is_of_own_task(operand), claim.metric, operand.side
+    own, metric, side = condition.is_of_own_task(operand), claim.metric, operand.side
     if metric in OF_A_RUN and side == "mirrored":
         yield ("side",), f"the metric {metric} is of a run, and has no sides"
     if metric in OF_A_RUN and not own:
@@ -241,10 +266,10 @@ def _misfits(
     if mirrored and not task.spec.evaluation.mirrored:
         yield ("side",), f"the task {task.name} has no mirrored evaluation"
     if isinstance(claim, NearReported) and not own:
-        what = f"nothing was reported of the arm {arm.name} on a further task; {claim.kind} needs a figure"
-        yield ("task",), what
-    elif isinstance(claim, NearReported) and getattr(arm.figures_of(operand), metric, None) is None:
-        yield (), f"no {metric} of {side} was reported of the arm {arm.name}"
+        what = f"nothing was reported of the condition {condition.name} on a transfer task"
+        yield ("task",), f"{what}; {claim.kind} needs a figure"
+    elif isinstance(claim, NearReported) and getattr(condition.figures_of(operand), metric, None) is None:
+        yield (), f"no {metric} of {side} was reported of the condition {condition.name}"
 
 
 def _unknown_terms(claim: AnyClaim, task: LoadedTask[TaskSpec]) -> Iterator[tuple[KeyPath, str, str | None]]:

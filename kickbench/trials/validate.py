@@ -8,12 +8,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from kickbench.config.base import Spec
+from kickbench.config.experiment import ExperimentSpec
 from kickbench.config.load import Loaded, LoadedMethod, load, load_method, load_task
 from kickbench.config.method import MethodSpec
-from kickbench.config.reported import ExperimentSpec
 from kickbench.config.representation import RepresentationSpec
 from kickbench.config.robot import RobotSpec
-from kickbench.config.yamlio import Document, load_document
+from kickbench.config.yamlio import RENAMED, Document, load_document
 from kickbench.envs.catalog import model_of_task, task_model
 from kickbench.envs.compile import CompiledTask, compile_task
 from kickbench.errors import Mark, Problem, collected, did_you_mean
@@ -94,7 +94,8 @@ def check_files(files: Sequence[Path], overrides: Sequence[str] = ()) -> Iterato
 
 
 def _head(override: str) -> str:
-    return override.partition("=")[0].partition(".")[0].strip()
+    head = override.partition("=")[0].partition(".")[0].strip()
+    return RENAMED.get((head,), head)
 
 
 def _unused(override: str) -> Problem:
@@ -131,11 +132,11 @@ def _check(
 
 def _robots_of_experiment(path: Path, overrides: Sequence[str], report: Report) -> list[Loaded[RobotSpec]]:
     """Checks every task of an experiment with every method it is learned by, each pair once."""
-    arms = load_experiment(path, overrides).arms.values()
+    conditions = load_experiment(path, overrides).conditions.values()
     pairs = {
-        (task.document.file, arm.method.document.file): (task, arm.method)
-        for arm in arms
-        for task in arm.tasks.values()
+        (task.document.file, condition.method.document.file): (task, condition.method)
+        for condition in conditions
+        for task in condition.tasks.values()
     }
     compiled: dict[Path, CompiledTask] = {}
     for (file, _), (task, method) in pairs.items():

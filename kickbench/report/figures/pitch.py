@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from kickbench.config.claims import Side
+from kickbench.config.experiment import Side
 from kickbench.report.breakdown import Episodes, tables_of
 from kickbench.report.figures.canvas import Panel, Picture
 from kickbench.report.palette import INK, OTHER, Look
