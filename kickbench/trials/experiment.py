@@ -21,12 +21,13 @@ from kickbench.config.experiment import (
     Operand,
     ReportedFiguresSpec,
 )
-from kickbench.config.load import Loaded, LoadedMethod, LoadedTask, load, load_method, load_task
+from kickbench.config.load import Loaded, LoadedMethod, LoadedTask, load, load_task
 from kickbench.config.task import TaskSpec
 from kickbench.config.terms import RewardParams, TerminationParams
 from kickbench.config.yamlio import Document
 from kickbench.envs.catalog import model_of_task
 from kickbench.errors import KeyPath, Problem, SpecError, collected, did_you_mean
+from kickbench.trials.trial import load_both
 
 
 @dataclass(frozen=True)
@@ -107,76 +108,39 @@ def load_experiment(path: str | Path, overrides: Sequence[str] = ()) -> LoadedEx
     """
     loaded = load(ExperimentSpec, path, overrides)
     spec, document = loaded.spec, loaded.document
-    files = _Files(document)
-    transfer = _transfer(spec, files)
-    claims = _all_claims(spec, files)
-    conditions = {
-        name: condition for name in spec.conditions if (condition := _condition(name, spec, files, transfer))
-    }
-    problems = files.problems or [
-        *_figure_problems(conditions, document),
-        *_claim_problems(claims, conditions, document),
-    ]
+    problems: list[Problem] = []
+    transfer: dict[str, LoadedTask[TaskSpec]] = {}
+    for index, file in enumerate(spec.evaluation.transfer):
+        with collected(problems):
+            task = load_task(model_of_task, file)
+            if task.name in transfer:
+                place = ("evaluation", "transfer", index)
+                raise document.error(place, f"there are two tasks of the name {task.name}")
+            transfer[task.name] = task
+    conditions: dict[str, Condition] = {}
+    for name in spec.conditions:
+        with collected(problems):
+            conditions[name] = _condition(name, spec, document, transfer)
+    claims: dict[str, AnyClaim] = {}
+    with collected(problems):
+        claims = _all_claims(spec, document)
+    problems = problems or list(_claim_problems(claims, conditions, document))
     if problems:
         raise SpecError(problems)
     return LoadedExperiment(spec, document, conditions, claims)
 
 
-class _Files:
-    """The files that an experiment names, each read once, and what is wrong with them."""
-
-    def __init__(self, document: Document) -> None:
-        self.document = document
-        self.problems: list[Problem] = []
-        self._read: dict[tuple[str, str], Any] = {}
-
-    def load(self, kind: str, file: str, path: KeyPath) -> Any:
-        """The file that the key at a path names: a `task`, a `method` or an `experiment`; None if it does not load."""
-        if (kind, file) not in self._read:
-            self._read[kind, file] = None
-            found: list[Problem] = []
-            with collected(found):
-                self._read[kind, file] = self._load(kind, file)
-            if found:
-                self.report(path, f"this {kind} does not load; its problems follow")
-                self.problems += found
-        return self._read[kind, file]
-
-    def report(self, path: KeyPath, message: str, hint: str | None = None) -> None:
-        """Adds a problem with a key of the experiment."""
-        self.problems.append(self.document.problem(path, message, hint))
-
-    def _load(self, kind: str, file: str) -> Any:
-        if kind == "task":
-            return load_task(model_of_task, file)
-        return load_method(file) if kind == "method" else load(ExperimentSpec, file).spec
-
-
-def _transfer(spec: ExperimentSpec, files: _Files) -> dict[str, LoadedTask[TaskSpec]]:
-    """The transfer tasks by name, which is also that of their result's file."""
-    transfer: dict[str, LoadedTask[TaskSpec]] = {}
-    for index, file in enumerate(spec.evaluation.transfer):
-        path = ("evaluation", "transfer", index)
-        task = files.load("task", file, path)
-        if task is not None and task.name in transfer:
-            files.report(path, f"there are two tasks of the name {task.name}")
-        elif task is not None:
-            transfer[task.name] = task
-    return transfer
-
-
 def _condition(
-    name: str, spec: ExperimentSpec, files: _Files, transfer: Mapping[str, LoadedTask[TaskSpec]]
-) -> Condition | None:
+    name: str, spec: ExperimentSpec, document: Document, transfer: Mapping[str, LoadedTask[TaskSpec]]
+) -> Condition:
     condition = spec.conditions[name]
-    own = ("conditions", name, "task")
-    task = files.load("task", condition.task or str(spec.task), own if condition.task else ("task",))
-    method = files.load("method", condition.method, ("conditions", name, "method"))
-    if task is None or method is None:
-        return None
+    task, method = load_both(condition.task or str(spec.task), condition.method)
     if task.name in transfer:
         what = f"the condition {name} is trained on {task.name}, and evaluated on it anyway"
-        files.report(("evaluation", "transfer"), what)
+        raise document.error(("evaluation", "transfer"), what)
+    if condition.reported and condition.reported.mirrored and not task.spec.evaluation.mirrored:
+        place = ("conditions", name, "reported", "mirrored")
+        raise document.error(place, f"the task {task.name} has no mirrored evaluation")
     return Condition(
         name=name,
         task=task,
@@ -189,32 +153,22 @@ def _condition(
     )
 
 
-def _figure_problems(conditions: Mapping[str, Condition], document: Document) -> Iterator[Problem]:
-    for name, condition in conditions.items():
-        if condition.reported and condition.reported.mirrored and not condition.task.spec.evaluation.mirrored:
-            path = ("conditions", name, "reported", "mirrored")
-            yield document.problem(path, f"the task {condition.task.name} has no mirrored evaluation")
-
-
-def _all_claims(spec: ExperimentSpec, files: _Files) -> dict[str, AnyClaim]:
+def _all_claims(spec: ExperimentSpec, document: Document) -> dict[str, AnyClaim]:
     """The claims of the experiments that are named, and those of the file itself."""
     claims: dict[str, AnyClaim | None] = {}
     for index, file in enumerate(spec.claims_of):
-        path = ("claims_of", index)
-        other = files.load("experiment", file, path)
-        if other is not None and other.claims_of:
-            files.report(path, "its own claims are those of others: name them here")
-        elif other is not None:
-            kept = {
-                n: claim for n, claim in other.claims.items() if not isinstance(claim, NearReported | None)
-            }
-            for name in kept:
-                if name in claims and claims[name] != kept[name]:
-                    files.report(path, f"the claim {name} stands in two of the files")
-            claims |= kept
-    for name in (name for name, claim in spec.claims.items() if claim is None and name not in claims):
-        what = f"null drops a claim of `claims_of`, and they have no '{name}'"
-        files.report(("claims", name), what, did_you_mean(name, claims))
+        other, place = load(ExperimentSpec, file).spec, ("claims_of", index)
+        if other.claims_of:
+            raise document.error(place, "its own claims are those of others: name them here")
+        kept = {n: claim for n, claim in other.claims.items() if not isinstance(claim, NearReported | None)}
+        for name in kept:
+            if name in claims and claims[name] != kept[name]:
+                raise document.error(place, f"the claim {name} stands in two of the files")
+        claims |= kept
+    for name, claim in spec.claims.items():
+        if claim is None and name not in claims:
+            what = f"null drops a claim of `claims_of`, and they have no '{name}'"
+            raise document.error(("claims", name), what, did_you_mean(name, claims))
     return {name: claim for name, claim in (claims | spec.claims).items() if claim is not None}
 
 

@@ -73,15 +73,7 @@ def load_trial(
     Raises:
         SpecError: With every problem found.
     """
-    of_task, of_method = split_overrides(overrides)
-    problems: list[Problem] = []
-    loaded_task, loaded_method = None, None
-    with collected(problems):
-        loaded_task = load_task(model_of_task, task, of_task)
-    with collected(problems):
-        loaded_method = load_method(method, of_method)
-    if loaded_task is None or loaded_method is None:
-        raise SpecError(problems)
+    loaded_task, loaded_method = load_both(task, method, overrides)
     if scale is not None:
         full, iterations = loaded_task.spec.evaluation.episodes, loaded_method.spec.algorithm.iterations
         episodes = max(round(scale * full), min(full, MIN_SCALED_EPISODES))
@@ -89,6 +81,25 @@ def load_trial(
         loaded_method = loaded_method.changed({"algorithm.iterations": max(1, round(scale * iterations))})
     compiled = compile_task(loaded_task)
     return Trial(loaded_task, loaded_method, compiled, symmetry_of(compiled, loaded_method.representations))
+
+
+def load_both(
+    task: str | Path, method: str | Path, overrides: Sequence[str] = ()
+) -> tuple[LoadedTask[TaskSpec], LoadedMethod]:
+    """Loads a task and a method.
+
+    Raises:
+        SpecError: With every problem of both.
+    """
+    of_task, of_method = split_overrides(overrides)
+    problems: list[Problem] = []
+    with collected(problems):
+        loaded_task = load_task(model_of_task, task, of_task)
+    with collected(problems):
+        loaded_method = load_method(method, of_method)
+    if problems:
+        raise SpecError(problems)
+    return loaded_task, loaded_method  # pyright: ignore[reportPossiblyUnbound] (no problem, so both are there)
 
 
 def symmetry_of(task: CompiledTask, representations: Loaded[RepresentationSpec]) -> Symmetry:
