@@ -20,7 +20,7 @@ from kickbench.audit.policy import check_run, load_critic, policy_rows
 from kickbench.audit.record import Recording, Reflection, record
 from kickbench.audit.report import Report, Row
 from kickbench.config.load import Loaded, load, load_method, load_task
-from kickbench.config.representation import RepresentationSpec
+from kickbench.config.method import RepresentationSpec
 from kickbench.config.yamlio import load_document
 from kickbench.envs.catalog import model_of_task
 from kickbench.envs.compile import CompiledTask, compile_task

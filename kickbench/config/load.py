@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import Any, Generic, Self, TypeVar, cast
 
 from kickbench.config.base import Spec
-from kickbench.config.method import MethodSpec
+from kickbench.config.method import MethodSpec, RepresentationSpec
 from kickbench.config.problems import validate
-from kickbench.config.representation import RepresentationSpec
 from kickbench.config.robot import RobotSpec
 from kickbench.config.task import TaskSpec
 from kickbench.config.yamlio import Document, load_document

@@ -16,9 +16,6 @@ from kickbench.errors import KeyPath, Problem, SpecError, did_you_mean
 
 S = TypeVar("S", bound=BaseModel)
 
-_SMALLEST, _GREATEST = 1e-12, 1e12
-"""Magnitudes of numbers other than 0: their squares and products are still numbers in single precision."""
-
 _OF_KEY = "[key]"
 """How pydantic ends the location of an error in a key of a dict."""
 
@@ -29,16 +26,10 @@ def validate(model: type[S], document: Document) -> S:
     Raises:
         SpecError: With every problem of the document, in the order of its lines.
     """
-    spec, problems = None, []
     try:
-        spec = model.model_validate(document.tree.plain(located=True))
+        return model.model_validate(document.tree.plain(located=True))
     except ValidationError as error:
         problems = _problems_of(error, model, document)
-    # Where a bound of its own is exceeded, that is reported already.
-    known = {problem.path for problem in problems}
-    problems += [found for found in _absurd_numbers(document.data, (), document) if found.path not in known]
-    if spec is not None and not problems:
-        return spec
     files = [str(file) for file in document.sources]
 
     def place(problem: Problem) -> tuple[int, int, int]:
@@ -48,18 +39,6 @@ def validate(model: type[S], document: Document) -> S:
         return files.index(mark.file), mark.line, mark.column
 
     raise SpecError(sorted(problems, key=place))
-
-
-def _absurd_numbers(value: Any, path: KeyPath, document: Document) -> Iterator[Problem]:
-    """Numbers that are legal, and that nothing can be computed with; seeds may be large."""
-    if isinstance(value, dict | list):
-        items = value.items() if isinstance(value, dict) else enumerate(value)
-        for key, item in items:
-            if key not in ("seed", "seeds"):
-                yield from _absurd_numbers(item, (*path, key), document)
-    elif isinstance(value, int | float) and value and not _SMALLEST <= abs(value) <= _GREATEST:
-        what = f"expected 0, or a number from {_SMALLEST:g} to {_GREATEST:g} in magnitude, found {value:g}"
-        yield Problem(document.value_mark(path), path, what)
 
 
 @dataclass(frozen=True)

@@ -29,6 +29,9 @@ MAX_DEPTH = 100
 
 _MAX_DIGITS = 100
 
+_SMALLEST, _GREATEST = 1e-12, 1e12
+"""Magnitudes of numbers other than 0: their squares and products are still numbers in single precision."""
+
 _TAG = "tag:yaml.org,2002:"
 _CORE = {
     "null": re.compile(r"~|null|Null|NULL|"),
@@ -235,10 +238,17 @@ class _Builder:
             self._report(mark, path, f"a number of {len(text)} digits is too long")
         else:
             value = _READ[kind](text)
-            if isinstance(value, float) and not math.isfinite(value):
-                self._report(mark, path, f"expected a finite number, found {text}")
+            if kind in ("int", "float"):
+                self._check_number(value, text, path, mark)
             return value
         return None
+
+    def _check_number(self, value: Any, text: str, path: KeyPath, mark: Mark) -> None:
+        if not math.isfinite(value):
+            self._report(mark, path, f"expected a finite number, found {text}")
+        elif value and not _SMALLEST <= abs(value) <= _GREATEST and not {"seed", "seeds"} & set(path):
+            what = f"expected 0, or a number from {_SMALLEST:g} to {_GREATEST:g} in magnitude, found {text}"
+            self._report(mark, path, what)
 
     def syntax_problem(self, error: yaml.YAMLError, text: str, path: KeyPath) -> Problem:
         """Words what PyYAML cannot read."""
@@ -252,7 +262,10 @@ class _Builder:
         before = text[:position]
         where = self.mark(before.count("\n") + 1, position - before.rfind("\n"))
         character = text[position : position + 1]
-        return Problem(where, path, f"not valid YAML: the character {character!r} is not allowed")
+        what = f"not valid YAML: the character {character!r} is not allowed"
+        if "\udc80" <= character <= "\udcff":  # decoded with `surrogateescape`
+            what = f"not UTF-8: the byte 0x{ord(character) - 0xDC00:02x}"
+        return Problem(where, path, what)
 
     def _mark(self, node: Node) -> Mark:
         return self.mark(node.start_mark.line + 1, node.start_mark.column + 1)
@@ -286,7 +299,6 @@ def dump_yaml(data: Any) -> str:
     """Writes mappings, lists and scalars as block YAML, in the order of the keys.
 
     Raises:
-        ValueError: A number is not finite.
         yaml.representer.RepresenterError: A value is not of a type that YAML files have.
     """
     return _dump(data, flow=False, width=100)
@@ -325,12 +337,5 @@ def _represent_str(dumper: _Dumper, text: str) -> yaml.ScalarNode:
     return dumper.represent_scalar(_TAG + "str", text, style=None if text.isprintable() else '"')
 
 
-def _represent_float(dumper: _Dumper, value: float) -> yaml.ScalarNode:
-    if not math.isfinite(value):
-        raise ValueError(f"{value} has no place in a YAML file")
-    return dumper.represent_float(value)
-
-
 _Dumper.add_representer(str, _represent_str)
-_Dumper.add_representer(float, _represent_float)
 _Dumper.add_representer(tuple, _Dumper.represent_list)

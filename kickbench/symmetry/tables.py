@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import reduce
 
-from kickbench.config.representation import Expression, Product, RepresentationSpec, Sum, parse_expression
+from kickbench.config.method import Expression, Product, RepresentationSpec, Sum, parse_expression
 from kickbench.config.yamlio import Document
 from kickbench.errors import Problem, SpecError, nearest
 from kickbench.symmetry.field_table import FieldTable

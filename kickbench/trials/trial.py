@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from kickbench.config.load import Loaded, LoadedMethod, LoadedTask, load_method, load_task, split_overrides
-from kickbench.config.representation import RepresentationSpec
+from kickbench.config.method import RepresentationSpec
 from kickbench.config.task import TaskSpec
 from kickbench.envs.catalog import model_of_task
 from kickbench.envs.compile import CompiledTask, compile_task

@@ -10,8 +10,7 @@ from pathlib import Path
 from kickbench.config.base import Spec
 from kickbench.config.experiment import ExperimentSpec
 from kickbench.config.load import Loaded, LoadedMethod, load, load_method, load_task
-from kickbench.config.method import MethodSpec
-from kickbench.config.representation import RepresentationSpec
+from kickbench.config.method import MethodSpec, RepresentationSpec
 from kickbench.config.robot import RobotSpec
 from kickbench.config.yamlio import RENAMED, Document, load_document
 from kickbench.envs.catalog import model_of_task, task_model

@@ -16,7 +16,7 @@ from kickbench.audit.report import Report
 from kickbench.audit.run import judge, reflection_of
 from kickbench.cli import main
 from kickbench.config.load import load
-from kickbench.config.representation import RepresentationSpec
+from kickbench.config.method import RepresentationSpec
 from kickbench.errors import KickbenchError
 from kickbench.trials.trial import load_trial, symmetry_of
 

@@ -2,7 +2,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from kickbench.config.representation import NAMES, Product, RepresentationSpec, Sum, parse_expression
+from kickbench.config.method import NAMES, Product, RepresentationSpec, Sum, parse_expression
 from kickbench.symmetry.representation import BY_NAME
 
 FOUR = "trivial, sign, regular, regular_sign, joints, actions"
