@@ -158,7 +158,7 @@ def nearest(name: str, choices: Iterable[str]) -> str | None:
         One of the choices, or None if none is near.
     """
     choices = list(choices)
-    for same in (str, _squeezed, _sorted_words):
+    for same in (str, _squeezed, lambda text: sorted(_words(text))):
         for choice in choices:
             if same(choice) == same(name):
                 return choice
@@ -175,10 +175,6 @@ def did_you_mean(name: str, choices: Iterable[str]) -> str | None:
 
 def _squeezed(name: str) -> str:
     return "".join(_words(name))
-
-
-def _sorted_words(name: str) -> str:
-    return " ".join(sorted(_words(name)))
 
 
 def _words(name: str) -> list[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -75,10 +76,10 @@ VectorPair = Annotated[tuple[float, float], Field(strict=False)]
 """Two numbers."""
 
 
-def _ordered(value: tuple[float, float]) -> tuple[float, float]:
-    if value[0] >= value[1]:
-        wrong = "reversed" if value[0] > value[1] else "empty"
-        raise ValueError(f"the range [{value[0]}, {value[1]}] is {wrong}: low must be less than high")
+def _ordered(value: Sequence[float], rule: str = "low must be less than high") -> Sequence[float]:
+    low, high = value
+    if low >= high:
+        raise ValueError(f"the range [{low}, {high}] is {'reversed' if low > high else 'empty'}: {rule}")
     return value
 
 
@@ -91,14 +92,9 @@ def _read_range(value: Any) -> Any:
         return (value, value)
     if not isinstance(value, list | tuple) or len(value) != 2:
         raise PydanticCustomError("range_type", "Input should be a number or [low, high]")
-    low, high = value
-    if not all(isinstance(bound, int | float) for bound in value):
-        return value
     # Only YAML gives lists. A tuple of equal bounds is a constant that was read before.
-    if low > high or (low == high and isinstance(value, list)):
-        wrong = "reversed" if low > high else "empty"
-        rule = "low must be less than high; a constant is one number"
-        raise ValueError(f"the range [{low}, {high}] is {wrong}: {rule}")
+    if all(isinstance(bound, int | float) for bound in value) and value != (value[0], value[0]):
+        _ordered(value, "low must be less than high; a constant is one number")
     return value
 
 

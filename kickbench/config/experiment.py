@@ -25,7 +25,7 @@ from kickbench.config.base import (
 Side = Literal["in_distribution", "mirrored"]
 """Which episodes: as the task samples them, or from the mirror images of their starts."""
 
-Metric = Literal[
+SideMetric = Literal[
     "success_rate",
     "mean_distance",
     "median_distance",
@@ -34,31 +34,23 @@ Metric = Literal[
     "termination_share",
     "same_side_share",
     "favourite_foot_share",
+    "touches",
+    "walked_after_touch",
+]
+RunMetric = Literal[
     "equivariance_error",
     "pair_agreement",
     "return_length_correlation",
     "raw_reward",
-    "touches",
-    "walked_after_touch",
     "steps_to_kick",
     "steps_to_half_success",
     "success_area",
     "return_trough",
 ]
+Metric = Literal[SideMetric, RunMetric]
 """What a claim may be about; `kickbench.results.run_figures` says how each follows from a run."""
 
-OF_A_RUN: frozenset[Metric] = frozenset(
-    {
-        "equivariance_error",
-        "pair_agreement",
-        "return_length_correlation",
-        "raw_reward",
-        "steps_to_kick",
-        "steps_to_half_success",
-        "success_area",
-        "return_trough",
-    }
-)
+OF_A_RUN: frozenset[Metric] = frozenset(get_args(RunMetric))
 """Metrics of a run as a whole: they have no sides and no transfer tasks."""
 
 

@@ -96,33 +96,20 @@ def _places(tree: Tree) -> Iterator[str]:
     yield from (place for item in items for place in _places(item) if item.key.is_override)
 
 
-_REF = "#/$defs/"
-_PARTIAL = "Partial"
-
-
 def json_schema(model: type[BaseModel]) -> dict[str, Any]:
     """Makes the JSON Schema (draft 2020-12) of the YAML files of a model.
 
-    A file that extends another may leave out any key at any depth, so what is required is stated in a second,
-    complete copy of the schema, which only a file without `extends` must meet.
+    No key is required, at any depth: a file may leave out what the one that it extends has.
     """
-    complete = model.model_json_schema()
-    definitions = complete.pop("$defs", {})
-    partial = {f"{name}{_PARTIAL}": _optional(schema) for name, schema in definitions.items()}
-    root = _optional(complete)
+    schema = _optional(model.model_json_schema())
     extends = {"type": "string", "description": "Path of the file to build on, relative to this file."}
-    root["properties"] = {EXTENDS: extends} | root.get("properties", {})
-    rule = {"if": {"not": {"required": [EXTENDS]}}, "then": {"$ref": f"{_REF}{model.__name__}"}}
-    head = {"$schema": GenerateJsonSchema.schema_dialect, "title": model.__name__}
-    return head | root | rule | {"$defs": {model.__name__: complete} | definitions | partial}
+    properties = {EXTENDS: extends} | schema.get("properties", {})
+    return {"$schema": GenerateJsonSchema.schema_dialect} | schema | {"properties": properties}
 
 
 def _optional(schema: Any) -> Any:
-    """Copies a schema without what is required, its references pointing to other such copies."""
     if isinstance(schema, list):
         return [_optional(item) for item in schema]
-    if isinstance(schema, str) and schema.startswith(_REF):
-        return f"{schema}{_PARTIAL}"
     if not isinstance(schema, dict):
         return schema
     # `required` is a keyword where it is a list; a property of that name is a schema.

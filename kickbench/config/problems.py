@@ -221,7 +221,7 @@ def _types_below(above: Any, key: str | int) -> Iterator[Any]:
         yield from _types(items[1])
     elif items:
         fixed = isinstance(key, int) and key < len(items) and Ellipsis not in items
-        yield from _types(items[key] if fixed else items[0])
+        yield from _types(items[int(key) if fixed else 0])
 
 
 def _types(annotation: Any) -> Iterator[Any]:

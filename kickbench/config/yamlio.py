@@ -92,13 +92,8 @@ class Document:
         return replace(self, tree=tree)
 
     def _nearest(self, path: KeyPath) -> Tree:
-        found = self.tree
-        for key in path:
-            tree = found.child(key)
-            if tree is None:
-                break
-            found = tree
-        return found
+        tree = self.node(path)
+        return tree or self._nearest(path[:-1])
 
 
 def load_document(path: str | Path, overrides: Sequence[str] = ()) -> Document:
@@ -147,6 +142,7 @@ def _read(
         base = _base(extends, file, (*chain, file))
     except ValueError as error:
         raise SpecError([Problem(extends.key, (EXTENDS,), str(error))]) from None
+    assert isinstance(child.value, dict)
     rest = {key: tree for key, tree in child.value.items() if key != EXTENDS}
     return merge(_read(base, extends.key, (*chain, file), sources, problems), replace(child, value=rest))
 
@@ -230,23 +226,22 @@ def with_new_names(tree: Tree, path: KeyPath) -> Tree:
     """The value at a path with the new names of its keys, with a warning for each old one."""
     if not isinstance(tree.value, dict) or len(path) >= max(map(len, RENAMED)):
         return tree
-    names = {key: _new_name((*path, key), child.key) for key, child in tree.value.items()}
-    value = {
+    value = {}
+    for key, child in tree.value.items():
+        name = _new_name((*path, key), child.key)
         # Where a file has both, the old one stays, which no model knows.
-        key if name in tree.value else name: with_new_names(child, (*path, name))
-        for (key, child), name in zip(tree.value.items(), names.values(), strict=True)
-    }
+        value[key if name in tree.value else name] = with_new_names(child, (*path, name))
     return replace(tree, value=value)
 
 
-def _new_name(path: tuple[str, ...], mark: Mark) -> str:
+def _new_name(path: KeyPath, mark: Mark) -> str:
     for old, new in RENAMED.items():
         if len(old) == len(path) and all(
             pattern in ("*", key) for pattern, key in zip(old, path, strict=True)
         ):
             print(f"{mark}: '{path[-1]}' is now '{new}'", file=sys.stderr)
             return new
-    return path[-1]
+    return str(path[-1])
 
 
 def merge(base: Tree, child: Tree) -> Tree:

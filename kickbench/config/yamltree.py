@@ -218,18 +218,15 @@ class _Builder:
         return mapping
 
     def _key(self, node: Node, path: KeyPath, mark: Mark) -> str:
-        if not isinstance(node, ScalarNode):
-            what = "list" if isinstance(node, SequenceNode) else "mapping"
-            self._report(mark, path, f"a key must be a string, found a {what}")
-            return "?"
-        if node.value == "<<" and node.style is None:
+        name = node.value if isinstance(node, ScalarNode) else "?"
+        if isinstance(node, ScalarNode) and name == "<<" and node.style is None:
             instead = "use `extends: other.yaml`"
-            self._report(mark, (*path, "<<"), "merge keys '<<' are not supported", instead)
+            self._report(mark, (*path, name), "merge keys '<<' are not supported", instead)
         elif node.tag != _TAG + "str":
-            found = node.value or "null"
-            quoted = f"write it in quotes: '{found}'"
-            self._report(mark, (*path, node.value), f"a key must be a string, found {found}", quoted)
-        return node.value
+            found = "a list or mapping" if name == "?" else name or "null"
+            hint = None if name == "?" else f"write it in quotes: '{found}'"
+            self._report(mark, (*path, name), f"a key must be a string, found {found}", hint)
+        return name
 
     def _scalar(self, kind: str, text: str, path: KeyPath, mark: Mark) -> Scalar:
         if kind != "str" and not _CORE[kind].fullmatch(text):

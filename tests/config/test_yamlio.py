@@ -102,7 +102,7 @@ def test_a_key_that_is_no_string_is_refused(key, shown):
 
 def test_a_list_as_key_is_refused():
     write("? [1, 2]\n: 3\n")
-    assert problems() == [("a.yaml:1:3", (), "a key must be a string, found a list", None)]
+    assert problems() == [("a.yaml:1:3", ("?",), "a key must be a string, found a list or mapping", None)]
 
 
 @pytest.mark.parametrize("text", [".inf", "-.INF", ".nan", "1e999"])
