@@ -46,7 +46,8 @@ format: $(INSTALLED)  ## let ruff format and fix what it can
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
-schemas: $(INSTALLED)  ## write the JSON Schemas that editors use
+schemas: $(INSTALLED)  ## write the JSON Schemas with which editors complete and check YAML
+	mkdir -p kickbench/config/schemas
 	for kind in task method robot representations reported; do \
 	  $(BIN)/kickbench schema $$kind > kickbench/config/schemas/$$kind.schema.json || exit 1; \
 	done

@@ -5,7 +5,8 @@ from __future__ import annotations
 import difflib
 import os
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -105,6 +106,15 @@ class SpecError(KickbenchError):
         return type(self), (self.problems,)
 
 
+@contextmanager
+def collected(problems: list[Problem]) -> Iterator[None]:
+    """Adds the problems of a `SpecError` that is raised within to a list, once each, and goes on."""
+    try:
+        yield
+    except SpecError as error:
+        problems += [problem for problem in error.problems if problem not in problems]
+
+
 def dotted(path: KeyPath) -> str:
     """Writes a path as `--set` takes it: `rewards.target_distance.weight`."""
     return ".".join(str(key) for key in path)
@@ -148,7 +158,7 @@ def nearest(name: str, choices: Iterable[str]) -> str | None:
         One of the choices, or None if none is near.
     """
     choices = list(choices)
-    for same in (str, _squeezed, _sorted_words):
+    for same in (str, _squeezed, lambda text: sorted(_words(text))):
         for choice in choices:
             if same(choice) == same(name):
                 return choice
@@ -165,10 +175,6 @@ def did_you_mean(name: str, choices: Iterable[str]) -> str | None:
 
 def _squeezed(name: str) -> str:
     return "".join(_words(name))
-
-
-def _sorted_words(name: str) -> str:
-    return " ".join(sorted(_words(name)))
 
 
 def _words(name: str) -> list[str]:

@@ -9,7 +9,7 @@ import pytest
 from kickbench.launch.process import Process
 from kickbench.results.frame import load_runs, run_path, runs_of
 from kickbench.results.verdicts import judge
-from kickbench.trials.experiment import Arm, load_experiment
+from kickbench.trials.experiment import Condition, load_experiment
 
 ROOT = Path(__file__).parent.parent
 ARMS = ("baseline", "equivariant")
@@ -19,7 +19,7 @@ CLAIMS = ("baseline_loses", "equivariant_keeps", "equivariant_keeps_to_half_a_po
 ONE_SEED = ("seeds=[0]", "claims.baseline_loses.bound=0.1")
 
 
-def start_training(arm: Arm, out: Path) -> Process:
+def start_training(arm: Condition, out: Path) -> Process:
     """The arm's training as its user would start it, with seed 0."""
     specs = (str(arm.task.document.file), str(arm.method.document.file))
     options = ("--seed", "0", "--iterations", str(arm.iterations), "--threads", "1", "--out", str(out))
@@ -30,7 +30,7 @@ def start_training(arm: Arm, out: Path) -> Process:
 def test_the_claims_about_baseline_and_equivariant_method_are_met_by_a_training_of_each(tmp_path):
     experiment = load_experiment(ROOT / "results/reported/mini_home_field.yaml", ONE_SEED)
     # Two trainings of one thread each take less time than one after the other with two.
-    trainings = [start_training(experiment.arms[name], run_path(tmp_path, name, 0)) for name in ARMS]
+    trainings = [start_training(experiment.conditions[name], run_path(tmp_path, name, 0)) for name in ARMS]
     for training in trainings:
         training.wait()
         assert training.poll() == 0, training.last_words()

@@ -13,7 +13,7 @@ from kickbench.audit.model import derive_scene
 from kickbench.audit.record import record, reflection_of
 from kickbench.audit.report import Report
 from kickbench.config.load import Loaded, load, load_method, load_task
-from kickbench.config.representation import RepresentationSpec
+from kickbench.config.method import RepresentationSpec
 from kickbench.config.yamlio import load_document
 from kickbench.envs.catalog import model_of_task
 from kickbench.envs.compile import CompiledTask, compile_task

@@ -44,8 +44,8 @@ def new(
     base: Path = cli.option("What it extends: a YAML file or a name.", "--from", metavar="BASE", default=...),
 ) -> None:
     """Write a YAML file that extends another one, with every value as a comment to edit."""
-    from kickbench.config.yamldump import dump_yaml
     from kickbench.config.yamlio import load_document
+    from kickbench.config.yamltree import dump_yaml
     from kickbench.results.atomic import atomic_write_text
 
     file, out = find(base, kind).absolute(), Path(name).with_suffix(".yaml")
@@ -139,7 +139,7 @@ def terms(
 @cli.verb("Define", "schema task")
 def schema(kind: Kind = cli.argument("Kind of file.", "KIND")) -> None:
     """Print the JSON Schema of a kind of file."""
-    from kickbench.config.json_schema import json_schema
+    from kickbench.config.explain import json_schema
     from kickbench.trials.validate import model_of
 
     print(json.dumps(json_schema(model_of(kind)), indent=2))

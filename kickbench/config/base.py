@@ -1,12 +1,11 @@
-"""The base of all specs: frozen, strict, and with problems that name file, line and key."""
+"""The base of all specs, frozen and strict, and the types of their fields."""
 
 from __future__ import annotations
 
-import copy
 import os
-from collections.abc import Iterator
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any
 
 from pydantic import (
     AfterValidator,
@@ -15,37 +14,13 @@ from pydantic import (
     ConfigDict,
     Field,
     PlainSerializer,
-    ValidationError,
     WithJsonSchema,
 )
+from pydantic.fields import FieldInfo
 from pydantic_core import PydanticCustomError
 
-from kickbench.config.annotations import FileMarker, file_paths
-from kickbench.config.json_schema import json_schema
-from kickbench.config.problems import problems_of
-from kickbench.config.yamlio import Document, check_regular, unreadable
-from kickbench.errors import KeyPath, Mark, Problem, SpecError
-
-__all__ = [
-    "Bounds",
-    "FileRef",
-    "FloatList",
-    "Fraction",
-    "NameList",
-    "NonNegativeFloat",
-    "NonNegativeInt",
-    "PositiveFloat",
-    "PositiveInt",
-    "PositiveRange",
-    "Range",
-    "Seed",
-    "Spec",
-    "Vector3",
-    "VectorPair",
-    "distinct",
-    "json_schema",
-    "validate",
-]
+from kickbench.config.yamlio import check_regular, unreadable
+from kickbench.config.yamltree import Located
 
 
 class Spec(BaseModel):
@@ -64,8 +39,6 @@ class Spec(BaseModel):
         use_attribute_docstrings=True,
     )
 
-
-S = TypeVar("S", bound=BaseModel)
 
 PositiveFloat = Annotated[float, Field(gt=0)]
 NonNegativeFloat = Annotated[float, Field(ge=0)]
@@ -103,10 +76,10 @@ VectorPair = Annotated[tuple[float, float], Field(strict=False)]
 """Two numbers."""
 
 
-def _ordered(value: tuple[float, float]) -> tuple[float, float]:
-    if value[0] >= value[1]:
-        wrong = "reversed" if value[0] > value[1] else "empty"
-        raise ValueError(f"the range [{value[0]}, {value[1]}] is {wrong}: low must be less than high")
+def _ordered(value: Sequence[float], rule: str = "low must be less than high") -> Sequence[float]:
+    low, high = value
+    if low >= high:
+        raise ValueError(f"the range [{low}, {high}] is {'reversed' if low > high else 'empty'}: {rule}")
     return value
 
 
@@ -118,15 +91,10 @@ def _read_range(value: Any) -> Any:
     if isinstance(value, int | float) and not isinstance(value, bool):
         return (value, value)
     if not isinstance(value, list | tuple) or len(value) != 2:
-        raise PydanticCustomError("range_type", "expected a number or [low, high]")
-    low, high = value
-    if not all(isinstance(bound, int | float) for bound in value):
-        return value
+        raise PydanticCustomError("range_type", "Input should be a number or [low, high]")
     # Only YAML gives lists. A tuple of equal bounds is a constant that was read before.
-    if low > high or (low == high and isinstance(value, list)):
-        wrong = "reversed" if low > high else "empty"
-        rule = "low must be less than high; a constant is one number"
-        raise ValueError(f"the range [{low}, {high}] is {wrong}: {rule}")
+    if all(isinstance(bound, int | float) for bound in value) and value != (value[0], value[0]):
+        _ordered(value, "low must be less than high; a constant is one number")
     return value
 
 
@@ -151,76 +119,20 @@ Range = Annotated[
 """An interval `[low, high]` with low < high, or one number `c`, which becomes `(c, c)`."""
 
 
-def _not_negative(value: tuple[float, float]) -> tuple[float, float]:
-    if value[0] < 0:
-        raise ValueError(f"expected numbers of at least 0, found {value[0]:g}")
-    return value
+def _above_zero(inclusive: bool) -> AfterValidator:
+    def check(value: tuple[float, float]) -> tuple[float, float]:
+        if value[0] < 0 or (value[0] == 0 and not inclusive):
+            rule = "of at least 0" if inclusive else "above 0"
+            raise ValueError(f"expected numbers {rule}, found {value[0]:g}")
+        return value
+
+    return AfterValidator(check)
 
 
-NonNegativeRange = Annotated[Range, AfterValidator(_not_negative)]
+NonNegativeRange = Annotated[Range, _above_zero(inclusive=True)]
 """A `Range` of numbers of at least 0."""
-
-
-def _positive(value: tuple[float, float]) -> tuple[float, float]:
-    if value[0] <= 0:
-        raise ValueError(f"expected numbers above 0, found {value[0]:g}")
-    return value
-
-
-PositiveRange = Annotated[Range, AfterValidator(_positive)]
+PositiveRange = Annotated[Range, _above_zero(inclusive=False)]
 """A `Range` of numbers above 0."""
-
-FileRef = Annotated[str, FileMarker()]
-"""Path of a file, relative to the file that has it; made absolute and checked by `validate`."""
-
-
-def validate(model: type[S], document: Document) -> S:
-    """Makes a spec of a document.
-
-    Raises:
-        SpecError: With every problem of the document, in the order of its lines.
-    """
-    data, problems = _resolve_files(model, document)
-    spec = None
-    try:
-        spec = model.model_validate(data)
-    except ValidationError as error:
-        problems += problems_of(error, model, document)
-    # Where a bound of its own is exceeded, that is said already.
-    told = {problem.path for problem in problems}
-    problems += [found for found in _absurd_numbers(document.data, (), document) if found.path not in told]
-    if spec is not None and not problems:
-        return spec
-    raise SpecError(sorted(problems, key=lambda problem: _order(problem.mark, document)))
-
-
-_SMALLEST, _GREATEST = 1e-12, 1e12
-"""Magnitudes of numbers other than 0: their squares and products are still numbers in single precision."""
-
-
-def _absurd_numbers(value: Any, path: KeyPath, document: Document) -> Iterator[Problem]:
-    """Numbers that are legal, and that nothing can be computed with; seeds may be large."""
-    if isinstance(value, dict | list):
-        items = value.items() if isinstance(value, dict) else enumerate(value)
-        for key, item in items:
-            if key not in ("seed", "seeds"):
-                yield from _absurd_numbers(item, (*path, key), document)
-    elif isinstance(value, int | float) and value and not _SMALLEST <= abs(value) <= _GREATEST:
-        what = f"expected 0, or a number from {_SMALLEST:g} to {_GREATEST:g} in magnitude, found {value:g}"
-        yield Problem(document.value_mark(path), path, what)
-
-
-def _resolve_files(model: type[BaseModel], document: Document) -> tuple[Any, list[Problem]]:
-    # Before pydantic, because a validator knows neither where its value was written nor in which file.
-    data, problems = copy.deepcopy(document.data), []
-    for path in file_paths(model, data):
-        holder: Any = data
-        for key in path[:-1]:
-            holder = holder[key]
-        file = resolved(holder[path[-1]], document.origin(path))
-        holder[path[-1]] = file.as_posix()
-        problems += _file_problems(file, path, document)
-    return data, problems
 
 
 def resolved(name: str, origin: Path | None) -> Path:
@@ -229,17 +141,30 @@ def resolved(name: str, origin: Path | None) -> Path:
     return Path(os.path.abspath(origin.parent / name if origin else name))
 
 
-def _file_problems(file: Path, path: KeyPath, document: Document) -> list[Problem]:
+def _readable(name: Any) -> Any:
+    if not isinstance(name, Located):  # of another type, or read back from a spec
+        return name
+    file = resolved(name, name.origin)
     try:
         check_regular(file)
-        with file.open("rb"):
-            return []
+        file.open("rb").close()
     except (OSError, ValueError) as error:
-        return [Problem(document.value_mark(path), path, *unreadable(file, error))]
+        message, hint = unreadable(file, error)
+        raise PydanticCustomError("file", "{message}", {"message": message, "hint": hint}) from None
+    return file.as_posix()
 
 
-def _order(mark: Mark | None, document: Document) -> tuple[int, int, int]:
-    files = [str(file) for file in document.sources]
-    if mark is None or mark.file not in files:
-        return len(files), 0, 0
-    return files.index(mark.file), mark.line, mark.column
+_PATH = BeforeValidator(_readable)
+
+FileRef = Annotated[str, _PATH]
+"""Path of a file that can be read, relative to the file that names it; made absolute."""
+
+
+def names_file(field: FieldInfo) -> bool:
+    """Whether a field of a model holds the path of a file."""
+    return _names_file(field.annotation, field.metadata)
+
+
+def _names_file(annotation: Any, metadata: Any = ()) -> bool:
+    parts = (*getattr(annotation, "__args__", ()), *getattr(annotation, "__metadata__", ()), *metadata)
+    return any(part is _PATH or _names_file(part) for part in parts)

@@ -1,16 +1,17 @@
-"""A resolved spec as YAML that says, value by value, where it came from."""
+"""A kind of file explained: a resolved spec with the source of each value, and the JSON Schema for editors."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Any
 
+from pydantic import BaseModel
+from pydantic.json_schema import GenerateJsonSchema
+
 from kickbench.config.base import Spec
-from kickbench.config.yamldump import flow_yaml
-from kickbench.config.yamlio import Document
-from kickbench.config.yamltree import Tree
+from kickbench.config.yamlio import EXTENDS, Document
+from kickbench.config.yamltree import Tree, flow_yaml
 from kickbench.errors import KeyPath, from_here
 
 _MAX_FLOW = 72
@@ -30,25 +31,10 @@ def explain(model_instance: Spec, document: Document) -> str:
         document: The document it was made of.
     """
     data = _visible(model_instance.model_dump(mode="json"), (), document)
-    lines = list(_mapping_lines(data, (), document)) if data else [_Line("{}")]
-    widths = [len(line.text) for line in lines if line.comment and len(line.text) <= _MAX_ALIGNED]
-    return "".join(line.aligned(max(widths, default=0)) + "\n" for line in lines)
-
-
-@dataclass(frozen=True)
-class _Line:
-    """A line of YAML and the comment behind it."""
-
-    text: str
-    comment: str | None = None
-
-    def aligned(self, width: int) -> str:
-        # An override may have line breaks; a comment ends at one.
-        return f"{self.text:<{width}}  # {' '.join(self.comment.split())}" if self.comment else self.text
-
-    def below(self, prefix: str) -> _Line:
-        """The line as part of a block that is one level further in."""
-        return _Line(prefix + self.text, self.comment)
+    lines = list(_lines(data, (), document)) or [("{}", "")]
+    widths = [len(text) for text, source in lines if source and len(text) <= _MAX_ALIGNED]
+    width = max(widths, default=0)
+    return "".join(f"{text:<{width}}  # {source}\n" if source else f"{text}\n" for text, source in lines)
 
 
 def _visible(value: Any, path: KeyPath, document: Document) -> Any:
@@ -64,29 +50,19 @@ def _visible(value: Any, path: KeyPath, document: Document) -> Any:
     return {key: _visible(value[key], (*path, key), document) for key in kept}
 
 
-def _mapping_lines(mapping: Any, path: KeyPath, document: Document) -> Iterator[_Line]:
-    for key, value in mapping.items():
-        here, name = (*path, key), flow_yaml(key)
-        if _is_leaf(value):
-            yield _Line(f"{name}: {_leaf(value)}", _source(here, document))
-        else:
-            yield _Line(f"{name}:")
-            yield from (line.below("  ") for line in _block_lines(value, here, document))
-
-
-def _list_lines(items: Any, path: KeyPath, document: Document) -> Iterator[_Line]:
-    for index, item in enumerate(items):
-        here = (*path, index)
+def _lines(value: Any, path: KeyPath, document: Document) -> Iterator[tuple[str, str]]:
+    """Lines of YAML, each with the source of its value; empty: only values further in have some."""
+    is_list = isinstance(value, list)
+    for key, item in enumerate(value) if is_list else value.items():
+        here, head = (*path, key), "-" if is_list else f"{flow_yaml(key)}:"
         if _is_leaf(item):
-            yield _Line(f"- {_leaf(item)}", _source(here, document))
-        else:
-            lines = _block_lines(item, here, document)
-            yield from (line.below("  " if number else "- ") for number, line in enumerate(lines))
-
-
-def _block_lines(value: Any, path: KeyPath, document: Document) -> Iterator[_Line]:
-    lines = _mapping_lines if isinstance(value, dict) else _list_lines
-    return lines(value, path, document)
+            # An override may have line breaks; a comment ends at one.
+            yield f"{head} {_leaf(item)}", " ".join(_source(here, document).split())
+            continue
+        if not is_list:
+            yield head, ""
+        for number, (text, source) in enumerate(_lines(item, here, document)):
+            yield ("- " if is_list and number == 0 else "  ") + text, source
 
 
 def _is_leaf(value: Any) -> bool:
@@ -118,3 +94,24 @@ def _places(tree: Tree) -> Iterator[str]:
     yield tree.key.place
     items = tree.value if isinstance(tree.value, list) else []
     yield from (place for item in items for place in _places(item) if item.key.is_override)
+
+
+def json_schema(model: type[BaseModel]) -> dict[str, Any]:
+    """Makes the JSON Schema (draft 2020-12) of the YAML files of a model.
+
+    No key is required, at any depth: a file may leave out what the one that it extends has.
+    """
+    schema = _optional(model.model_json_schema())
+    extends = {"type": "string", "description": "Path of the file to build on, relative to this file."}
+    properties = {EXTENDS: extends} | schema.get("properties", {})
+    return {"$schema": GenerateJsonSchema.schema_dialect} | schema | {"properties": properties}
+
+
+def _optional(schema: Any) -> Any:
+    if isinstance(schema, list):
+        return [_optional(item) for item in schema]
+    if not isinstance(schema, dict):
+        return schema
+    # `required` is a keyword where it is a list; a property of that name is a schema.
+    kept = {key: item for key, item in schema.items() if key != "required" or not isinstance(item, list)}
+    return {key: _optional(item) for key, item in kept.items()}

@@ -2,26 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Generic, TypeVar, cast
+from typing import Any, Generic, Self, TypeVar, cast
 
-from kickbench.config.base import Spec, validate
-from kickbench.config.method import MethodSpec
-from kickbench.config.representation import RepresentationSpec
+from kickbench.config.base import Spec
+from kickbench.config.method import MethodSpec, RepresentationSpec
+from kickbench.config.problems import validate
 from kickbench.config.robot import RobotSpec
 from kickbench.config.task import TaskSpec
 from kickbench.config.yamlio import Document, load_document
-from kickbench.errors import KeyPath, SpecError, nearest
+from kickbench.errors import SpecError, did_you_mean
 
 S = TypeVar("S", bound=Spec)
 T = TypeVar("T", bound=TaskSpec)
-Naming = tuple[Document, KeyPath]
-"""Who names a file: a document and the key in it."""
-
-
-_CHECKOUT = Path(__file__).parents[2]
 
 
 @dataclass(frozen=True)
@@ -31,47 +26,44 @@ class Loaded(Generic[S]):
     spec: S
     document: Document
 
+    @property
+    def name(self) -> str:
+        """The file's stem."""
+        return self.document.file.stem
+
+    def changed(self, values: Mapping[str, Any]) -> Self:
+        """The spec with other numbers, by `key.path`, validated anew.
+
+        Raises:
+            SpecError: A value does not fit.
+        """
+        document = self.document.changed(values)
+        return replace(self, spec=validate(type(self.spec), document), document=document)
+
 
 @dataclass(frozen=True)
-class LoadedTask(Generic[T]):
+class LoadedTask(Loaded[T]):
     """A task with the robot it names."""
 
-    spec: T
-    document: Document
     robot: Loaded[RobotSpec]
-
-    @property
-    def name(self) -> str:
-        """The file's stem."""
-        return self.document.file.stem
 
 
 @dataclass(frozen=True)
-class LoadedMethod:
+class LoadedMethod(Loaded[MethodSpec]):
     """A method with the representation table it names."""
 
-    spec: MethodSpec
-    document: Document
     representations: Loaded[RepresentationSpec]
-
-    @property
-    def name(self) -> str:
-        """The file's stem."""
-        return self.document.file.stem
 
 
 def load(
-    model: type[S] | Callable[[Document], type[S]],
-    path: str | Path,
-    overrides: Sequence[str] = (),
-    named_by: Naming | None = None,
+    model: type[S] | Callable[[Document], type[S]], path: str | Path, overrides: Sequence[str] = ()
 ) -> Loaded[S]:
     """Loads and validates one file.
 
     Raises:
         SpecError: With every problem of the file.
     """
-    document = load_document(path, overrides, named_by=named_by)
+    document = load_document(path, overrides)
     known = model if isinstance(model, type) else model(document)
     return Loaded(validate(cast("type[S]", known), document), document)
 
@@ -79,19 +71,16 @@ def load(
 def load_task(
     model: Callable[[Document], type[T]], path: str | Path, overrides: Sequence[str] = ()
 ) -> LoadedTask[T]:
-    """Loads a task and its robot; `model` is `mdp.catalog.model_of_task`."""
+    """Loads a task and its robot; `model` is `kickbench.envs.catalog.model_of_task`."""
     task = load(model, path, overrides)
-    robot = load(RobotSpec, task.spec.robot, named_by=(task.document, ("robot",)))
-    return LoadedTask(task.spec, task.document, robot)
+    return LoadedTask(task.spec, task.document, load(RobotSpec, task.spec.robot))
 
 
 def load_method(path: str | Path, overrides: Sequence[str] = ()) -> LoadedMethod:
     """Loads a method and its representation table."""
     method = load(MethodSpec, path, overrides)
-    naming = (method.document, ("representations",))
-    return LoadedMethod(
-        method.spec, method.document, load(RepresentationSpec, method.spec.representations, named_by=naming)
-    )
+    table = load(RepresentationSpec, method.spec.representations)
+    return LoadedMethod(method.spec, method.document, table)
 
 
 def split_overrides(overrides: Sequence[str]) -> tuple[list[str], list[str]]:
@@ -100,19 +89,15 @@ def split_overrides(overrides: Sequence[str]) -> tuple[list[str], list[str]]:
     Raises:
         SpecError: Neither a task nor a method has the key.
     """
-    tables = {"task": set(TaskSpec.model_fields), "method": set(MethodSpec.model_fields)}
-    split: dict[str, list[str]] = {"task": [], "method": []}
+    of_task, of_method = [], []
     for text in overrides:
         head = text.partition("=")[0].partition(".")[0].strip()
-        owner = next((kind for kind, keys in tables.items() if head in keys), None)
-        if owner is None:
-            raise SpecError.of(
-                f"--set {text}", f"neither a task nor a method has a key '{head}'", _guess(head)
-            )
-        split[owner].append(text)
-    return split["task"], split["method"]
-
-
-def _guess(head: str) -> str | None:
-    guess = nearest(head, (*TaskSpec.model_fields, *MethodSpec.model_fields))
-    return f"did you mean '{guess}'?" if guess else None
+        if head in TaskSpec.model_fields:
+            of_task.append(text)
+        elif head in MethodSpec.model_fields:
+            of_method.append(text)
+        else:
+            hint = did_you_mean(head, (*TaskSpec.model_fields, *MethodSpec.model_fields))
+            what = f"neither a task nor a method has a key '{head}'"
+            raise SpecError.of(f"--set {text}", what, hint)
+    return of_task, of_method

@@ -10,37 +10,50 @@ from __future__ import annotations
 import errno
 import os
 import stat
-from codecs import BOM_UTF8
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from kickbench.config.yamldump import dump_yaml, flow_yaml
-from kickbench.config.yamltree import MAX_DEPTH, Source, Tree, describe, parse
-from kickbench.errors import KeyPath, Mark, Problem, SpecError, did_you_mean, dotted, shown
+from kickbench.config.yamltree import MAX_DEPTH, Tree, describe, dump_yaml, flow_yaml, parse
+from kickbench.errors import KeyPath, Mark, Problem, SpecError, collected, did_you_mean, dotted, shown
 
 __all__ = ["Document", "describe", "dump_yaml", "flow_yaml", "load_document"]
+
+_LARGEST_FILE = 2**24
+"""Bytes of a YAML file at most."""
 
 EXTENDS = "extends"
 """The key that names the file to build on."""
 
+RENAMED: dict[KeyPath, str] = {
+    ("arms",): "conditions",
+    ("evaluation", "also"): "transfer",
+    ("claims", "*", "*", "arm"): "condition",
+}
+"""Keys of experiments that had other names, which are read until the next release; `*` is any key."""
+
 
 @dataclass(frozen=True)
 class Document:
-    """The data of a file with everything it extends and every override.
+    """A file with everything it extends and every override.
 
     Attributes:
         file: The file loaded, absolute.
-        data: Its data as dicts, lists and scalars.
         sources: Every file read: `file` first, then what it extends.
         tree: The data with marks.
+        data: The data as dicts, lists and scalars.
     """
 
     file: Path
-    data: dict[str, Any]
     sources: tuple[Path, ...]
     tree: Tree = field(repr=False)
+    data: dict[str, Any] = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "data", self.tree.plain())
 
     def mark(self, path: KeyPath) -> Mark:
         """Where the key at the path was written; else the nearest key above it; else the file's start."""
@@ -70,162 +83,121 @@ class Document:
         """Words a problem with the key at the path as an error to raise."""
         return SpecError([self.problem(path, message, hint)])
 
+    def changed(self, values: Mapping[str, Any]) -> Document:
+        """The document with scalars in place of others, by `key.path`, as if they were overrides."""
+        tree = self.tree
+        for key, value in values.items():
+            mark = Mark(f"--set {key}={value}", 0, 0)
+            tree = _put(tree, key.split("."), Tree(value, mark, mark, None), mark)
+        return replace(self, tree=tree)
+
     def _nearest(self, path: KeyPath) -> Tree:
-        found = self.tree
-        for key in path:
-            tree = found.child(key)
-            if tree is None:
-                break
-            found = tree
-        return found
+        tree = self.node(path)
+        return tree or self._nearest(path[:-1])
 
 
-def load_document(
-    path: str | Path, overrides: Sequence[str] = (), *, named_by: tuple[Document, KeyPath] | None = None
-) -> Document:
+def load_document(path: str | Path, overrides: Sequence[str] = ()) -> Document:
     """Loads a YAML file, what it extends, and overrides.
 
     Args:
-        path: The file; relative to the file that names it, else to the working directory.
+        path: The file.
         overrides: `key.path=value` each; the value is YAML, a number in the path is a list index.
-        named_by: The document and the key that name the file: where to point if it cannot be read.
 
     Raises:
         SpecError: With every problem of the file, the files it extends and the overrides.
     """
-    reading = _Reading()
-    naming = None
-    if named_by is not None:
-        document, key = named_by
-        origin = document.origin(key)
-        path = origin.parent / path if origin else path
-        naming = Problem(document.mark(key), key, "")
     file = Path(os.path.abspath(path))
-    tree = reading.tree(file, naming, ())
+    sources: list[Path] = []
+    problems: list[Problem] = []
+    start = Mark(str(file), 0, 0)
+    tree = Tree({}, start, start, file)
+    with collected(problems):
+        tree = _read(file, start, (), sources, problems)
     for text in overrides:
-        tree = reading.override(tree, text)
-    if reading.problems:
-        raise SpecError(reading.problems)
-    assert tree is not None
-    return Document(file, tree.plain(), tuple(reading.sources), tree)
+        with collected(problems):
+            tree = _overridden(tree, text)
+    if problems:
+        raise SpecError(problems)
+    return Document(file, tuple(sources), tree)
 
 
-class _Reading:
-    """One load: the files read so far and the problems found so far."""
-
-    def __init__(self) -> None:
-        self.sources: list[Path] = []
-        self.problems: list[Problem] = []
-
-    def tree(self, file: Path, naming: Problem | None, chain: tuple[Path, ...]) -> Tree | None:
-        """Reads a file and what it extends.
-
-        Args:
-            file: The file, absolute.
-            naming: Where the file is named, without a message.
-            chain: The files that led here through `extends`.
-        """
-        text = self._text(file, naming)
-        if text is None:
-            return None
-        self.sources.append(file)
-        start = Mark(str(file), 1, 1)
-        tree, problems = parse(Source(text, str(file), file))
-        self.problems += problems
-        if tree is None or not isinstance(tree.value, dict):
-            if not problems:
-                data = tree.plain() if tree else None
-                found = "the file is empty" if data is None else f"found {describe(data)}"
-                self._report(start, (), f"expected keys at the top of the file; {found}")
-            return None
-        return self._extend(Tree(dict(tree.value), start, start, file), file, (*chain, file))
-
-    def override(self, tree: Tree | None, text: str) -> Tree | None:
-        """Merges `key.path=value` into a tree."""
-        name = f"--set {text}"
-        mark = Mark(name, 0, 0)
-        left, equals, right = text.partition("=")
-        keys = [key.strip() for key in left.split(".")]
-        if not equals or not all(keys):
-            self._report(mark, (), "expected key.path=value", "for example rewards.fall.weight=-2")
-            return tree
-        path: KeyPath = tuple(keys)
-        if keys[0] == EXTENDS:
-            self._report(mark, path, f"`{EXTENDS}` cannot be set: it is read from files only")
-            return tree
-        if len(keys) > MAX_DEPTH:
-            self._report(mark, (), "nested too deeply")
-            return tree
-        value, problems = parse(Source(right, name, None, path))
-        self.problems += problems
-        if tree is None or problems:
-            return tree
-        try:
-            return _put(tree, keys, value or Tree(None, mark, mark, None), mark)
-        except _NoRoom as error:
-            self._report(mark, path, str(error))
-            return tree
-
-    def _extend(self, child: Tree, file: Path, chain: tuple[Path, ...]) -> Tree | None:
-        assert isinstance(child.value, dict)
-        extends = child.value.pop(EXTENDS, None)
-        if extends is None:
-            return child
-        if not isinstance(extends.value, str) or not extends.value or "\0" in extends.value:
-            found = describe(extends.plain())
-            self._report(extends.key, (EXTENDS,), f"expected the path of a file, found {found}")
-            return None
-        base = Path(os.path.abspath(file.parent / extends.value))
-        if os.path.realpath(base) in map(os.path.realpath, chain):
-            circle = " -> ".join(shown(link) for link in (*chain, base))
-            self._report(extends.key, (EXTENDS,), f"files extend each other in a circle: {circle}")
-            return None
-        tree = self.tree(base, Problem(extends.key, (EXTENDS,), ""), chain)
-        return merge(tree, child) if tree else None
-
-    def _text(self, file: Path, naming: Problem | None) -> str | None:
-        mark, path = (naming.mark, naming.path) if naming else (Mark(str(file), 0, 0), ())
-        try:
-            data = read_regular(file)
-        except (OSError, ValueError) as error:  # ValueError: a null byte in the path
-            self.problems.append(Problem(mark, path, *unreadable(file, error)))
-            return None
-        # Not the codec utf-8-sig: the places of its errors do not count the mark.
-        data = data.removeprefix(BOM_UTF8)
-        try:
-            return data.decode()
-        except UnicodeDecodeError as error:
-            before = data[: error.start]
-            line, column = before.count(b"\n") + 1, len(before.rpartition(b"\n")[2].decode()) + 1
-            self._report(Mark(str(file), line, column), (), f"not UTF-8: the byte 0x{data[error.start]:02x}")
-            return None
-
-    def _report(self, mark: Mark, path: KeyPath, message: str, hint: str | None = None) -> None:
-        self.problems.append(Problem(mark, path, message, hint))
+def _read(
+    file: Path, named: Mark, chain: tuple[Path, ...], sources: list[Path], problems: list[Problem]
+) -> Tree:
+    """Reads a file, named at a mark and reached through a chain of others, and what it extends."""
+    try:
+        check_regular(file)
+        if file.stat().st_size > _LARGEST_FILE:
+            raise OSError(errno.EFBIG, f"larger than {_LARGEST_FILE // 2**20} MiB")
+        data = file.read_bytes()
+    except (OSError, ValueError) as error:  # ValueError: a null byte in the path
+        raise SpecError([Problem(named, (EXTENDS,) if chain else (), *unreadable(file, error))]) from None
+    sources.append(file)
+    child, found = _parsed(data, file)
+    problems += found
+    extends = child.child(EXTENDS)
+    if extends is None:
+        return child
+    try:
+        base = _base(extends, file, (*chain, file))
+    except ValueError as error:
+        raise SpecError([Problem(extends.key, (EXTENDS,), str(error))]) from None
+    assert isinstance(child.value, dict)
+    rest = {key: tree for key, tree in child.value.items() if key != EXTENDS}
+    return merge(_read(base, extends.key, (*chain, file), sources, problems), replace(child, value=rest))
 
 
-_LARGEST_FILE = 2**24
-"""Bytes of a YAML file at most."""
+@lru_cache(maxsize=256)
+def _parsed(data: bytes, file: Path) -> tuple[Tree, tuple[Problem, ...]]:
+    """Parses a file's content once, however many specs are built on it."""
+    start = Mark(str(file), 1, 1)
+    # Bytes that are not UTF-8 become characters that YAML refuses.
+    tree, problems = parse(data.decode("utf-8-sig", "surrogateescape"), str(file), file)
+    if tree is not None and isinstance(tree.value, dict):
+        return replace(with_new_names(tree, ()), mark=start, key=start), tuple(problems)
+    if not problems:
+        plain = tree.plain() if tree else None
+        found = "the file is empty" if plain is None else f"found {describe(plain)}"
+        problems = [Problem(start, (), f"expected keys at the top of the file; {found}")]
+    return Tree({}, start, start, file), tuple(problems)
 
 
-def read_regular(file: Path) -> bytes:
-    """Reads a regular file of sensible size: a device or a pipe might never end.
+def _base(extends: Tree, file: Path, chain: tuple[Path, ...]) -> Path:
+    if not isinstance(extends.value, str) or not extends.value or "\0" in extends.value:
+        raise ValueError(f"expected the path of a file, found {describe(extends.plain())}")
+    base = Path(os.path.abspath(file.parent / extends.value))
+    if os.path.realpath(base) in map(os.path.realpath, chain):
+        circle = " -> ".join(shown(link) for link in (*chain, base))
+        raise ValueError(f"files extend each other in a circle: {circle}")
+    return base
 
-    Raises:
-        OSError: It cannot be read, or is no such file.
-    """
-    check_regular(file)
-    if file.stat().st_size > _LARGEST_FILE:
-        raise OSError(errno.EFBIG, f"larger than {_LARGEST_FILE // 2**20} MiB")
-    return file.read_bytes()
+
+def _overridden(tree: Tree, text: str) -> Tree:
+    """Merges `key.path=value` into a tree."""
+    name = f"--set {text}"
+    mark = Mark(name, 0, 0)
+    left, equals, right = text.partition("=")
+    keys = [key.strip() for key in left.split(".")]
+    if not equals or not all(keys):
+        raise SpecError.of(name, "expected key.path=value", "for example rewards.fall.weight=-2")
+    if keys[0] == EXTENDS:
+        what = f"`{EXTENDS}` cannot be set: it is read from files only"
+        raise SpecError([Problem(mark, tuple(keys), what)])
+    if len(keys) > MAX_DEPTH:
+        raise SpecError.of(name, "nested too deeply")
+    for index in range(len(keys)):
+        keys[index] = _new_name(tuple(keys[: index + 1]), mark)
+    value, problems = parse(right, name, None, tuple(keys))
+    if problems:
+        raise SpecError(problems)
+    value = with_new_names(value or Tree(None, mark, mark, None), tuple(keys))
+    return _put(tree, keys, value, mark)
 
 
 def check_regular(file: Path) -> None:
-    """Raises an `OSError` for what is there but is no regular file; a folder is `IsADirectoryError`."""
+    """Raises an `OSError` for a folder, and for what might never end: a pipe, a socket, a device."""
     mode = file.stat().st_mode
-    if stat.S_ISDIR(mode):
-        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(file))
-    if not stat.S_ISREG(mode):
+    if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
         raise OSError(errno.EINVAL, "it is no regular file, but a pipe, socket or device")
 
 
@@ -243,6 +215,35 @@ def unreadable(file: Path, error: Exception) -> tuple[str, str | None]:
     return f"'{shown(file)}' cannot be read: {reason}", None
 
 
+def _near_file(file: Path) -> str | None:
+    folder = file.parent
+    if not folder.is_dir():
+        return f"the directory '{shown(folder)}' does not exist"
+    return did_you_mean(file.name, sorted(entry.name for entry in folder.iterdir() if entry.is_file()))
+
+
+def with_new_names(tree: Tree, path: KeyPath) -> Tree:
+    """The value at a path with the new names of its keys, with a warning for each old one."""
+    if not isinstance(tree.value, dict) or len(path) >= max(map(len, RENAMED)):
+        return tree
+    value = {}
+    for key, child in tree.value.items():
+        name = _new_name((*path, key), child.key)
+        # Where a file has both, the old one stays, which no model knows.
+        value[key if name in tree.value else name] = with_new_names(child, (*path, name))
+    return replace(tree, value=value)
+
+
+def _new_name(path: KeyPath, mark: Mark) -> str:
+    for old, new in RENAMED.items():
+        if len(old) == len(path) and all(
+            pattern in ("*", key) for pattern, key in zip(old, path, strict=True)
+        ):
+            print(f"{mark}: '{path[-1]}' is now '{new}'", file=sys.stderr)
+            return new
+    return str(path[-1])
+
+
 def merge(base: Tree, child: Tree) -> Tree:
     """Merges mappings key by key, keys of the base first; any other value of the child replaces."""
     if not isinstance(base.value, dict) or not isinstance(child.value, dict):
@@ -250,23 +251,7 @@ def merge(base: Tree, child: Tree) -> Tree:
     merged = dict(base.value)
     for key, tree in child.value.items():
         merged[key] = merge(merged[key], tree) if key in merged else tree
-    return Tree(merged, child.mark, child.key, child.origin)
-
-
-def _near_file(file: Path) -> str | None:
-    folder = file.parent
-    if not folder.is_dir():
-        return f"the directory '{shown(folder)}' does not exist"
-    try:
-        names = sorted(entry.name for entry in folder.iterdir() if entry.is_file())
-    except OSError:
-        return None
-    stems = [name for name in names if name.startswith(file.name + ".")]
-    return did_you_mean(stems[0], stems) if stems else did_you_mean(file.name, names)
-
-
-class _NoRoom(Exception):
-    """An override leads to a place where no value can stand."""
+    return replace(child, value=merged)
 
 
 def _put(tree: Tree, keys: list[str], value: Tree, mark: Mark, done: KeyPath = ()) -> Tree:
@@ -275,20 +260,17 @@ def _put(tree: Tree, keys: list[str], value: Tree, mark: Mark, done: KeyPath = (
         return merge(tree, Tree(value.value, value.mark, mark, None))
     entries = {} if tree.value is None else tree.value
     if isinstance(entries, list):
-        index = _index(keys[0], entries, done)
-        items = list(entries)
-        items[index] = _put(items[index], keys[1:], value, mark, (*done, index))
-        return Tree(items, tree.mark, tree.key, tree.origin)
+        # Python refuses to read integers of thousands of digits; no list is so long.
+        index = int(keys[0]) if keys[0].isdecimal() and len(keys[0]) < 10 else len(entries)
+        if index >= len(entries):
+            expected = f"expected an index below {len(entries)}, found '{keys[0]}'"
+            what = f"'{dotted(done)}' is a list of {len(entries)}; {expected}"
+            raise SpecError([Problem(mark, (*done, *keys), what)])
+        put = _put(entries[index], keys[1:], value, mark, (*done, index))
+        return replace(tree, value=[*entries[:index], put, *entries[index + 1 :]])
     if not isinstance(entries, dict):
-        raise _NoRoom(f"'{dotted(done)}' is {describe(entries)} and has no key '{keys[0]}'")
+        what = f"'{dotted(done)}' is {describe(entries)} and has no key '{keys[0]}'"
+        raise SpecError([Problem(mark, (*done, *keys), what)])
     inner = entries.get(keys[0]) or Tree(None, mark, mark, None)
-    changed = entries | {keys[0]: _put(inner, keys[1:], value, mark, (*done, keys[0]))}
-    return Tree(changed, tree.mark, tree.key, tree.origin)
-
-
-def _index(key: str, items: list[Tree], path: KeyPath) -> int:
-    # Python refuses to read integers of thousands of digits; no list is so long.
-    if key.isdecimal() and len(key) < 10 and int(key) < len(items):
-        return int(key)
-    expected = f"expected an index below {len(items)}, found '{key}'"
-    raise _NoRoom(f"'{dotted(path)}' is a list of {len(items)}; {expected}")
+    put = _put(inner, keys[1:], value, mark, (*done, keys[0]))
+    return replace(tree, value=entries | {keys[0]: put})

@@ -1,4 +1,4 @@
-"""YAML text as a tree of values that know where they were written.
+"""YAML text as a tree of values that know where they were written, and data as YAML text.
 
 The scalars follow the core schema of YAML 1.2, not 1.1: `1e-3` is a number, `on` and `no` are strings, `1:30`
 is no sexagesimal, `2026-01-01` no date. What a benchmark file must not contain is a problem: duplicate keys,
@@ -27,10 +27,10 @@ _MAX_VALUES = 50_000
 MAX_DEPTH = 100
 """Nor near this depth, and Python has a limit of its own."""
 
-_MAX_INT = 10**300
-"""Whole numbers below this are no greater than the greatest float."""
+_MAX_DIGITS = 100
 
-_SURROGATE = re.compile(r"[\ud800-\udfff]")
+_SMALLEST, _GREATEST = 1e-12, 1e12
+"""Magnitudes of numbers other than 0: their squares and products are still numbers in single precision."""
 
 _TAG = "tag:yaml.org,2002:"
 _CORE = {
@@ -42,6 +42,12 @@ _CORE = {
     ),
 }
 """The core schema, tested in this order (YAML 1.2.2, 10.3.2)."""
+
+
+class Located(str):
+    """A string that knows its file, since a path in it is relative to that; None: an override."""
+
+    origin: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -60,12 +66,16 @@ class Tree:
     key: Mark
     origin: Path | None
 
-    def plain(self) -> Any:
-        """The value as dicts, lists and scalars."""
+    def plain(self, located: bool = False) -> Any:
+        """The value as dicts, lists and scalars; its strings as `Located` ones if asked."""
         if isinstance(self.value, dict):
-            return {key: tree.plain() for key, tree in self.value.items()}
+            return {key: tree.plain(located) for key, tree in self.value.items()}
         if isinstance(self.value, list):
-            return [tree.plain() for tree in self.value]
+            return [tree.plain(located) for tree in self.value]
+        if located and isinstance(self.value, str):
+            text = Located(self.value)
+            text.origin = self.origin
+            return text
         return self.value
 
     def child(self, key: str | int) -> Tree | None:
@@ -77,11 +87,6 @@ class Tree:
         return None
 
 
-def core_tag(text: str) -> str:
-    """Tag of a plain scalar: `tag:yaml.org,2002:float` and so on."""
-    return _TAG + next((name for name, pattern in _CORE.items() if pattern.fullmatch(text)), "str")
-
-
 def describe(value: object) -> str:
     """Names a value for an error message: `the string 'abc'`, `a list of 2`."""
     if value is None:
@@ -91,7 +96,7 @@ def describe(value: object) -> str:
     if isinstance(value, int | float):
         return f"the number {value}"
     if isinstance(value, str):
-        return f"the string {value if len(value) <= 60 else value[:57] + '...'!r}"
+        return f"the string {str(value) if len(value) <= 60 else value[:57] + '...'!r}"
     if isinstance(value, dict):
         return "a mapping" if value else "an empty mapping"
     if isinstance(value, list | tuple):
@@ -99,44 +104,29 @@ def describe(value: object) -> str:
     return f"a {type(value).__name__}"
 
 
-@dataclass(frozen=True)
-class Source:
-    """Text to parse.
+def parse(
+    text: str, name: str, origin: Path | None = None, path: KeyPath = ()
+) -> tuple[Tree | None, list[Problem]]:
+    """Parses a text.
 
-    Attributes:
+    Args:
         text: The text.
         name: Path of its file, or the override that has it.
         origin: Path of its file; None for an override.
         path: Path at which the text's value will stand.
-    """
-
-    text: str
-    name: str
-    origin: Path | None
-    path: KeyPath = ()
-
-    def mark(self, line: int, column: int) -> Mark:
-        """A mark in this text; within an override there is only the override itself."""
-        return Mark(self.name, 0, 0) if self.origin is None else Mark(self.name, line, column)
-
-
-def parse(source: Source) -> tuple[Tree | None, list[Problem]]:
-    """Parses a text.
 
     Returns:
         The tree, None if the text is not YAML or has no value, and the problems. Parts with a problem are in
         the tree as far as they make sense.
     """
+    builder = _Builder(name, origin)
     try:
-        node = _compose(source.text)
+        node = _compose(text)
     except yaml.YAMLError as error:
-        return None, [_syntax_problem(error, source)]
+        return None, [builder.syntax_problem(error, text, path)]
     except RecursionError:
-        return None, [Problem(source.mark(1, 1), source.path, "nested too deeply")]
-    if node is None:
-        return None, []
-    builder = _Builder(source)
-    return builder.build(node, source.path, None), builder.problems
+        return None, [Problem(builder.mark(1, 1), path, "nested too deeply")]
+    return (builder.build(node, path, None) if node else None), builder.problems
 
 
 class _Loader(yaml.SafeLoader):
@@ -144,8 +134,19 @@ class _Loader(yaml.SafeLoader):
 
     def resolve(self, kind: type[Node], value: Any, implicit: Any) -> str:
         if kind is ScalarNode and implicit[0]:
-            return core_tag(value)
+            return _core_tag(value)
         return _TAG + {ScalarNode: "str", SequenceNode: "seq", MappingNode: "map"}[kind]
+
+    def compose_scalar_node(self, anchor: Any) -> ScalarNode:
+        node = super().compose_scalar_node(anchor)
+        try:
+            node.value.encode()
+        except UnicodeEncodeError:  # half of a pair of UTF-16, which an escape can write
+            raise yaml.MarkedYAMLError(problem=_NO_CHARACTER, problem_mark=node.start_mark) from None
+        return node
+
+
+_NO_CHARACTER = "the escape stands for no character"
 
 
 def _compose(text: str) -> Node | None:
@@ -154,48 +155,41 @@ def _compose(text: str) -> Node | None:
         return loader.get_single_node()
     except (ValueError, OverflowError):
         # From `chr`: PyYAML does not look whether an escape is in the range of Unicode.
-        what = "the escape stands for no character"
-        raise yaml.MarkedYAMLError(problem=what, problem_mark=loader.get_mark()) from None
+        raise yaml.MarkedYAMLError(problem=_NO_CHARACTER, problem_mark=loader.get_mark()) from None
     finally:
         loader.dispose()
+
+
+def _core_tag(text: str) -> str:
+    """Tag of a plain scalar: `tag:yaml.org,2002:float` and so on."""
+    return _TAG + next((name for name, pattern in _CORE.items() if pattern.fullmatch(text)), "str")
 
 
 @dataclass
 class _Builder:
     """Turns composed nodes into a tree and collects what is wrong with them."""
 
-    source: Source
+    name: str
+    origin: Path | None
     problems: list[Problem] = field(default_factory=list)
-    _open: list[Node] = field(default_factory=list)
     _count: int = 0
 
     def build(self, node: Node, path: KeyPath, key: Mark | None) -> Tree:
-        """Builds the tree of a node.
-
-        Args:
-            node: The node.
-            path: Path of the value.
-            key: Mark of its key; None for list items and the top.
-        """
+        """Builds the tree of the node at a path; `key` is the mark of its key, None for list items and the top."""
         mark = self._mark(node)
         here = key or mark
         self._count += 1
-        refusal = self._refusal(node)
-        if refusal:
-            self._report(here, path, refusal)
-        if refusal or self._count > _MAX_VALUES:
-            return Tree(None, mark, here, self.source.origin)
-        self._open.append(node)
-        value = self._value(node, path, mark)
-        self._open.pop()
-        return Tree(value, mark, here, self.source.origin)
+        if self._count == _MAX_VALUES:
+            self._report(here, (), f"aliases expand to more than {_MAX_VALUES} values")
+        elif len(path) == MAX_DEPTH and self._count < _MAX_VALUES:
+            self._report(here, (), "nested too deeply, or an alias that contains itself")
+        if self._count >= _MAX_VALUES or len(path) >= MAX_DEPTH:
+            return Tree(None, mark, here, self.origin)
+        return Tree(self._value(node, path, mark), mark, here, self.origin)
 
-    def _refusal(self, node: Node) -> str | None:
-        if any(node is other for other in self._open):
-            return "an alias contains itself"
-        if len(self._open) >= MAX_DEPTH:
-            return "nested too deeply"
-        return f"aliases expand to more than {_MAX_VALUES} values" if self._count == _MAX_VALUES else None
+    def mark(self, line: int, column: int) -> Mark:
+        """A mark in the text; within an override there is only the override itself."""
+        return Mark(self.name, line, column) if self.origin else Mark(self.name, 0, 0)
 
     def _value(self, node: Node, path: KeyPath, mark: Mark) -> Any:
         kind = node.tag.removeprefix(_TAG)
@@ -224,84 +218,67 @@ class _Builder:
         return mapping
 
     def _key(self, node: Node, path: KeyPath, mark: Mark) -> str:
-        if not isinstance(node, ScalarNode):
-            what = "list" if isinstance(node, SequenceNode) else "mapping"
-            self._report(mark, path, f"a key must be a string, found a {what}")
-            return "?"
-        if _SURROGATE.search(node.value):
-            self._no_character(node.value, path, mark)
-            return "?"
-        if node.tag == _TAG + "merge" or (node.value == "<<" and node.style is None):
+        name = node.value if isinstance(node, ScalarNode) else "?"
+        if isinstance(node, ScalarNode) and name == "<<" and node.style is None:
             instead = "use `extends: other.yaml`"
-            self._report(mark, (*path, "<<"), "merge keys '<<' are not supported", instead)
+            self._report(mark, (*path, name), "merge keys '<<' are not supported", instead)
         elif node.tag != _TAG + "str":
-            found = node.value or "null"
-            quoted = f"write it in quotes: '{found}'"
-            self._report(mark, (*path, node.value), f"a key must be a string, found {found}", quoted)
-        return node.value
+            found = "a list or mapping" if name == "?" else name or "null"
+            hint = None if name == "?" else f"write it in quotes: '{found}'"
+            self._report(mark, (*path, name), f"a key must be a string, found {found}", hint)
+        return name
 
     def _scalar(self, kind: str, text: str, path: KeyPath, mark: Mark) -> Scalar:
         if kind != "str" and not _CORE[kind].fullmatch(text):
             self._report(mark, path, f"'{text}' is not a value of the tag '!!{kind}'")
-            return None
-        if _SURROGATE.search(text):
-            self._no_character(text, path, mark)
-            return None
-        try:
-            value = _READ[kind](text)
-        except ValueError:
+        elif kind == "int" and len(text) > _MAX_DIGITS:
             self._report(mark, path, f"a number of {len(text)} digits is too long")
-            return None
-        if isinstance(value, float) and not math.isfinite(value):
-            self._report(mark, path, f"expected a finite number, found {text}")
-        return value
+        else:
+            value = _READ[kind](text)
+            if kind in ("int", "float"):
+                self._check_number(value, text, path, mark)
+            return value
+        return None
 
-    def _no_character(self, text: str, path: KeyPath, mark: Mark) -> None:
-        # Half of a pair of UTF-16; an escape can write it, but no file, no path and no terminal can have it.
-        escape = ascii(_SURROGATE.findall(text)[0])[1:-1]
-        self._report(mark, path, f"the escape {escape} stands for no character")
+    def _check_number(self, value: Any, text: str, path: KeyPath, mark: Mark) -> None:
+        if not math.isfinite(value):
+            self._report(mark, path, f"expected a finite number, found {text}")
+        elif value and not _SMALLEST <= abs(value) <= _GREATEST and not {"seed", "seeds"} & set(path):
+            what = f"expected 0, or a number from {_SMALLEST:g} to {_GREATEST:g} in magnitude, found {text}"
+            self._report(mark, path, what)
+
+    def syntax_problem(self, error: yaml.YAMLError, text: str, path: KeyPath) -> Problem:
+        """Words what PyYAML cannot read."""
+        if isinstance(error, yaml.MarkedYAMLError):
+            mark = error.problem_mark or error.context_mark
+            where = self.mark(mark.line + 1, mark.column + 1) if mark else self.mark(1, 1)
+            context = f" ({error.context})" if error.context and error.problem else ""
+            what = error.problem or error.context or "syntax error"
+            return Problem(where, path, f"not valid YAML: {what}{context}", _syntax_hint(what))
+        position = getattr(error, "position", 0)
+        before = text[:position]
+        where = self.mark(before.count("\n") + 1, position - before.rfind("\n"))
+        character = text[position : position + 1]
+        what = f"not valid YAML: the character {character!r} is not allowed"
+        if "\udc80" <= character <= "\udcff":  # decoded with `surrogateescape`
+            what = f"not UTF-8: the byte 0x{ord(character) - 0xDC00:02x}"
+        return Problem(where, path, what)
 
     def _mark(self, node: Node) -> Mark:
-        return self.source.mark(node.start_mark.line + 1, node.start_mark.column + 1)
+        return self.mark(node.start_mark.line + 1, node.start_mark.column + 1)
 
     def _report(self, mark: Mark, path: KeyPath, message: str, hint: str | None = None) -> None:
         self.problems.append(Problem(mark, path, message, hint))
 
 
-def _read_int(text: str) -> int:
-    # Python reads 0o17 and 0x1f with base 0, but refuses the leading zeros that YAML 1.2 allows. Decimals of thousands
-    # of digits it refuses, too, and neither does it write hexadecimal ones in decimals.
-    value = int(text, 0) if text[:2] in ("0o", "0x") else int(text)
-    if abs(value) >= _MAX_INT:
-        raise ValueError
-    return value
-
-
-def _read_float(text: str) -> float:
-    return float(text.lower().replace(".inf", "inf").replace(".nan", "nan"))
-
-
+# Decimals may have leading zeros, which Python refuses with base 0.
 _READ: dict[str, Callable[[str], Scalar]] = {
     "null": lambda text: None,
     "bool": lambda text: text.lower() == "true",
-    "int": _read_int,
-    "float": _read_float,
+    "int": lambda text: int(text, 0 if text[:2] in ("0o", "0x") else 10),
+    "float": lambda text: float(text.lower().replace(".inf", "inf").replace(".nan", "nan")),
     "str": str,
 }
-
-
-def _syntax_problem(error: yaml.YAMLError, source: Source) -> Problem:
-    if isinstance(error, yaml.MarkedYAMLError):
-        mark = error.problem_mark or error.context_mark
-        where = source.mark(mark.line + 1, mark.column + 1) if mark else source.mark(1, 1)
-        context = f" ({error.context})" if error.context and error.problem else ""
-        what = error.problem or error.context or "syntax error"
-        return Problem(where, source.path, f"not valid YAML: {what}{context}", _syntax_hint(what))
-    position = getattr(error, "position", 0)
-    before = source.text[:position]
-    where = source.mark(before.count("\n") + 1, position - (before.rfind("\n") + 1) + 1)
-    character = source.text[position : position + 1]
-    return Problem(where, source.path, f"not valid YAML: the character {character!r} is not allowed")
 
 
 def _syntax_hint(message: str) -> str | None:
@@ -313,3 +290,49 @@ def _syntax_hint(message: str) -> str | None:
         "could not find expected ':'": "is a ':' missing, or a quote or bracket not closed?",
     }
     return next((hint for words, hint in hints.items() if words in message), None)
+
+
+def dump_yaml(data: Any) -> str:
+    """Writes mappings, lists and scalars as block YAML, in the order of the keys.
+
+    Raises:
+        yaml.representer.RepresenterError: A value is not of a type that YAML files have.
+    """
+    return _dump(data, flow=False, width=100)
+
+
+def flow_yaml(data: Any) -> str:
+    """Writes a value as YAML on one line: `[0.1, 0.2]`, `abc`, `'on'`; raises as `dump_yaml`."""
+    return _dump(data, flow=True, width=math.inf).removesuffix("...\n").rstrip("\n")
+
+
+def _dump(data: Any, flow: bool, width: float) -> str:
+    return yaml.dump(
+        data, Dumper=_Dumper, sort_keys=False, default_flow_style=flow, allow_unicode=True, width=width
+    )
+
+
+class _Dumper(yaml.SafeDumper):
+    """Leaves a string without quotes only if it is a string by the rules of both YAML 1.1 and 1.2."""
+
+    def resolve(self, kind: Any, value: Any, implicit: Any) -> str:
+        if kind is not yaml.ScalarNode or not implicit[0]:
+            return super().resolve(kind, value, implicit)
+        tag = _core_tag(value)
+        return tag if tag != _TAG + "str" else super().resolve(kind, value, implicit)
+
+    def ignore_aliases(self, data: Any) -> bool:
+        return True
+
+    def increase_indent(self, flow: bool = False, indentless: bool = False) -> None:
+        # PyYAML does not indent lists below their key; our files do.
+        super().increase_indent(flow, False)
+
+
+def _represent_str(dumper: _Dumper, text: str) -> yaml.ScalarNode:
+    # Double quotes escape line breaks, which every other style would fold or indent.
+    return dumper.represent_scalar(_TAG + "str", text, style=None if text.isprintable() else '"')
+
+
+_Dumper.add_representer(str, _represent_str)
+_Dumper.add_representer(tuple, _Dumper.represent_list)

@@ -15,8 +15,7 @@ from typing import Any, TypeVar
 from pydantic import Field, create_model
 
 from kickbench.config.base import Spec, resolved
-from kickbench.config.curriculum import RAMP, CurriculumSpec
-from kickbench.config.task import ObservationSpec, TaskSpec
+from kickbench.config.task import RAMP, CurriculumSpec, ObservationSpec, TaskSpec
 from kickbench.config.terms import RewardTable, TermTable
 from kickbench.config.yamlio import Document
 from kickbench.envs import observations, randomizations, rewards, terminations

@@ -9,8 +9,8 @@ from typing import Any
 import torch
 from pydantic import ValidationError
 
-from kickbench.config.curriculum import Ramp
 from kickbench.config.load import LoadedTask
+from kickbench.config.task import Ramp
 from kickbench.config.terms import TermParams
 from kickbench.envs.catalog import Catalog
 from kickbench.envs.curriculum import spec_at, value_at

@@ -16,8 +16,7 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel
 
-from kickbench.config.curriculum import COMPETENCE, CurriculumSpec
-from kickbench.config.task import TaskSpec
+from kickbench.config.task import COMPETENCE, CurriculumSpec, TaskSpec
 
 M = TypeVar("M", bound=BaseModel)
 

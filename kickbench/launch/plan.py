@@ -12,7 +12,7 @@ from kickbench.launch.state import RunState, State, read_state
 from kickbench.results.metrics import load_metrics
 from kickbench.results.store import RunDirectory
 from kickbench.training.resume import check_same
-from kickbench.trials.experiment import Arm, LoadedExperiment
+from kickbench.trials.experiment import Condition, LoadedExperiment
 from kickbench.trials.trial import Trial, load_trial
 
 
@@ -96,12 +96,12 @@ def make_plan(experiment: LoadedExperiment, selection: Selection) -> Plan:
             do are named with every key that differs. Nothing has been written.
     """
     for name in selection.only:
-        if name not in experiment.arms:
-            what = f"{experiment.name} has no such arm; it has: {', '.join(experiment.arms)}"
-            raise SpecError.of(f"--only {name}", what, did_you_mean(name, experiment.arms))
+        if name not in experiment.conditions:
+            what = f"{experiment.name} has no such condition; it has: {', '.join(experiment.conditions)}"
+            raise SpecError.of(f"--only {name}", what, did_you_mean(name, experiment.conditions))
     folder = selection.out or selection.default_folder(experiment.name)
     columns, records, problems = list[list[PlannedRun]](), list[RunRecord](), list[Problem]()
-    for arm in experiment.arms.values():
+    for arm in experiment.conditions.values():
         overrides = (*arm.overrides, *selection.overrides)
         trial = load_trial(arm.task.document.file, arm.method.document.file, overrides, selection.scale)
         is_chosen = not selection.only or arm.name in selection.only
@@ -124,7 +124,7 @@ def _in_turn(columns: list[list[PlannedRun]]) -> Iterator[PlannedRun]:
         yield from (column[index] for column in columns if index < len(column))
 
 
-def _record(arm: Arm, trial: Trial, seed: int) -> RunRecord:
+def _record(arm: Condition, trial: Trial, seed: int) -> RunRecord:
     return RunRecord(
         arm=arm.name,
         seed=seed,
@@ -132,12 +132,12 @@ def _record(arm: Arm, trial: Trial, seed: int) -> RunRecord:
         method=trial.method.name,
         iterations=trial.method.spec.algorithm.iterations,
         episodes=trial.task.spec.evaluation.episodes,
-        also=tuple(arm.also),
+        also=tuple(arm.transfer),
     )
 
 
 def _planned(
-    experiment: LoadedExperiment, selection: Selection, arm: Arm, folder: Path, record: RunRecord
+    experiment: LoadedExperiment, selection: Selection, arm: Condition, folder: Path, record: RunRecord
 ) -> PlannedRun:
     files = [shown(loaded.document.file) for loaded in (arm.task, arm.method)]
     options = [("--seed", str(record.seed))]
@@ -145,7 +145,7 @@ def _planned(
     options += [] if selection.scale is None else [("--scale", f"{selection.scale!r}")]
     options += [("--experiment", shown(experiment.document.file)), ("--out", str(folder / record.folder))]
     arguments = (*files, *(part for option in options for part in option))
-    also = {name: task.document.file for name, task in arm.also.items()}
+    also = {name: task.document.file for name, task in arm.transfer.items()}
     return PlannedRun(record, RunDirectory(folder / record.folder), arguments, also)
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import pandas as pd
 
-from kickbench.config.claims import Side
+from kickbench.config.experiment import Side
 from kickbench.errors import KickbenchError
 from kickbench.report.measures import Measure, over_seeds
 from kickbench.results.episodes import read_episodes
@@ -27,7 +27,7 @@ from kickbench.results.notes import (
 from kickbench.results.progress import read_progress
 from kickbench.results.store import RunDirectory
 from kickbench.results.verdicts import Verdict, judge
-from kickbench.trials.experiment import Arm, LoadedExperiment
+from kickbench.trials.experiment import Condition, LoadedExperiment
 
 SIDE_WORDS: dict[Side, str] = {"in_distribution": "in distribution", "mirrored": "mirrored"}
 
@@ -59,9 +59,9 @@ class Study:
     unjudged: str = ""
 
     @property
-    def plans(self) -> Mapping[str, Arm]:
+    def plans(self) -> Mapping[str, Condition]:
         """The conditions that an experiment plans, by name; empty without one."""
-        return self.experiment.arms if self.experiment else {}
+        return self.experiment.conditions if self.experiment else {}
 
     @property
     def runs(self) -> pd.DataFrame:

@@ -24,7 +24,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
-from kickbench.config.claims import Side
+from kickbench.config.experiment import Side
 from kickbench.results.episodes import EpisodeSides, EpisodeTable, read_episodes
 from kickbench.results.notes import differing_lines, left_out_lines, repeat_lines, with_groups
 from kickbench.results.statistics import (

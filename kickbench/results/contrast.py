@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from kickbench.config.claims import (
+from kickbench.config.experiment import (
     AnyClaim,
     AtLeast,
     AtMost,
@@ -135,7 +135,7 @@ def run_terms(run: pd.DataFrame, claim: AnyClaim, contrast: Contrast) -> RunTerm
     """The part of a contrast that a run gives; None if the run lacks a figure."""
     terms = []
     for weight, operand in contrast.terms:
-        if operand.arm == run.condition.iloc[0]:
+        if operand.condition == run.condition.iloc[0]:
             figure = figure_of(run, claim, operand)
             if figure is None:
                 return None

@@ -1,4 +1,4 @@
-"""How each metric that a claim may be about (`kickbench.config.claims.Metric`) follows from one run, and its unit.
+"""How each metric that a claim may be about (`kickbench.config.experiment.Metric`) follows from one run, and its unit.
 
 Learning curves are those of exploration, from `progress.csv`, smoothed by a moving mean over 2 % of the training.
 """
@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from kickbench.config.claims import (
+from kickbench.config.experiment import (
     AnyClaim,
     AtLeast,
     AtMost,

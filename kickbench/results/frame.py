@@ -32,7 +32,7 @@ import numpy as np
 import pandas as pd
 from pydantic import BaseModel
 
-from kickbench.config.claims import Side
+from kickbench.config.experiment import Side
 from kickbench.config.load import load_method
 from kickbench.errors import KickbenchError, shown
 from kickbench.results.episodes import NON_FINITE
@@ -44,7 +44,7 @@ from kickbench.results.store import RunDirectory, find_begun_runs
 
 if TYPE_CHECKING:
     from kickbench.results.specs import Specs
-    from kickbench.trials.experiment import Arm, LoadedExperiment
+    from kickbench.trials.experiment import Condition, LoadedExperiment
 
 SIDES: tuple[Side, ...] = get_args(Side)
 HOME: Side = "in_distribution"
@@ -251,7 +251,7 @@ def _transfer_rows(directory: RunDirectory, own: Row, metrics: Metrics) -> Itera
 
 def _planned_rows(root: Path, experiment: LoadedExperiment) -> Iterator[Row]:
     """The rows of every planned run, compared with the plan."""
-    for arm in experiment.arms.values():
+    for arm in experiment.conditions.values():
         planned = _Planned(arm)
         for seed in arm.seeds:
             rows = _rows(RunDirectory(run_path(root, arm.name, seed)))
@@ -271,7 +271,7 @@ def _planned_rows(root: Path, experiment: LoadedExperiment) -> Iterator[Row]:
 class _Planned:
     """A condition as planned; it is compiled only if there is a run to compare with it."""
 
-    def __init__(self, arm: Arm) -> None:
+    def __init__(self, arm: Condition) -> None:
         self._arm = arm
 
     @cached_property

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from pydantic import BaseModel, ValidationError
 
-from kickbench.config.annotations import names_file
+from kickbench.config.base import names_file
 from kickbench.config.terms import TermParams, TermTable
 from kickbench.errors import KeyPath, KickbenchError, shown
 from kickbench.results.atomic import Record, atomic_write_text

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kickbench.config.claims import AnyClaim, Operand
+from kickbench.config.experiment import AnyClaim, Operand
 from kickbench.results.contrast import RunTerms, Term, contrast_of
 from kickbench.results.figures import Figure
 from kickbench.results.statistics import wilson
@@ -81,7 +81,7 @@ def rates_table(experiment: LoadedExperiment, draws: int = 2000) -> str:
 
 def _reported(experiment: LoadedExperiment, operand: Operand, claim: AnyClaim) -> tuple[float, float] | None:
     """Mean and standard deviation over seeds as reported; None if they were not."""
-    figures = experiment.arms[operand.arm].figures_of(operand)
+    figures = experiment.conditions[operand.condition].figures_of(operand)
     mean, deviation = (getattr(figures, f"{claim.metric}{end}", None) for end in ("", "_std"))
     return None if mean is None or deviation is None else (mean, deviation)
 
@@ -100,9 +100,9 @@ def _met(experiment: LoadedExperiment, claim: AnyClaim, world: str, draws: int) 
             mean, deviation = _reported(experiment, operand, claim) or (0.0, 0.0)
             mean = middle if world == "equal" else mean
             mean += WORSE[claim.metric] if world == "worse" and operand == claim.value else 0.0
-            arm = experiment.arms[operand.arm]
+            arm = experiment.conditions[operand.condition]
             drawn = rng.normal(mean, deviation, len(arm.seeds))
-            parts[operand.arm] = [
+            parts[operand.condition] = [
                 RunTerms((Term(weight, operand, _figure(claim, seed, arm.episodes, rng)),)) for seed in drawn
             ]
         count += judge_parts(claim, contrast, parts)[0] == "met"

@@ -15,8 +15,8 @@ from pydantic import BaseModel
 
 from kickbench.config.load import LoadedMethod, LoadedTask, load_method, load_task
 from kickbench.config.terms import TermParams, TermTable
-from kickbench.config.yamldump import dump_yaml, flow_yaml
 from kickbench.config.yamlio import Document
+from kickbench.config.yamltree import dump_yaml, flow_yaml
 from kickbench.envs.catalog import model_of_task
 from kickbench.errors import KeyPath, KickbenchError, Problem, dotted
 from kickbench.results.atomic import atomic_write_bytes, atomic_write_text

@@ -14,7 +14,7 @@ from typing import Literal
 import pandas as pd
 from pydantic import Field, TypeAdapter, ValidationError
 
-from kickbench.config.claims import AnyClaim, NearReported, Operand, RatioAtLeast, RatioAtMost
+from kickbench.config.experiment import AnyClaim, NearReported, Operand, RatioAtLeast, RatioAtMost
 from kickbench.errors import KickbenchError
 from kickbench.results.atomic import Record, problems_of
 from kickbench.results.contrast import (
@@ -191,8 +191,8 @@ def _parts(
     """What the runs of each arm give, and in words what is missing."""
     parts: dict[str, list[RunTerms]] = {}
     lacks: list[str] = []
-    for arm in dict.fromkeys(operand.arm for _, operand in contrast.terms):
-        own = [operand for _, operand in contrast.terms if operand.arm == arm]
+    for arm in dict.fromkeys(operand.condition for _, operand in contrast.terms):
+        own = [operand for _, operand in contrast.terms if operand.condition == arm]
         parts[arm], without = [], {}
         for seed, run in measured[measured.condition == arm].groupby("seed", sort=False):
             terms = run_terms(run, claim, contrast) if run.counted.any() else None
@@ -207,7 +207,7 @@ def _parts(
 def _non_finite(contrast: Contrast, measured: pd.DataFrame) -> str:
     """A note on the run that has the largest share of non-finite episodes, if any has some."""
     operands = [operand for _, operand in contrast.terms]
-    rows = measured[measured.counted & measured.condition.isin([operand.arm for operand in operands])]
+    rows = measured[measured.counted & measured.condition.isin([operand.condition for operand in operands])]
     runs = [run for _, run in rows.groupby("path", sort=False)]
     return non_finite_note(max((non_finite_share(run, operands) for run in runs), default=0.0))
 
@@ -240,7 +240,7 @@ def _shown(claim: AnyClaim, estimated: Estimated, parts: Parts) -> tuple[float |
     """The figure as people read it: of a ratio claim the ratio, of any other the contrast itself."""
     value, interval = estimated.value, estimated.interval
     if isinstance(claim, RatioAtMost | RatioAtLeast):
-        runs = parts[claim.over.arm]
+        runs = parts[claim.over.condition]
         figures = [t.figure.value for run in runs for t in run.terms if t.operand is claim.over]
         over = sum(figures) / len(figures)
         if over <= 0:
@@ -256,7 +256,7 @@ def _shown(claim: AnyClaim, estimated: Estimated, parts: Parts) -> tuple[float |
 
 def _reported(operand: Operand, claim: AnyClaim, experiment: LoadedExperiment) -> float | None:
     """What was reported of an operand's metric."""
-    return getattr(experiment.arms[operand.arm].figures_of(operand), claim.metric, None)
+    return getattr(experiment.conditions[operand.condition].figures_of(operand), claim.metric, None)
 
 
 def _reported_figure(claim: AnyClaim, contrast: Contrast, experiment: LoadedExperiment) -> float | None:

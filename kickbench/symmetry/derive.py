@@ -14,7 +14,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from kickbench.config.yamldump import flow_yaml
+from kickbench.config.yamltree import flow_yaml
 from kickbench.symmetry.model_parts import (
     PLANES,
     Actuator,

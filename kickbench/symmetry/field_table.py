@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, reduce
 
-from kickbench.config.representation import Expression, RepresentationSpec, Sum, parse_expression
+from kickbench.config.method import Expression, RepresentationSpec, Sum, parse_expression
 from kickbench.config.yamlio import Document
 from kickbench.errors import Problem, SpecError, nearest
 from kickbench.symmetry.representation import BY_NAME, Representation, direct_sum, tensor

@@ -9,8 +9,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
 
-from kickbench.config.method import MethodSpec
-from kickbench.config.representation import RepresentationSpec
+from kickbench.config.method import MethodSpec, RepresentationSpec
 from kickbench.config.robot import RobotSpec
 from kickbench.config.shipped import find
 from kickbench.config.task import TaskSpec

@@ -7,26 +7,32 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
+from typing import Any
 
-from kickbench.config.claims import OF_A_RUN, AnyClaim, NearReported, Operand
-from kickbench.config.load import LoadedMethod, LoadedTask, load, load_method, load_task
-from kickbench.config.reported import ArmSpec, ExperimentSpec, FiguresSpec, ReportedFiguresSpec
+from kickbench.config.experiment import (
+    OF_A_RUN,
+    AnyClaim,
+    ExperimentSpec,
+    FiguresSpec,
+    NearReported,
+    Operand,
+    ReportedFiguresSpec,
+)
+from kickbench.config.load import Loaded, LoadedMethod, LoadedTask, load, load_task
 from kickbench.config.task import TaskSpec
 from kickbench.config.terms import RewardParams, TerminationParams
 from kickbench.config.yamlio import Document
 from kickbench.envs.catalog import model_of_task
-from kickbench.errors import KeyPath, Problem, SpecError, did_you_mean
-
-T = TypeVar("T")
+from kickbench.errors import KeyPath, Problem, SpecError, collected, did_you_mean
+from kickbench.trials.trial import load_both
 
 
 @dataclass(frozen=True)
-class Arm:
-    """One arm of an experiment, with nothing left to default.
+class Condition:
+    """One condition of an experiment, with nothing left to default.
 
     Attributes:
         name: Its name, and that of its folder.
@@ -35,7 +41,7 @@ class Arm:
         seeds: Seeds of training; `seed<k>` is the folder of each.
         iterations: Training iterations of each.
         episodes: Evaluation episodes a side.
-        also: Further tasks the policies are evaluated on, by name.
+        transfer: Further tasks the policies are evaluated on, by name.
         reported: What was reported of it.
     """
 
@@ -45,7 +51,7 @@ class Arm:
     seeds: tuple[int, ...]
     iterations: int
     episodes: int
-    also: Mapping[str, LoadedTask[TaskSpec]]
+    transfer: Mapping[str, LoadedTask[TaskSpec]]
     reported: ReportedFiguresSpec | None
 
     @property
@@ -58,240 +64,178 @@ class Arm:
             own.append(f"evaluation.episodes={self.episodes}")
         return tuple(own)
 
+    @property
+    def tasks(self) -> dict[str, LoadedTask[TaskSpec]]:
+        """Every task that the policies are evaluated on, by name: the one trained on first."""
+        return {self.task.name: self.task, **self.transfer}
+
     def is_of_own_task(self, operand: Operand) -> bool:
         """Whether an operand is about the task trained on, named or not."""
         return operand.task in (None, self.task.name)
 
-    def task_of(self, operand: Operand) -> LoadedTask[TaskSpec]:
-        """The task whose episodes an operand is about."""
-        return self.task if self.is_of_own_task(operand) else self.also[str(operand.task)]
-
     def figures_of(self, operand: Operand) -> FiguresSpec | None:
-        """What was reported of an operand's side; nothing is reported of a further task."""
+        """What was reported of an operand's side; nothing is reported of a transfer task."""
         return self.reported.of_side(operand.side) if self.reported and self.is_of_own_task(operand) else None
 
 
 @dataclass(frozen=True)
-class LoadedExperiment:
-    """An experiment with everything it names.
+class LoadedExperiment(Loaded[ExperimentSpec]):
+    """An experiment with everything it names; its name is also that of its folder.
 
     Attributes:
-        spec: What the file says.
-        document: Where it says it.
-        arms: The arms by name, in the order of the file.
+        conditions: The conditions by name, in the order of the file.
         claims: The claims by name: those of other experiments first, then its own, in the order of the files.
     """
 
-    spec: ExperimentSpec
-    document: Document
-    arms: Mapping[str, Arm]
+    conditions: Mapping[str, Condition]
     claims: Mapping[str, AnyClaim]
-
-    @property
-    def name(self) -> str:
-        """The file's stem, and the name of the experiment's folder."""
-        return self.document.file.stem
 
     @property
     def claims_hash(self) -> str:
         """SHA-256 of what is claimed: kinds, figures and bounds, not the words."""
         words = {"statement", "section"}
         claims = {name: claim.model_dump(mode="json", exclude=words) for name, claim in self.claims.items()}
-        return hashlib.sha256(json.dumps(claims, sort_keys=True).encode()).hexdigest()
+        text = json.dumps(claims, sort_keys=True)
+        # Hashes of recorded runs were made when conditions were called arms.
+        return hashlib.sha256(text.replace('"condition": "', '"arm": "').encode()).hexdigest()
 
 
 def load_experiment(path: str | Path, overrides: Sequence[str] = ()) -> LoadedExperiment:
     """Loads an experiment, its tasks and its methods, and checks claims and figures against them.
 
     Raises:
-        SpecError: With every problem of the file, or of the first file it names that has some.
+        SpecError: With every problem of the file, or of the files it names.
     """
     loaded = load(ExperimentSpec, path, overrides)
     spec, document = loaded.spec, loaded.document
-    files = _Files()
-    also = _also(spec, document, files)
-    claims = _all_claims(spec, document, files)
-    arms = {name: _arm(name, spec, document, files, also) for name in spec.arms}
-    if files.problems:
-        raise SpecError(files.problems)
-    complete = {name: arm for name, arm in arms.items() if arm is not None}
-    problems = [*_figure_problems(complete, document), *_claim_problems(claims, complete, document)]
+    problems: list[Problem] = []
+    transfer: dict[str, LoadedTask[TaskSpec]] = {}
+    for index, file in enumerate(spec.evaluation.transfer):
+        with collected(problems):
+            task = load_task(model_of_task, file)
+            if task.name in transfer:
+                place = ("evaluation", "transfer", index)
+                raise document.error(place, f"there are two tasks of the name {task.name}")
+            transfer[task.name] = task
+    conditions: dict[str, Condition] = {}
+    for name in spec.conditions:
+        with collected(problems):
+            conditions[name] = _condition(name, spec, document, transfer)
+    claims: dict[str, AnyClaim] = {}
+    with collected(problems):
+        claims = _all_claims(spec, document)
+    problems = problems or list(_claim_problems(claims, conditions, document))
     if problems:
         raise SpecError(problems)
-    return LoadedExperiment(spec, document, complete, claims)
+    return LoadedExperiment(spec, document, conditions, claims)
 
 
-class _Files:
-    """The tasks and methods that an experiment names, each read once, and what is wrong with them."""
-
-    def __init__(self) -> None:
-        self.problems: list[Problem] = []
-        self._read: dict[tuple[str, str], object] = {}
-
-    def task(self, file: str, document: Document, path: KeyPath) -> LoadedTask[TaskSpec] | None:
-        return self._once("task", file, document, path, lambda: load_task(model_of_task, file))
-
-    def experiment(self, file: str, document: Document, path: KeyPath) -> ExperimentSpec | None:
-        return self._once("experiment", file, document, path, lambda: load(ExperimentSpec, file).spec)
-
-    def method(self, file: str, document: Document, path: KeyPath) -> LoadedMethod | None:
-        return self._once("method", file, document, path, lambda: load_method(file))
-
-    def _once(
-        self, kind: str, file: str, document: Document, path: KeyPath, read: Callable[[], T]
-    ) -> T | None:
-        if (kind, file) not in self._read:
-            self._read[kind, file] = None
-            try:
-                self._read[kind, file] = read()
-            except SpecError as error:
-                what = f"this {kind} does not load; its problems follow"
-                self.problems += [document.problem(path, what), *error.problems]
-        return self._read[kind, file]  # pyright: ignore[reportReturnType] (the key names the type)
-
-
-def _also(spec: ExperimentSpec, document: Document, files: _Files) -> dict[str, LoadedTask[TaskSpec]]:
-    """The further tasks by name, which is also that of their result's file."""
-    also: dict[str, LoadedTask[TaskSpec]] = {}
-    for index, file in enumerate(spec.evaluation.also):
-        path = ("evaluation", "also", index)
-        task = files.task(file, document, path)
-        if task is not None and task.name in also:
-            files.problems.append(document.problem(path, f"there are two tasks of the name {task.name}"))
-        elif task is not None:
-            also[task.name] = task
-    return also
-
-
-def _arm(
-    name: str,
-    spec: ExperimentSpec,
-    document: Document,
-    files: _Files,
-    also: Mapping[str, LoadedTask[TaskSpec]],
-) -> Arm | None:
-    arm: ArmSpec = spec.arms[name]
-    own = ("arms", name, "task")
-    task = files.task(arm.task or str(spec.task), document, own if arm.task else ("task",))
-    method = files.method(arm.method, document, ("arms", name, "method"))
-    if task is None or method is None:
-        return None
-    if task.name in also:
-        what = f"the arm {name} is trained on {task.name}, and evaluated on it anyway"
-        files.problems.append(document.problem(("evaluation", "also"), what))
-    return Arm(
+def _condition(
+    name: str, spec: ExperimentSpec, document: Document, transfer: Mapping[str, LoadedTask[TaskSpec]]
+) -> Condition:
+    condition = spec.conditions[name]
+    task, method = load_both(condition.task or str(spec.task), condition.method)
+    if task.name in transfer:
+        what = f"the condition {name} is trained on {task.name}, and evaluated on it anyway"
+        raise document.error(("evaluation", "transfer"), what)
+    if condition.reported and condition.reported.mirrored and not task.spec.evaluation.mirrored:
+        place = ("conditions", name, "reported", "mirrored")
+        raise document.error(place, f"the task {task.name} has no mirrored evaluation")
+    return Condition(
         name=name,
         task=task,
         method=method,
-        seeds=arm.seeds or spec.seeds,
-        iterations=arm.iterations or spec.iterations or method.spec.algorithm.iterations,
+        seeds=condition.seeds or spec.seeds,
+        iterations=condition.iterations or spec.iterations or method.spec.algorithm.iterations,
         episodes=spec.evaluation.episodes or task.spec.evaluation.episodes,
-        also=also,
-        reported=arm.reported,
+        transfer=transfer,
+        reported=condition.reported,
     )
 
 
-def _figure_problems(arms: Mapping[str, Arm], document: Document) -> Iterator[Problem]:
-    for name, arm in arms.items():
-        if arm.reported and arm.reported.mirrored and not arm.task.spec.evaluation.mirrored:
-            path = ("arms", name, "reported", "mirrored")
-            yield document.problem(path, f"the task {arm.task.name} has no mirrored evaluation")
-
-
-def _all_claims(spec: ExperimentSpec, document: Document, files: _Files) -> dict[str, AnyClaim]:
+def _all_claims(spec: ExperimentSpec, document: Document) -> dict[str, AnyClaim]:
     """The claims of the experiments that are named, and those of the file itself."""
     claims: dict[str, AnyClaim | None] = {}
     for index, file in enumerate(spec.claims_of):
-        path = ("claims_of", index)
-        other = files.experiment(file, document, path)
-        if other is not None and other.claims_of:
-            files.problems.append(
-                document.problem(path, "its own claims are those of others: name them here")
-            )
-        elif other is not None:
-            kept = {
-                n: claim for n, claim in other.claims.items() if not isinstance(claim, NearReported | None)
-            }
-            files.problems += [
-                document.problem(path, f"the claim {name} stands in two of the files")
-                for name in kept
-                if name in claims and claims[name] != kept[name]
-            ]
-            claims |= kept
-    for name in (name for name, claim in spec.claims.items() if claim is None and name not in claims):
-        what = f"null drops a claim of `claims_of`, and they have no '{name}'"
-        files.problems.append(document.problem(("claims", name), what, did_you_mean(name, claims)))
+        other, place = load(ExperimentSpec, file).spec, ("claims_of", index)
+        if other.claims_of:
+            raise document.error(place, "its own claims are those of others: name them here")
+        kept = {n: claim for n, claim in other.claims.items() if not isinstance(claim, NearReported | None)}
+        for name in kept:
+            if name in claims and claims[name] != kept[name]:
+                raise document.error(place, f"the claim {name} stands in two of the files")
+        claims |= kept
+    for name, claim in spec.claims.items():
+        if claim is None and name not in claims:
+            what = f"null drops a claim of `claims_of`, and they have no '{name}'"
+            raise document.error(("claims", name), what, did_you_mean(name, claims))
     return {name: claim for name, claim in (claims | spec.claims).items() if claim is not None}
 
 
 def _claim_problems(
-    claims: Mapping[str, AnyClaim], arms: Mapping[str, Arm], document: Document
+    claims: Mapping[str, AnyClaim], conditions: Mapping[str, Condition], document: Document
 ) -> Iterator[Problem]:
     for name, claim in claims.items():
-        seeds = {arms[operand.arm].seeds for operand in claim.operands().values() if operand.arm in arms}
-        if claim.seeds == "each" and len(seeds) > 1:
-            what = "each seed of two arms is compared with that of the same number: their seeds differ"
+        operands = claim.operands()
+        known = [conditions[of.condition] for of in operands.values() if of.condition in conditions]
+        if claim.seeds == "each" and len({condition.seeds for condition in known}) > 1:
+            what = "each seed of two conditions is compared with that of the same number: their seeds differ"
             yield document.problem(("claims", name, "seeds"), what)
-        for key, operand in claim.operands().items():
-            path = ("claims", name, key)
-            if operand.arm not in arms:
-                what = f"no such arm '{operand.arm}'; the arms: {', '.join(arms)}"
-                yield document.problem((*path, "arm"), what, did_you_mean(operand.arm, arms))
+        for key, operand in operands.items():
+            path, condition = ("claims", name, key), conditions.get(operand.condition)
+            if condition is None:
+                what = f"no such condition '{operand.condition}'; the conditions: {', '.join(conditions)}"
+                hint = did_you_mean(operand.condition, conditions)
+                yield document.problem((*path, "condition"), what, hint)
             else:
-                yield from _operand_problems(claim, operand, arms[operand.arm], path, document)
-        yield from _term_problems(name, claim, arms, document)
+                yield from _operand_problems(claim, operand, condition, path, document)
 
 
 def _operand_problems(
-    claim: AnyClaim, operand: Operand, arm: Arm, path: KeyPath, document: Document
+    claim: AnyClaim, operand: Operand, condition: Condition, path: KeyPath, document: Document
 ) -> Iterator[Problem]:
-    if operand.task not in (None, arm.task.name, *arm.also):
-        known = [arm.task.name, *arm.also]
-        what = f"the arm {arm.name} is not evaluated on '{operand.task}'; on: {', '.join(known)}"
-        yield document.problem((*path, "task"), what, did_you_mean(str(operand.task), known))
+    tasks = condition.tasks
+    if operand.task not in (None, *tasks):
+        on = f"'{operand.task}'; on: {', '.join(tasks)}"
+        what = f"the condition {condition.name} is not evaluated on {on}"
+        yield document.problem((*path, "task"), what, did_you_mean(str(operand.task), tasks))
         return
-    of_a_run = claim.metric in OF_A_RUN
-    if of_a_run and operand.side == "mirrored":
-        yield document.problem((*path, "side"), f"the metric {claim.metric} is of a run, and has no sides")
-    if of_a_run and not arm.is_of_own_task(operand):
-        yield document.problem(
-            (*path, "task"), f"the metric {claim.metric} is measured on the task trained on only"
-        )
-    mirrored = operand.side == "mirrored" or claim.metric == "pair_agreement"
-    task = arm.task_of(operand)
+    task = tasks[operand.task or condition.task.name]
+    for key, what in _misfits(claim, operand, condition, task):
+        yield document.problem((*path, *key), what)
+    for key, what, hint in _unknown_terms(claim, task):
+        yield document.problem((*path[:-1], *key), what, hint)
+
+
+def _misfits(
+    claim: AnyClaim, operand: Operand, condition: Condition, task: LoadedTask[TaskSpec]
+) -> Iterator[tuple[KeyPath, str]]:
+    """What a claim asks of an operand and its metric, or its task, does not have."""
+    own, metric, side = condition.is_of_own_task(operand), claim.metric, operand.side
+    if metric in OF_A_RUN and side == "mirrored":
+        yield ("side",), f"the metric {metric} is of a run, and has no sides"
+    if metric in OF_A_RUN and not own:
+        yield ("task",), f"the metric {metric} is measured on the task trained on only"
+    mirrored = side == "mirrored" or metric == "pair_agreement"
     if mirrored and not task.spec.evaluation.mirrored:
-        yield document.problem((*path, "side"), f"the task {task.name} has no mirrored evaluation")
-    if isinstance(claim, NearReported):
-        yield from _unreported(claim, operand, arm, path, document)
+        yield ("side",), f"the task {task.name} has no mirrored evaluation"
+    if isinstance(claim, NearReported) and not own:
+        what = f"nothing was reported of the condition {condition.name} on a transfer task"
+        yield ("task",), f"{what}; {claim.kind} needs a figure"
+    elif isinstance(claim, NearReported) and getattr(condition.figures_of(operand), metric, None) is None:
+        yield (), f"no {metric} of {side} was reported of the condition {condition.name}"
 
 
-def _unreported(
-    claim: NearReported, operand: Operand, arm: Arm, path: KeyPath, document: Document
-) -> Iterator[Problem]:
-    if not arm.is_of_own_task(operand):
-        what = f"nothing was reported of the arm {arm.name} on a further task; {claim.kind} needs a figure"
-        yield document.problem((*path, "task"), what)
-    elif getattr(arm.figures_of(operand), claim.metric, None) is None:
-        what = f"no {claim.metric} of {operand.side} was reported of the arm {arm.name}"
-        yield document.problem(path, what)
-
-
-def _term_problems(
-    name: str, claim: AnyClaim, arms: Mapping[str, Arm], document: Document
-) -> Iterator[Problem]:
+def _unknown_terms(claim: AnyClaim, task: LoadedTask[TaskSpec]) -> Iterator[tuple[KeyPath, str, str | None]]:
     """Terminations and rewards that a claim names and a task lacks."""
-    named = [("termination", ("terminations", i), term) for i, term in enumerate(claim.terminations)]
-    named += [("reward", ("reward",), claim.reward)] if claim.reward else []
-    for operand in claim.operands().values():
-        arm = arms.get(operand.arm)
-        if arm is None or operand.task not in (None, arm.task.name, *arm.also):
-            continue
-        task = arm.task_of(operand)
-        known = {
-            "termination": task.spec.terminations.active(TerminationParams),
-            "reward": task.spec.rewards.active(RewardParams),
-        }
-        for kind, key, term in named:
-            if term not in known[kind]:
-                what = f"the task {task.name} has no {kind} '{term}'; it has: {', '.join(known[kind])}"
-                yield document.problem(("claims", name, *key), what, did_you_mean(term, known[kind]))
+    terminations = task.spec.terminations.active(TerminationParams)
+    named: list[tuple[KeyPath, str, str, Mapping[str, Any]]] = [
+        (("terminations", index), "termination", term, terminations)
+        for index, term in enumerate(claim.terminations)
+    ]
+    if claim.reward:
+        named.append((("reward",), "reward", claim.reward, task.spec.rewards.active(RewardParams)))
+    for path, kind, term, known in named:
+        if term not in known:
+            what = f"the task {task.name} has no {kind} '{term}'; it has: {', '.join(known)}"
+            yield path, what, did_you_mean(term, known)

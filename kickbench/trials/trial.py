@@ -7,12 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from kickbench.config.load import Loaded, LoadedMethod, LoadedTask, load_method, load_task, split_overrides
-from kickbench.config.method import MethodSpec
-from kickbench.config.representation import RepresentationSpec
+from kickbench.config.method import RepresentationSpec
 from kickbench.config.task import TaskSpec
 from kickbench.envs.catalog import model_of_task
 from kickbench.envs.compile import CompiledTask, compile_task
-from kickbench.errors import SpecError
+from kickbench.errors import Problem, SpecError, collected
 from kickbench.symmetry.field_table import FieldTable, field_table, resolve_expression
 from kickbench.symmetry.mirror import mirror_actions, mirror_joints, mirror_qpos, mirror_qvel
 from kickbench.symmetry.representation import Representation
@@ -65,58 +64,41 @@ def load_trial(
     Args:
         task: Path of the task's YAML file.
         method: Path of the method's YAML file.
-        overrides: `key.path=value` texts; the first key tells whether task or method is meant.
-        scale: Factor in (0, 1) on iterations and evaluation episodes (`scaled_down`); None: full size.
+        overrides: `key.path=value` texts; the first key says whether task or method is meant.
+        scale: Factor in (0, 1) on iterations and evaluation episodes, and on nothing else; None: full size. At least
+            one iteration is left, and `MIN_SCALED_EPISODES` episodes a side (or the task's, if it has fewer): below
+            that an interval says nothing. Schedules run over the iterations that are left.
 
     Raises:
         SpecError: With every problem found.
     """
-    loaded_task, loaded_method = _load(task, method, overrides)
+    loaded_task, loaded_method = load_both(task, method, overrides)
     if scale is not None:
-        loaded_task, loaded_method = _load(
-            task, method, [*overrides, *scaled_down(loaded_task.spec, loaded_method.spec, scale)]
-        )
+        full, iterations = loaded_task.spec.evaluation.episodes, loaded_method.spec.algorithm.iterations
+        episodes = max(round(scale * full), min(full, MIN_SCALED_EPISODES))
+        loaded_task = loaded_task.changed({"evaluation.episodes": episodes})
+        loaded_method = loaded_method.changed({"algorithm.iterations": max(1, round(scale * iterations))})
     compiled = compile_task(loaded_task)
-    return Trial(loaded_task, loaded_method, compiled, read_symmetry(compiled, loaded_method))
+    return Trial(loaded_task, loaded_method, compiled, symmetry_of(compiled, loaded_method.representations))
 
 
-def scaled_down(task: TaskSpec, method: MethodSpec, scale: float) -> list[str]:
-    """What a scale changes, as overrides: iterations and evaluation episodes, nothing else.
-
-    At least one iteration is left, and `MIN_SCALED_EPISODES` episodes a side (or the task's, if it has fewer):
-    below that an interval says nothing. Schedules run over the iterations that are left.
-    """
-    iterations = max(1, round(scale * method.algorithm.iterations))
-    full = task.evaluation.episodes
-    episodes = max(round(scale * full), min(full, MIN_SCALED_EPISODES))
-    return [f"algorithm.iterations={iterations}", f"evaluation.episodes={episodes}"]
-
-
-def _load(
-    task: str | Path, method: str | Path, overrides: Sequence[str]
+def load_both(
+    task: str | Path, method: str | Path, overrides: Sequence[str] = ()
 ) -> tuple[LoadedTask[TaskSpec], LoadedMethod]:
-    of_task, of_method = split_overrides(overrides)
-    problems, loaded_task, loaded_method = [], None, None
-    try:
-        loaded_task = load_task(model_of_task, task, of_task)
-    except SpecError as error:
-        problems += error.problems
-    try:
-        loaded_method = load_method(method, of_method)
-    except SpecError as error:
-        problems += error.problems
-    if loaded_task is None or loaded_method is None:
-        raise SpecError(tuple(problems))
-    return loaded_task, loaded_method
-
-
-def read_symmetry(task: CompiledTask, method: LoadedMethod) -> Symmetry:
-    """Builds the reflection of a task from the robot's joint table and the method's representation table.
+    """Loads a task and a method.
 
     Raises:
-        SpecError: A field lacks a representation, or has one of another dimension.
+        SpecError: With every problem of both.
     """
-    return symmetry_of(task, method.representations)
+    of_task, of_method = split_overrides(overrides)
+    problems: list[Problem] = []
+    with collected(problems):
+        loaded_task = load_task(model_of_task, task, of_task)
+    with collected(problems):
+        loaded_method = load_method(method, of_method)
+    if problems:
+        raise SpecError(problems)
+    return loaded_task, loaded_method  # pyright: ignore[reportPossiblyUnbound] (no problem, so both are there)
 
 
 def symmetry_of(task: CompiledTask, representations: Loaded[RepresentationSpec]) -> Symmetry:
@@ -132,19 +114,17 @@ def symmetry_of(task: CompiledTask, representations: Loaded[RepresentationSpec])
         "joints": mirror_joints(layout.joint_names, image),
         "actions": mirror_actions(robot.actuators, image),
     }
-    fields = {name: [(f.name, f.size) for f in group] for name, group in task.groups.items()}
-    groups, problems = {}, []
-    for name, sizes in fields.items():
-        try:
-            groups[name] = field_table(table, document, sizes, own)
-        except SpecError as error:
-            problems += [problem for problem in error.problems if problem not in problems]
+    groups: dict[str, FieldTable] = {}
+    problems: list[Problem] = []
+    for name, fields in task.groups.items():
+        with collected(problems):
+            groups[name] = field_table(table, document, [(field.name, field.size) for field in fields], own)
     actions = resolve_expression(table.actions, own)
     if actions.dim != len(robot.actuators):
         what = f"the representation has dimension {actions.dim}, the robot {len(robot.actuators)} actions"
         problems.append(document.problem(("actions",), what))
     if problems:
-        raise SpecError(tuple(problems))
+        raise SpecError(problems)
     qpos, qvel = state_symmetry(task)
     return Symmetry(qpos=qpos, qvel=qvel, groups=groups, actions=actions)
 

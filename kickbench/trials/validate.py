@@ -8,35 +8,34 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from kickbench.config.base import Spec
+from kickbench.config.experiment import ExperimentSpec
 from kickbench.config.load import Loaded, LoadedMethod, load, load_method, load_task
-from kickbench.config.method import MethodSpec
-from kickbench.config.reported import ExperimentSpec
-from kickbench.config.representation import RepresentationSpec
+from kickbench.config.method import MethodSpec, RepresentationSpec
 from kickbench.config.robot import RobotSpec
-from kickbench.config.yamlio import Document, load_document
+from kickbench.config.yamlio import RENAMED, Document, load_document
 from kickbench.envs.catalog import model_of_task, task_model
 from kickbench.envs.compile import CompiledTask, compile_task
-from kickbench.errors import Mark, Problem, SpecError, did_you_mean
+from kickbench.errors import Mark, Problem, collected, did_you_mean
 from kickbench.sim.check import check_symmetry
-from kickbench.trials.experiment import LoadedExperiment, load_experiment
-from kickbench.trials.trial import read_symmetry
+from kickbench.trials.experiment import load_experiment
+from kickbench.trials.trial import symmetry_of
 
 KINDS = ("task", "method", "robot", "representations", "reported")
+_MODELS: dict[str, type[Spec]] = {
+    "method": MethodSpec,
+    "robot": RobotSpec,
+    "representations": RepresentationSpec,
+    "reported": ExperimentSpec,
+}
 
 
 def model_of(kind: str) -> type[Spec]:
     """The model of a kind of file."""
-    models = {
-        "method": MethodSpec,
-        "robot": RobotSpec,
-        "representations": RepresentationSpec,
-        "reported": ExperimentSpec,
-    }
-    return task_model() if kind == "task" else models[kind]
+    return task_model() if kind == "task" else _MODELS[kind]
 
 
 def kind_of(document: Document) -> str:
-    """Tells a file's kind by its keys: the model that knows most of them.
+    """Finds a file's kind by its keys: the model that knows most of them.
 
     Raises:
         SpecError: No model knows any of them.
@@ -67,22 +66,20 @@ def check_files(files: Sequence[Path], overrides: Sequence[str] = ()) -> Iterato
         files: Tasks, methods, robots, representation tables and reported experiments.
         overrides: `key.path=value` texts, applied to the files whose kind has the first key.
     """
-    unused, unknown = dict.fromkeys(overrides), False
+    unused = list(dict.fromkeys(overrides))
     tasks: list[CompiledTask] = []
     methods: list[LoadedMethod] = []
     for path in {os.path.abspath(path): path for path in files}.values():
         report = Report(str(path), "?")
-        try:
+        with collected(report.problems):
             report.kind = kind_of(load_document(path))
             own = [text for text in overrides if _head(text) in ("", *model_of(report.kind).model_fields)]
-            unused = {text: None for text in unused if text not in own}
+            unused = [text for text in unused if text not in own]
             _check(path, report, own, tasks, methods)
-        except SpecError as error:
-            report.problems += error.problems
-        unknown |= report.kind == "?"
+        if report.kind == "?":
+            unused = []  # a file that cannot be read may have any key
         yield report
-    # A file that cannot be read may have any key.
-    for text in () if unknown else unused:
+    for text in unused:
         yield Report(f"--set {text}", "override", [_unused(text)])
     # Methods are made for a robot: several tasks and methods at once need not all go together.
     if len(tasks) > 1 and methods:
@@ -90,15 +87,14 @@ def check_files(files: Sequence[Path], overrides: Sequence[str] = ()) -> Iterato
         yield Report("several tasks", "", notes=[note])
     for method in methods if len(tasks) == 1 else ():
         report = Report(f"{tasks[0].name} with {method.name}", "task and method")
-        try:
-            read_symmetry(tasks[0], method)
-        except SpecError as error:
-            report.problems += error.problems
+        with collected(report.problems):
+            symmetry_of(tasks[0], method.representations)
         yield report
 
 
 def _head(override: str) -> str:
-    return override.partition("=")[0].partition(".")[0].strip()
+    head = override.partition("=")[0].partition(".")[0].strip()
+    return RENAMED.get((head,), head)
 
 
 def _unused(override: str) -> Problem:
@@ -115,43 +111,36 @@ def _check(
     tasks: list[CompiledTask],
     methods: list[LoadedMethod],
 ) -> None:
+    robots: list[Loaded[RobotSpec]] = []
     if report.kind == "task":
-        task = compile_task(load_task(model_of_task, path, overrides))
-        tasks.append(task)
-        _compare_with_geometry(task.robot, report)
+        tasks.append(compile_task(load_task(model_of_task, path, overrides)))
+        robots = [tasks[-1].robot]
     elif report.kind == "method":
         methods.append(load_method(path, overrides))
     elif report.kind == "robot":
-        _compare_with_geometry(load(RobotSpec, path, overrides), report)
+        robots = [load(RobotSpec, path, overrides)]
     elif report.kind == "reported":
-        _check_reported(load_experiment(path, overrides), report)
+        robots = _robots_of_experiment(path, overrides, report)
     else:
         load(RepresentationSpec, path, overrides)
+    for robot in robots:  # the declared reflection against the one that the robot's geometry gives
+        agreement = check_symmetry(robot)
+        report.problems += agreement.problems
+        report.notes += agreement.notes
 
 
-def _check_reported(experiment: LoadedExperiment, report: Report) -> None:
-    """Every task of an experiment with every method it is learned by, each pair once, and every robot."""
-    tasks: dict[str, CompiledTask] = {}
-    pairs: set[tuple[str, str]] = set()
-    for arm in experiment.arms.values():
-        for task in (arm.task, *arm.also.values()):
-            key = (str(task.document.file), str(arm.method.document.file))
-            if key in pairs:
-                continue
-            pairs.add(key)
-            try:
-                if key[0] not in tasks:
-                    tasks[key[0]] = compile_task(task)
-                read_symmetry(tasks[key[0]], arm.method)
-            except SpecError as error:
-                report.problems += error.problems
-    robots = {task.robot.document.file: task.robot for task in tasks.values()}
-    for robot in robots.values():
-        _compare_with_geometry(robot, report)
-
-
-def _compare_with_geometry(robot: Loaded[RobotSpec], report: Report) -> None:
-    """The declared reflection against the one that the robot's geometry gives."""
-    agreement = check_symmetry(robot)
-    report.problems += agreement.problems
-    report.notes += agreement.notes
+def _robots_of_experiment(path: Path, overrides: Sequence[str], report: Report) -> list[Loaded[RobotSpec]]:
+    """Checks every task of an experiment with every method it is learned by, each pair once."""
+    conditions = load_experiment(path, overrides).conditions.values()
+    pairs = {
+        (task.document.file, condition.method.document.file): (task, condition.method)
+        for condition in conditions
+        for task in condition.tasks.values()
+    }
+    compiled: dict[Path, CompiledTask] = {}
+    for (file, _), (task, method) in pairs.items():
+        with collected(report.problems):
+            if file not in compiled:
+                compiled[file] = compile_task(task)
+            symmetry_of(compiled[file], method.representations)
+    return list({task.robot.document.file: task.robot for task in compiled.values()}.values())

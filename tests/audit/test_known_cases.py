@@ -16,7 +16,7 @@ from kickbench.audit.record import record, reflection_of
 from kickbench.audit.report import Report
 from kickbench.cli import main
 from kickbench.config.load import load
-from kickbench.config.representation import RepresentationSpec
+from kickbench.config.method import RepresentationSpec
 from kickbench.errors import KickbenchError
 from kickbench.trials.trial import load_trial, symmetry_of
 

@@ -74,7 +74,7 @@ MALFORMED = {
         [HOME],
         (HOME, "mirrored: true", "mirrored: yes"),
         (HOME, "mirrored: ¦yes"),
-        "evaluation.mirrored: expected true or false, found the string 'yes' (write true without quotes)",
+        "evaluation.mirrored: expected true or false, found the string 'yes'",
     ),
     "list for a mapping": Case(
         [TASK],
@@ -219,7 +219,8 @@ MALFORMED = {
         [BASELINE],
         (TABLE, "regular x (trivial + sign + trivial)", "regular x (trivial + sign"),
         (TABLE, "¦regular x (trivial + sign"),
-        "fields.foot_position: a parenthesis is not closed in 'regular x (trivial + sign'",
+        "fields.foot_position: expected names (trivial, sign, regular, regular_sign, joints, actions) joined by '+' "
+        "and 'x', and parentheses, found 'regular x (trivial + sign'",
     ),
     "pair of unequal length": Case(
         [ROBOT],
@@ -585,7 +586,8 @@ def test_an_experiments_robot_is_compared_with_its_geometry_once(edit, fails):
     edit(ROBOT, "sign: [base_y, base_yaw]", "sign: [base_yaw]")
     edit(ROBOT, "trivial: [base_x]", "trivial: [base_x, base_y]")
     Path("x.yaml").write_text(
-        f"seeds: [0]\narms:\n  a: {{task: {TASK}, method: {BASELINE}}}\n  b: {{task: {HOME}, method: {BASELINE}}}\n"
+        f"seeds: [0]\nconditions:\n  a: {{task: {TASK}, method: {BASELINE}}}\n"
+        f"  b: {{task: {HOME}, method: {BASELINE}}}\n"
     )
     (line,) = fails("validate", "x.yaml")
     assert line.startswith(

@@ -17,8 +17,8 @@ from kickbench.config.base import (
     Range,
     Spec,
     Vector3,
-    validate,
 )
+from kickbench.config.problems import validate
 from kickbench.config.yamlio import load_document
 from kickbench.errors import SpecError
 
@@ -222,8 +222,8 @@ def test_a_missing_key_has_the_mark_of_its_parent_and_says_what_it_is():
     ("text", "column", "path", "message", "hint"),
     [
         ("scale: abc", 8, ("scale",), "expected a number, found the string 'abc'", None),
-        ("scale: '1'", 8, ("scale",), "expected a number, found the string '1'", "without quotes"),
-        ("scale: 1_0", 8, ("scale",), "expected a number, found the string '1_0'", "underscores"),
+        ("scale: '1'", 8, ("scale",), "expected a number, found the string '1'", None),
+        ("scale: 1_0", 8, ("scale",), "expected a number, found the string '1_0'", None),
         ("scale: true", 8, ("scale",), "expected a number, found true", None),
         ("scale: null", 8, ("scale",), "expected a number, found null", None),
         ("scale: 1.5", 8, ("scale",), "expected a number of at most 1, found the number 1.5", None),
@@ -237,19 +237,19 @@ def test_a_missing_key_has_the_mark_of_its_parent_and_says_what_it_is():
             "expected a number greater than 0, found the number 0",
             None,
         ),
-        ("name: 3", 7, ("name",), "expected a string, found the number 3", "write it in quotes"),
+        ("name: 3", 7, ("name",), "expected a string, found the number 3", None),
         ("name: [a]", 7, ("name",), "expected a string, found a list of 1", None),
-        ("on: on", 5, ("on",), "expected true or false, found the string 'on'", "write true"),
+        ("on: on", 5, ("on",), "expected true or false, found the string 'on'", None),
         ("on: 1", 5, ("on",), "expected true or false, found the number 1", None),
         ("names: a", 8, ("names",), "expected a list, found the string 'a'", None),
-        ("names: [a, 1]", 12, ("names", 1), "expected a string, found the number 1", "quotes"),
-        ("vector: [1, 2]", 9, ("vector",), "expected a list of 3, found a list of 2", None),
-        ("vector: []", 9, ("vector",), "expected a list of 3, found an empty list", None),
-        ("vector: [1, 2, 3, 4]", 9, ("vector",), "expected a list of 3, found a list of 4", None),
+        ("names: [a, 1]", 12, ("names", 1), "expected a string, found the number 1", None),
+        ("vector: [1, 2]", 9, ("vector",), "expected more entries, found a list of 2", None),
+        ("vector: []", 9, ("vector",), "expected more entries, found an empty list", None),
+        ("vector: [1, 2, 3, 4]", 9, ("vector",), "expected at most 3 entries, found a list of 4", None),
         ("gains: [1]", 8, ("gains",), "expected at least 2 entries, found a list of 1", None),
         ("gains: [1, 2, 3, 4]", 8, ("gains",), "expected at most 3 entries, found a list of 4", None),
-        ("part: 1", 7, ("part",), "expected a mapping with keys of: mass, mesh, found the number 1", None),
-        ("part: []", 7, ("part",), "expected a mapping with keys of: mass, mesh, found an empty list", None),
+        ("part: 1", 7, ("part",), "expected a mapping, found the number 1", None),
+        ("part: []", 7, ("part",), "expected a mapping, found an empty list", None),
         ("parts: 1", 8, ("parts",), "expected a mapping, found the number 1", None),
         ("even: 3", 1, (), "3 is odd", None),
         ("body: 1\n", 1, ("body",), "unknown key 'body'", None),
@@ -356,7 +356,7 @@ def test_a_directory_is_no_file():
 
 def test_a_file_name_that_is_no_string_is_a_wrong_type():
     message = "expected a string, found the number 3"
-    assert problems("files: [3]\n") == [("a.yaml:1:9", ("files", 0), message, "write it in quotes")]
+    assert problems("files: [3]\n") == [("a.yaml:1:9", ("files", 0), message, None)]
 
 
 def test_the_document_keeps_what_was_written():

@@ -7,10 +7,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pydantic import Field, PrivateAttr
 
-from kickbench.config.base import FileRef, FloatList, NameList, Range, Spec, validate
+from kickbench.config.base import FileRef, FloatList, NameList, Range, Spec
 from kickbench.config.explain import explain
-from kickbench.config.yamldump import dump_yaml
+from kickbench.config.problems import validate
 from kickbench.config.yamlio import load_document
+from kickbench.config.yamltree import dump_yaml
 
 
 class Foot(Enum):

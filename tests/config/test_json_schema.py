@@ -1,9 +1,14 @@
 import json
+from pathlib import Path
 
+import jsonschema
+import pytest
 from pydantic import Field
 
 from kickbench.config.base import FileRef, PositiveFloat, Range, Spec
-from kickbench.config.json_schema import json_schema
+from kickbench.config.explain import json_schema
+from kickbench.config.yamlio import load_document
+from kickbench.trials.validate import model_of
 
 
 class Part(Spec):
@@ -55,15 +60,11 @@ def test_the_schema_of_a_range_is_a_number_or_two():
     ]
 
 
-def test_the_schema_requires_keys_only_of_a_file_that_extends_none():
+def test_the_schema_requires_no_key_since_a_file_may_extend_another():
     schema = json_schema(Required)
-    assert "required" not in schema
-    assert schema["if"] == {"not": {"required": ["extends"]}}
-    assert schema["then"] == {"$ref": "#/$defs/Required"}
-    assert schema["$defs"]["Required"]["required"] == ["robot", "inner"]
-    assert schema["$defs"]["Part"]["required"] == ["mass"]
-    assert "required" not in schema["$defs"]["PartPartial"]
-    assert schema["properties"]["inner"]["$ref"] == "#/$defs/PartPartial"
+    jsonschema.validate({"extends": "a.yaml", "inner": {}}, schema)
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate({"inner": {"mas": 1}}, schema)
 
 
 def test_every_reference_of_the_schema_leads_somewhere():
@@ -71,3 +72,24 @@ def test_every_reference_of_the_schema_leads_somewhere():
     text = json.dumps(schema)
     names = {part.split('"')[0] for part in text.split('"#/$defs/')[1:]}
     assert names <= set(schema["$defs"])
+
+
+ROOT = Path(__file__).parents[2]
+SHIPPED = [
+    path
+    for folder in ("tasks", "methods", "assets", "results/reported")
+    for path in sorted((ROOT / folder).rglob("*.yaml"))
+]
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: str(path.relative_to(ROOT)))
+def test_a_shipped_file_points_an_editor_at_its_schema_and_is_valid_by_it(path):
+    """`make schemas` writes them there."""
+    prefix = "# yaml-language-server: $schema="
+    first = path.read_text().splitlines()[0]
+    assert first.startswith(prefix)
+    schema = (path.parent / first.removeprefix(prefix)).resolve()
+    kind = schema.name.removesuffix(".schema.json")
+    assert schema.parent == ROOT / "kickbench/config/schemas"
+    schema = json.loads(json.dumps(json_schema(model_of(kind))))
+    jsonschema.validate(load_document(path).data, schema, jsonschema.Draft202012Validator)

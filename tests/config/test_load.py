@@ -3,7 +3,7 @@ from pathlib import Path
 import pytest
 
 from kickbench.config.load import load, load_method, load_task, split_overrides
-from kickbench.config.representation import RepresentationSpec
+from kickbench.config.method import RepresentationSpec
 from kickbench.config.robot import RobotSpec
 from kickbench.envs.catalog import model_of_task
 from kickbench.errors import SpecError

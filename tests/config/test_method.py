@@ -53,11 +53,10 @@ def test_a_width_is_positive(complaints):
     ]
 
 
-@pytest.mark.parametrize(("value", "hinted"), [("'0.5'", True), ("nan", False), ("inf", False)])
-def test_quotes_are_blamed_only_where_they_hide_a_finite_number(complaints, value, hinted):
+@pytest.mark.parametrize("value", ["'0.5'", "nan", "inf"])
+def test_a_string_is_no_number(complaints, value):
     (complaint,) = complaints(MethodSpec, METHOD, f"algorithm.gamma={value}")
     assert "expected a number, found the string" in complaint
-    assert ("without quotes" in complaint) == hinted
 
 
 def test_there_are_at_least_as_many_samples_as_mini_batches(complaints, read):

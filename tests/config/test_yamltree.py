@@ -4,11 +4,11 @@ from pathlib import Path
 
 import pytest
 
-from kickbench.config.yamltree import Source, describe, parse
+from kickbench.config.yamltree import describe, parse
 
 
 def value(text: str):
-    tree, problems = parse(Source(f"x: {text}\n", "a.yaml", Path("a.yaml")))
+    tree, problems = parse(f"x: {text}\n", "a.yaml", Path("a.yaml"))
     assert not problems
     assert tree is not None
     return tree.plain()["x"]

@@ -137,7 +137,7 @@ def make_measured(arms: dict[str, list[Metrics | None]], lack: str | None = None
 
 def planned_identity(experiment: LoadedExperiment, name: str) -> Identity:
     """The identity of the runs of a condition."""
-    arm = experiment.arms[name]
+    arm = experiment.conditions[name]
     files = arm.task.document.file, arm.method.document.file
     return identity_of(load_trial(*files, arm.overrides))
 

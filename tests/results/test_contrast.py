@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kickbench.config.claims import DifferenceWithin, Operand
+from kickbench.config.experiment import DifferenceWithin, Operand
 from kickbench.results.contrast import (
     Contrast,
     RunTerms,
@@ -23,7 +23,7 @@ from kickbench.results.figures import Figure
 from kickbench.results.frame import frame_of
 from kickbench.results.statistics import Interval, student, two_proportions, wilson
 
-ARM = Operand(arm="a")
+ARM = Operand(condition="a")
 NUMBER = st.floats(-100, 100)
 INTERVAL = st.tuples(NUMBER, NUMBER).map(lambda pair: Interval(min(pair), max(pair)))
 
@@ -76,7 +76,7 @@ def test_two_sides_that_always_agree_leave_nothing_open():
 
 
 def gap(of: dict[str, str], minus: dict[str, str]) -> DifferenceWithin:
-    sides = {"value": {"arm": "a", **of}, "minus": {"arm": "a", "side": "mirrored", **minus}}
+    sides = {"value": {"condition": "a", **of}, "minus": {"condition": "a", "side": "mirrored", **minus}}
     return DifferenceWithin.model_validate(
         {"statement": "S", "kind": "difference_within", "metric": "success_rate", "bound": 0.01, **sides}
     )

@@ -316,6 +316,6 @@ def test_near_reported_with_the_arms_own_task_named_is_as_without(make):
     overrides = [f"claims.near={claim}", f"arms.baseline.reported={figures}"]
     experiment = load_experiment(ROOT / "results/reported/mini_home_field.yaml", overrides)
     runs = [make.metrics(make.side(0.51), seed=seed) for seed in range(5)]
-    verdicts = judge(experiment, make.measured({name: runs for name in experiment.arms}))
+    verdicts = judge(experiment, make.measured({name: runs for name in experiment.conditions}))
     (near,) = (verdict for verdict in verdicts if verdict.name == "near")
     assert (near.outcome, near.reported) == ("met", 0.5)

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kickbench.config.load import load
-from kickbench.config.representation import RepresentationSpec
+from kickbench.config.method import RepresentationSpec
 from kickbench.errors import SpecError
 from kickbench.symmetry.field_table import FieldTable, field_table, resolve_expression
 from kickbench.symmetry.representation import (

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from kickbench.config.claims import METRICS, Operand
+from kickbench.config.experiment import METRICS, Operand
 from kickbench.errors import SpecError
 from kickbench.results import figures
 from kickbench.results.metrics import Metrics
@@ -30,7 +30,7 @@ def test_a_shipped_experiment_loads_and_claims_something(path):
     experiment = load_experiment(path)
     assert experiment.claims
     assert experiment.spec.description
-    assert all(Path(arm.task.document.file).is_file() for arm in experiment.arms.values())
+    assert all(Path(condition.task.document.file).is_file() for condition in experiment.conditions.values())
 
 
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
@@ -42,12 +42,14 @@ def test_the_thesis_is_cited_where_it_is_the_source(path):
 
 def test_table_4_2_and_table_4_3():
     general = load_experiment(ROOT / "results/reported/general.yaml")
-    assert [(a.seeds, a.iterations, a.episodes) for a in general.arms.values()] == [
+    assert [(a.seeds, a.iterations, a.episodes) for a in general.conditions.values()] == [
         ((0, 1, 2), 15000, 10000)
     ] * 3
     home = load_experiment(ROOT / "results/reported/home_field.yaml")
-    assert [(a.seeds, a.iterations, a.episodes) for a in home.arms.values()] == [((0,), 12000, 30000)] * 3
-    baseline = home.arms["baseline"].reported
+    assert [(a.seeds, a.iterations, a.episodes) for a in home.conditions.values()] == [
+        ((0,), 12000, 30000)
+    ] * 3
+    baseline = home.conditions["baseline"].reported
     assert baseline is not None
     assert baseline.of_side("mirrored").mean_distance == 3.416
 
@@ -60,12 +62,12 @@ def test_every_metric_has_a_source_and_a_unit():
 TEXT = """\
 task: {root}/tasks/mini_general.yaml
 seeds: [0, 1]
-arms:
+conditions:
   baseline: {{method: {root}/methods/mini/baseline.yaml}}
   other: {{method: {root}/methods/mini/equivariant.yaml, task: {root}/tasks/mini_home_field.yaml, seeds: [7],
           iterations: 3}}
 claims:
-  c: {{statement: S, kind: at_least, metric: success_rate, value: {{arm: baseline}}, bound: 0.5}}
+  c: {{statement: S, kind: at_least, metric: success_rate, value: {{condition: baseline}}, bound: 0.5}}
 """
 
 
@@ -94,8 +96,8 @@ def complaints(load):
 
 
 def test_an_arm_has_the_experiments_values_or_its_own(load):
-    arms = load().arms
-    baseline, other = arms["baseline"], arms["other"]
+    conditions = load().conditions
+    baseline, other = conditions["baseline"], conditions["other"]
     assert (baseline.task.name, baseline.seeds, baseline.iterations, baseline.episodes) == (
         "mini_general",
         (0, 1),
@@ -108,22 +110,25 @@ def test_an_arm_has_the_experiments_values_or_its_own(load):
         (7,),
         3,
     )
-    everywhere = load("seeds: [0, 1]", "seeds: [0, 1]\niterations: 20\nevaluation: {episodes: 40}").arms
-    assert [(arm.iterations, arm.episodes) for arm in everywhere.values()] == [(20, 40), (3, 40)]
+    everywhere = load("seeds: [0, 1]", "seeds: [0, 1]\niterations: 20\nevaluation: {episodes: 40}").conditions
+    assert [(condition.iterations, condition.episodes) for condition in everywhere.values()] == [
+        (20, 40),
+        (3, 40),
+    ]
 
 
-VALUE, METRIC = "value: {arm: baseline}", "metric: success_rate"
+VALUE, METRIC = "value: {condition: baseline}", "metric: success_rate"
 
 
 @pytest.mark.parametrize(
     ("old", "new", "complaint"),
     [
-        (VALUE, "value: {arm: basline}", "x.yaml:8:67: claims.c.value.arm: no such arm 'basline'; "
-         "the arms: baseline, other (did you mean 'baseline'?)"),
-        (VALUE, "value: {arm: baseline, side: mirrored}", "x.yaml:8:82: claims.c.value.side: "
+        (VALUE, "value: {condition: basline}", "x.yaml:8:67: claims.c.value.condition: no such condition 'basline'; "
+         "the conditions: baseline, other (did you mean 'baseline'?)"),
+        (VALUE, "value: {condition: baseline, side: mirrored}", "x.yaml:8:88: claims.c.value.side: "
          "the task mini_general has no mirrored evaluation"),
-        (VALUE, "value: {arm: baseline, task: mini_home_field}", "x.yaml:8:82: claims.c.value.task: "
-         "the arm baseline is not evaluated on 'mini_home_field'; on: mini_general"),
+        (VALUE, "value: {condition: baseline, task: mini_home_field}", "x.yaml:8:88: claims.c.value.task: "
+         "the condition baseline is not evaluated on 'mini_home_field'; on: mini_general"),
         (METRIC, "metric: termination_share, terminations: [time_ot]", "x.yaml:8:79: claims.c.terminations.0: "
          "the task mini_general has no termination 'time_ot'; it has: time_out, target_hit, target_missed, "
          "double_touch (did you mean 'time_out'?)"),
@@ -131,31 +136,21 @@ VALUE, METRIC = "value: {arm: baseline}", "metric: success_rate"
          "reward 'upright'; it has: target_distance, ball_approach_target, agent_approach_ball, ball_not_moving, "
          "action_rate"),
         ("kind: at_least", "kind: near_reported", "x.yaml:8:64: claims.c.value: no success_rate of in_distribution was "
-         "reported of the arm baseline"),
-        ("seeds: [0, 1]", f"seeds: [0]\nevaluation: {{also: [{ROOT}/tasks/mini_general.yaml]}}",
-         "x.yaml:3:14: evaluation.also: the arm baseline is trained on mini_general, and evaluated on it anyway"),
+         "reported of the condition baseline"),
+        ("seeds: [0, 1]", f"seeds: [0]\nevaluation: {{transfer: [{ROOT}/tasks/mini_general.yaml]}}",
+         "x.yaml:3:14: evaluation.transfer: the condition baseline is trained on mini_general, and evaluated on it "
+         "anyway"),
     ],
-    ids=["arm", "side", "task", "termination", "reward", "not reported", "also"],
+    ids=["condition", "side", "task", "termination", "reward", "not reported", "transfer"],
 )  # fmt: skip
 def test_what_does_not_fit_together_is_named(complaints, old, new, complaint):
     assert complaint in complaints(old, new)
 
 
-def test_each_seed_of_two_arms_is_compared_only_where_they_have_the_same_seeds(complaints):
-    old = "kind: at_least, metric: success_rate, value: {arm: baseline}, bound: 0.5"
-    new = old.replace("at_least", "greater_than, seeds: each").replace("bound: 0.5", "than: {arm: other}")
-    (complaint,) = complaints(old, new)
-    assert complaint.startswith("x.yaml:8:")
-    assert "claims.c.seeds: " in complaint
-    assert "seeds differ" in complaint
-
-
-def test_a_broken_task_is_named_with_the_arm_and_with_its_own_problems(complaints):
+def test_the_problems_of_a_broken_task_are_those_of_the_experiment(complaints):
     Path("broken.yaml").write_text(f"extends: {ROOT}/tasks/mini_general.yaml\nepisode: {{max_stepz: 3}}\n")
-    first, second = complaints(f"task: {ROOT}/tasks/mini_home_field.yaml", "task: broken.yaml")
-    assert first.startswith("x.yaml:5:")
-    assert first.endswith("arms.other.task: this task does not load; its problems follow")
-    assert second.startswith("broken.yaml:2:11: episode.max_stepz: unknown key 'max_stepz'")
+    (only,) = complaints(f"task: {ROOT}/tasks/mini_home_field.yaml", "task: broken.yaml")
+    assert only.startswith("broken.yaml:2:11: episode.max_stepz: unknown key 'max_stepz'")
 
 
 def test_mirrored_figures_need_a_mirrored_evaluation(complaints):
@@ -163,14 +158,14 @@ def test_mirrored_figures_need_a_mirrored_evaluation(complaints):
     old = "methods/mini/baseline.yaml}"
     (complaint,) = complaints(old, old[:-1] + reported)
     assert complaint.endswith(
-        "arms.baseline.reported.mirrored: the task mini_general has no mirrored evaluation"
+        "conditions.baseline.reported.mirrored: the task mini_general has no mirrored evaluation"
     )
 
 
 def test_a_further_task_may_be_named_by_a_claim(load):
-    text = f"seeds: [0]\nevaluation: {{also: [{ROOT}/tasks/k1_lite.yaml]}}"
-    arm = load("seeds: [0, 1]", text).arms["baseline"]
-    assert list(arm.also) == ["k1_lite"]
+    text = f"seeds: [0]\nevaluation: {{transfer: [{ROOT}/tasks/k1_lite.yaml]}}"
+    condition = load("seeds: [0, 1]", text).conditions["baseline"]
+    assert list(condition.transfer) == ["k1_lite"]
 
 
 NEAR = (
@@ -180,18 +175,18 @@ NEAR = (
 
 
 def test_a_claim_may_name_the_task_of_its_arm(load):
-    arm = load(*NEAR).arms["baseline"]
-    named, unnamed = (Operand(arm="baseline", task=task) for task in ("mini_general", None))
-    assert arm.figures_of(named) is arm.figures_of(unnamed) is not None
+    condition = load(*NEAR).conditions["baseline"]
+    named, unnamed = (Operand(condition="baseline", task=task) for task in ("mini_general", None))
+    assert condition.figures_of(named) is condition.figures_of(unnamed) is not None
 
 
 def test_nothing_is_near_what_was_reported_of_another_task(load):
     load(*NEAR)
-    near = f"{{statement: S, kind: near_reported, {METRIC}, bound: 0.1, value: {{arm: baseline, task: k1_lite}}}}"
-    also = f"evaluation.also=[{ROOT}/tasks/k1_lite.yaml]"
+    near = f"{{statement: S, kind: near_reported, {METRIC}, bound: 0.1, value: {{condition: baseline, task: k1_lite}}}}"
+    transfer = f"evaluation.transfer=[{ROOT}/tasks/k1_lite.yaml]"
     with pytest.raises(SpecError) as error:
-        load_experiment("x.yaml", [also, f"claims.near={near}"])
-    what = "nothing was reported of the arm baseline on a further task; near_reported needs a figure"
+        load_experiment("x.yaml", [transfer, f"claims.near={near}"])
+    what = "nothing was reported of the condition baseline on a transfer task; near_reported needs a figure"
     assert str(error.value).endswith(f"claims.near.value.task: {what}")
 
 

@@ -1,7 +1,7 @@
-"""Claims about an experiment's figures, in a form that a program can check.
+"""Experiments: what is trained and measured, what was reported of it, and claims in a form that a program can check.
 
-A claim compares one metric of one or two arms with a bound. Rates are fractions (two percentage points are 0.02),
-distances metres. It is about the mean over the arms' seeds, or about each of them.
+A claim compares one metric of one or two conditions with a bound. Rates are fractions (two percentage points are
+0.02), distances metres. It is about the mean over the conditions' seeds, or about each of them.
 """
 
 from __future__ import annotations
@@ -10,12 +10,22 @@ from typing import Annotated, Literal, get_args
 
 from pydantic import Field, model_validator
 
-from kickbench.config.base import NameList, NonNegativeFloat, PositiveFloat, Spec, distinct
+from kickbench.config.base import (
+    FileRef,
+    Fraction,
+    NameList,
+    NonNegativeFloat,
+    PositiveFloat,
+    PositiveInt,
+    Seed,
+    Spec,
+    distinct,
+)
 
 Side = Literal["in_distribution", "mirrored"]
 """Which episodes: as the task samples them, or from the mirror images of their starts."""
 
-Metric = Literal[
+SideMetric = Literal[
     "success_rate",
     "mean_distance",
     "median_distance",
@@ -24,43 +34,35 @@ Metric = Literal[
     "termination_share",
     "same_side_share",
     "favourite_foot_share",
+    "touches",
+    "walked_after_touch",
+]
+RunMetric = Literal[
     "equivariance_error",
     "pair_agreement",
     "return_length_correlation",
     "raw_reward",
-    "touches",
-    "walked_after_touch",
     "steps_to_kick",
     "steps_to_half_success",
     "success_area",
     "return_trough",
 ]
-"""What a claim may be about; `kickbench.results.figures` says how each follows from a run."""
+Metric = Literal[SideMetric, RunMetric]
+"""What a claim may be about; `kickbench.results.run_figures` says how each follows from a run."""
 
-OF_A_RUN: frozenset[Metric] = frozenset(
-    {
-        "equivariance_error",
-        "pair_agreement",
-        "return_length_correlation",
-        "raw_reward",
-        "steps_to_kick",
-        "steps_to_half_success",
-        "success_area",
-        "return_trough",
-    }
-)
-"""Metrics of a run as a whole: they have no sides and no further tasks."""
+OF_A_RUN: frozenset[Metric] = frozenset(get_args(RunMetric))
+"""Metrics of a run as a whole: they have no sides and no transfer tasks."""
 
 
 class Operand(Spec):
     """Whose figure, and over which episodes."""
 
-    arm: str
-    """An arm of the experiment."""
+    condition: str
+    """A condition of the experiment."""
     side: Side = "in_distribution"
     """Episodes as the task samples them, or from the mirror images of their starts."""
     task: str | None = None
-    """Name of a further task that the policy was evaluated on; default: the one it was trained on."""
+    """Name of a transfer task that the policy was evaluated on; default: the one it was trained on."""
 
 
 class _Claim(Spec):
@@ -207,3 +209,92 @@ Claim = Annotated[AnyClaim, Field(discriminator="kind")]
 """A claim; its `kind` says how value and bound are compared."""
 
 METRICS: tuple[Metric, ...] = get_args(Metric)
+
+Seeds = Annotated[tuple[Seed, ...], Field(strict=False, min_length=1), distinct("seed")]
+"""Distinct seeds of training."""
+
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_]+$")]
+"""A name that is also that of a folder."""
+
+
+class FiguresSpec(Spec):
+    """Figures as they were reported."""
+
+    success_rate: Fraction | None = None
+    """Share of successful episodes, mean over seeds, as a fraction."""
+    success_rate_std: Fraction | None = None
+    """Its standard deviation over seeds."""
+    mean_distance: NonNegativeFloat | None = None
+    """Mean distance from ball to target at the end, mean over seeds, m."""
+    mean_distance_std: NonNegativeFloat | None = None
+    """Its standard deviation over seeds, m."""
+
+
+class ReportedFiguresSpec(Spec):
+    """What was reported of a condition."""
+
+    section: str = Field(min_length=1)
+    """Section or table of the thesis."""
+    in_distribution: FiguresSpec
+    """Of episodes as the task samples them."""
+    mirrored: FiguresSpec | None = None
+    """Of episodes from the mirror images of those starts."""
+
+    def of_side(self, side: Side) -> FiguresSpec | None:
+        """The figures of a side, if they were reported."""
+        return self.in_distribution if side == "in_distribution" else self.mirrored
+
+
+class ConditionSpec(Spec):
+    """One condition: a task and a method. What is not said here is as for the whole experiment."""
+
+    method: FileRef
+    """Path of the method."""
+    task: FileRef | None = None
+    """Path of the task; default: the experiment's."""
+    seeds: Seeds | None = None
+    """Seeds of training; default: the experiment's."""
+    iterations: PositiveInt | None = None
+    """Training iterations; default: the experiment's."""
+    reported: ReportedFiguresSpec | None = None
+    """What was reported of this condition."""
+
+
+class ReportedEvaluationSpec(Spec):
+    """How the trained policies are measured; the sides and the success radius are the task's."""
+
+    episodes: PositiveInt | None = None
+    """Episodes a side; default: the task's."""
+    transfer: tuple[FileRef, ...] = Field(default=(), strict=False)
+    """Paths of transfer tasks: the same policies are evaluated on them."""
+
+
+class ExperimentSpec(Spec):
+    """An experiment."""
+
+    description: str = ""
+    """One line for lists and reports."""
+    section: str = ""
+    """Where the thesis describes it; empty if it does not."""
+    task: FileRef | None = None
+    """Path of the task of all conditions that do not name their own."""
+    conditions: dict[Name, ConditionSpec] = Field(min_length=1)
+    """What is compared, by name; a condition's name is also that of its folder."""
+    seeds: Seeds
+    """Seeds of training."""
+    iterations: PositiveInt | None = None
+    """Training iterations; default: each method's."""
+    evaluation: ReportedEvaluationSpec = ReportedEvaluationSpec()
+    """How the trained policies are measured."""
+    claims_of: tuple[FileRef, ...] = Field(default=(), strict=False)
+    """Paths of experiments whose claims are made of this one too, all of them but those that compare with what was
+    reported there (`near_reported`). A claim of this experiment replaces one of the same name."""
+    claims: dict[Name, Claim | None] = Field(default_factory=dict)
+    """What is claimed of the figures, by name; null drops a claim of `claims_of`."""
+
+    @model_validator(mode="after")
+    def _every_condition_has_a_task(self) -> ExperimentSpec:
+        without = [name for name, condition in self.conditions.items() if condition.task is None]
+        if self.task is None and without:
+            raise ValueError(f"the condition '{without[0]}' has no task, and the experiment has none for all")
+        return self

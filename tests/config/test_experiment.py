@@ -1,18 +1,15 @@
 import pytest
 
-from kickbench.config.claims import METRICS, OF_A_RUN, AtLeast, RatioAtMost
-from kickbench.config.reported import ExperimentSpec
+from kickbench.config.experiment import METRICS, OF_A_RUN, AtLeast, ExperimentSpec, RatioAtMost
 
 HEAD = """\
 task: table.yaml
 seeds: [0, 1]
-arms:
+conditions:
   baseline: {method: table.yaml}
 claims:
 """
-CLAIM = (
-    "  c: {statement: It is so, kind: at_least, metric: success_rate, value: {arm: baseline}, bound: 0.5}\n"
-)
+CLAIM = "  c: {statement: It is so, kind: at_least, metric: success_rate, value: {condition: baseline}, bound: 0.5}\n"
 TEXT = HEAD + CLAIM
 
 
@@ -26,13 +23,13 @@ def test_what_is_not_written_is_the_plainest(read):
         "in_distribution",
         None,
     )
-    assert (spec.iterations, spec.evaluation.episodes, spec.evaluation.also) == (None, None, ())
-    assert spec.arms["baseline"].reported is None
+    assert (spec.iterations, spec.evaluation.episodes, spec.evaluation.transfer) == (None, None, ())
+    assert spec.conditions["baseline"].reported is None
 
 
 def test_the_operands_of_a_claim_are_found_by_their_keys(read):
     text = TEXT.replace("at_least", "ratio_at_most").replace(
-        "bound", "over: {arm: baseline, side: mirrored}, bound"
+        "bound", "over: {condition: baseline, side: mirrored}, bound"
     )
     claim = read(ExperimentSpec, text).claims["c"]
     assert isinstance(claim, RatioAtMost)
@@ -58,8 +55,8 @@ def test_metrics_of_a_run_are_metrics():
             "2:9: seeds.0",
             f"expected a number of at most {2**63 - 1}, found the number {2**63}",
         ),
-        ("  baseline: {", "  a b: {", "4:3: arms.a b", "wrong key 'a b': expected a string of the form"),
-        ("It is so", "''", "6:18: claims.c.statement", "expected a string of length 1 or more, found"),
+        ("  baseline: {", "  a b: {", "4:3: conditions.a b", "unknown key 'a b'; expected a match of"),
+        ("It is so", "''", "6:18: claims.c.statement", "expected at least 1 character, found"),
         ("[0, 1]", "[0]\niterations: 0", "3:13: iterations", "expected a number greater than 0, found"),
     ],
 )
@@ -92,9 +89,9 @@ def test_a_wrong_seed_does_not_make_the_list_short(complaints):
 
 
 def test_a_kind_has_its_own_keys_only(complaints):
-    (complaint,) = complaints(ExperimentSpec, TEXT.replace("bound", "minus: {arm: baseline}, bound"))
+    (complaint,) = complaints(ExperimentSpec, TEXT.replace("bound", "minus: {condition: baseline}, bound"))
     keys = "statement, section, metric, terminations, reward, seeds, decidable, value, kind, bound"
-    assert complaint == f"a.yaml:6:90: claims.c.minus: unknown key 'minus'; expected one of: {keys}"
+    assert complaint == f"a.yaml:6:96: claims.c.minus: unknown key 'minus'; expected one of: {keys}"
 
 
 @pytest.mark.parametrize(
@@ -140,11 +137,11 @@ def test_a_termination_is_not_counted_twice(complaints):
 def test_every_arm_has_a_task(complaints, read):
     without = TEXT.removeprefix("task: table.yaml\n")
     (complaint,) = complaints(ExperimentSpec, without)
-    assert complaint.endswith("the arm 'baseline' has no task, and the experiment has none for all arms")
+    assert complaint.endswith("the condition 'baseline' has no task, and the experiment has none for all")
     read(ExperimentSpec, without.replace("{method: table.yaml}", "{method: table.yaml, task: table.yaml}"))
 
 
 def test_a_file_that_is_not_there_is_an_error_at_its_line(complaints):
     assert complaints(ExperimentSpec, TEXT.replace("{method: table.yaml}", "{method: tabel.yaml}")) == [
-        "a.yaml:4:22: arms.baseline.method: no such file: 'tabel.yaml' (did you mean 'table.yaml'?)"
+        "a.yaml:4:22: conditions.baseline.method: no such file: 'tabel.yaml' (did you mean 'table.yaml'?)"
     ]
