@@ -64,7 +64,8 @@ def test_tables_print_the_same_figures(experiment, columns, capsys):
 
 def test_resolved_specs_are_the_same(capsys):
     """Values and where they came from, of every shipped file."""
-    shown = {spec: hashlib.sha256(printed(capsys, "show", spec).replace(str(ROOT), "").encode()).hexdigest() for spec in SPECS}
+    texts = {spec: printed(capsys, "show", spec).replace(str(ROOT), "") for spec in SPECS}
+    shown = {spec: hashlib.sha256(text.encode()).hexdigest() for spec, text in texts.items()}
     text = json.dumps(shown, indent=1)
     assert shown == json.loads(frozen("show.json", text))
 
