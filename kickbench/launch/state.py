@@ -167,8 +167,7 @@ def run_table(title: str, runs: Sequence[tuple[str, RunState, str]], words: Sequ
             runs, words or [s.state.value for _, s, _ in runs], strict=True
         )
     ]
-    text = render_block(title, ("",) * len(_HEADER), _HEADER, [[row] for row in rows])
-    return "\n".join(line for line in text.split("\n") if line)
+    return render_block(title, _HEADER, [[row] for row in rows], groups=None)
 
 
 def counts(states: Sequence[RunState]) -> str:

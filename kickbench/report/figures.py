@@ -257,9 +257,7 @@ def binned(episodes: pd.DataFrame, values: ArrayLike, count: int) -> pd.DataFram
     Returns:
         Columns condition, side, middle, episodes; rate, low and high (Wilson's 95 % interval) in percent.
     """
-    middle = (
-        pd.cut(pd.Series(values), count).map(lambda interval: interval.mid).astype(float).rename("middle")
-    )
+    edges = np.linspace(np.min(values), np.max(values), count + 1)
     groups = episodes.groupby(["condition", "side", middle], sort=False).success
     found = groups.agg(episodes="count", hits="sum").reset_index()
     found = found[found.episodes >= LEAST_EPISODES].sort_values("middle", kind="stable")
