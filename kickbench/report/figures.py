@@ -257,7 +257,10 @@ def binned(episodes: pd.DataFrame, values: ArrayLike, count: int) -> pd.DataFram
     Returns:
         Columns condition, side, middle, episodes; rate, low and high (Wilson's 95 % interval) in percent.
     """
-    edges = np.linspace(np.min(values), np.max(values), count + 1)
+    values = np.asarray(values, float)
+    edges = np.linspace(values.min(), values.max(), count + 1)
+    bins = np.digitize(values, edges[1:-1], right=True)
+    middle = pd.Series(edges[bins] + (edges[1] - edges[0]) / 2, name="middle")
     groups = episodes.groupby(["condition", "side", middle], sort=False).success
     found = groups.agg(episodes="count", hits="sum").reset_index()
     found = found[found.episodes >= LEAST_EPISODES].sort_values("middle", kind="stable")

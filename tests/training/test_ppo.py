@@ -218,7 +218,8 @@ def test_an_observation_that_is_no_number_is_named(training, monkeypatch):
 
     def spoilt():
         groups = observe()
-        groups["actor"][5, field.first] = torch.nan
+        for group in groups.values():
+            group[5, field.first] = torch.nan
         return groups
 
     monkeypatch.setattr(env, "_observe", spoilt)
