@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from kickbench.results.frame import load_runs
     from kickbench.training.trained import Run, load_run
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 __all__ = ["KickEnv", "KickbenchError", "Run", "evaluate", "load_run", "load_runs", "make", "train"]
 
 _HOME = {
