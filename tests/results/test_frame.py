@@ -251,7 +251,7 @@ def test_the_recorded_trainings_of_one_name_are_never_averaged(capsys, tmp_path)
     assert "equivariant (1) and (2) differ: 500 and 886 iterations" in text
     printed(capsys, "report", ROOT / "results/measured", "-o", tmp_path / "page.html")
     page = (tmp_path / "page.html").read_text()
-    assert "equivariant (2): success 87.2 % in distribution (1 seed)." in page
+    assert "equivariant (2): success in % 87.2 (95 % [85.6, 88.5], 1 seed) in distribution." in page
     assert "mean of 2 seeds" not in page
 
 
