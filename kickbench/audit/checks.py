@@ -197,8 +197,8 @@ def _field_rows(recording: Recording, symmetry: Symmetry, declared: Image) -> It
         representation = symmetry.groups[pairs.groups[0]][pairs.name]
         peak = float(np.abs(pairs.original).max(initial=0.0))
         found = judge_misfits(pairs.misfit, representation, max(_FIELD * peak, 1e-7), peak)
-        size = pairs.bound.term.size if pairs.bound is not None else None
-        yield _field_row(name, pairs, found, own, components.get(str(size)))
+        stated = pairs.bound.term.representation if pairs.bound is not None else None
+        yield _field_row(name, pairs, found, own, components.get(str(stated)))
 
 
 def _field_row(

@@ -14,6 +14,7 @@ from kickbench.audit.record import record, reflection_of
 from kickbench.audit.report import Report
 from kickbench.config.load import Loaded, load, load_method, load_task
 from kickbench.config.method import RepresentationSpec
+from kickbench.config.shipped import find
 from kickbench.config.yamlio import load_document
 from kickbench.envs.catalog import model_of_task
 from kickbench.envs.compile import CompiledTask, compile_task
@@ -39,7 +40,7 @@ def audit(
 
     Args:
         task: Path of the task.
-        table: Path of a method or a representation table; default: the run's, else the robot's own.
+        table: Path of a method or a representation table; default: the run's, else the standard table.
         run: Run directory of a policy.
         states: Number of states.
         seed: Seed of starts, actions and randomisation.
@@ -48,11 +49,11 @@ def audit(
 
     Raises:
         SpecError: A specification is wrong.
-        KickbenchError: No representation table was found, or the run does not go with the task.
+        KickbenchError: The run does not go with the task.
     """
     started = time.perf_counter()
     compiled = compile_task(load_task(model_of_task, task, overrides))
-    representations = _load_table(task, table, run, compiled)
+    representations = _load_table(table, run)
     symmetry = symmetry_of(compiled, representations)
     trained = critic = None
     if run is not None:
@@ -76,9 +77,7 @@ def audit(
     )
 
 
-def _load_table(
-    task: Path, table: Path | None, run: Path | None, compiled: CompiledTask
-) -> Loaded[RepresentationSpec]:
+def _load_table(table: Path | None, run: Path | None) -> Loaded[RepresentationSpec]:
     if table is not None:
         document = load_document(table)
         kind = kind_of(document)
@@ -86,18 +85,8 @@ def _load_table(
             raise document.error((), f"expected a method or a representation table, found a {kind} file")
         is_method = kind == "method"
         return load_method(table).representations if is_method else load(RepresentationSpec, table)
-    if run is not None:
-        return load(RepresentationSpec, RunDirectory(run).representations_spec)
-    # The robot's own table: `methods/representations/<robot's folder>.yaml` beside or above the task.
-    name = f"{compiled.robot.document.file.parent.name}.yaml"
-    folders = [folder / "methods" / "representations" for folder in task.absolute().parents]
-    found = next((folder / name for folder in folders if (folder / name).is_file()), None)
-    if found is None:
-        raise KickbenchError(
-            f"{task}: no methods/representations/{name} beside or above it; "
-            "name a representation table, or a method, after the task"
-        )
-    return load(RepresentationSpec, found)
+    standard = find("standard", "representations")
+    return load(RepresentationSpec, RunDirectory(run).representations_spec if run else standard)
 
 
 def check_run(task: CompiledTask, run: Trial, path: Path) -> None:

@@ -33,7 +33,7 @@ _SECONDS = 120
 def audit(
     task: cli.Task,
     method: Path | None = cli.argument(
-        "Method or representation table (default: the run's with --policy, else the robot's own table).",
+        "Method or representation table (default: the run's with --policy, else the standard table).",
         "[METHOD]",
         "method",
         "representations",

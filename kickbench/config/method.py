@@ -2,7 +2,7 @@
 
 A table (thesis Table 3.4) has an expression for each field: a name, a direct sum `trivial + sign + trivial`, or a
 tensor product `regular x (trivial + sign + trivial)`, which is a left and a right vector. `joints` and `actions` stand
-for the robot's own representations, which follow from its joint symmetry.
+for the robot's own representations, which follow from its joint symmetry. Terms state expressions, too.
 """
 
 from __future__ import annotations
@@ -224,9 +224,9 @@ ExpressionText = Annotated[str, AfterValidator(_parses)]
 
 
 class RepresentationSpec(Spec):
-    """How each observation field and the action transform under the reflection."""
+    """How observation fields and the action transform under the reflection."""
 
-    fields: dict[str, ExpressionText] = Field(min_length=1)
-    """Observation field -> expression."""
+    fields: dict[str, ExpressionText] = Field(default_factory=dict)
+    """Observation field -> expression, instead of the one that its term states."""
     actions: ExpressionText = "actions"
     """Expression of the action vector."""

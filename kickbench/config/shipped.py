@@ -59,12 +59,11 @@ def find_method(text: str | Path, task: Path, overrides: Sequence[str] = ()) -> 
 
     Raises:
         SpecError: There is no such file.
-        KickbenchError: It is for another of the robots that kickbench comes with.
+        KickbenchError: It is for another robot: `mini/` is for `mini_kicker`, a folder that no robot's name begins with
+            for the robots without one.
     """
     try:
-        return _find_method(
-            text, task, any(text.startswith(("robot", "representations")) for text in overrides)
-        )
+        return _find_method(text, task, any(text.startswith("robot") for text in overrides))
     except SpecError:
         if Path(text).exists() and task.exists():
             return Path(text)  # where both are loaded all that is wrong is reported at once
@@ -72,18 +71,20 @@ def find_method(text: str | Path, task: Path, overrides: Sequence[str] = ()) -> 
 
 
 def _find_method(text: str | Path, task: Path, any_robot: bool) -> Path:
-    robot = _referred(task, "robot").parent.name
+    robot = _robot_of_task(task)
+    owners = {name: _robot_of(file) for name, file in names("method").items()}
+    owner = robot if robot in owners.values() else ""
+    fitting = {name: file for name, file in names("method").items() if owners[name] == owner}
     if not _is_path(text):
-        for name, file in _methods_for(robot).items():
+        for name, file in fitting.items():
             if str(text) in (name, file.stem):
                 return file
     method = find(text, "method")
-    other = _robot_of(method)
-    if any_robot or other in (None, robot) or robot not in names("representations"):
+    if any_robot or _robot_of(method) in (None, owner) or robot not in names("robot"):
         return method
-    use = [name for name, file in _methods_for(robot).items() if file.stem == method.stem]
+    use = [name for name, file in fitting.items() if file.stem == method.stem]
     hint = f"; use {' or '.join(use)}" if use else ""
-    raise KickbenchError(f"{shown(text)}: this method is for {other}, and the task's robot is {robot}{hint}")
+    raise KickbenchError(f"{shown(text)}: this method is not for the task's robot, {robot}{hint}")
 
 
 def _is_path(text: str | Path) -> bool:
@@ -91,21 +92,20 @@ def _is_path(text: str | Path) -> bool:
     return path.suffix in (".yaml", ".yml") or (path.exists() and not path.is_dir())
 
 
-def _methods_for(robot: str) -> dict[str, Path]:
-    return {name: file for name, file in names("method").items() if _robot_of(file) == robot}
-
-
 def _robot_of(method: Path) -> str | None:
-    """The robot whose name the method's representation table begins with."""
-    table = _referred(method, "representations").stem
-    fitting = [name for name in names("robot") if table.startswith(name)]
-    return max(fitting, key=len, default=None)
-
-
-def _referred(file: Path, key: str) -> Path:
-    """The file that a key of another one names; the other's folder if it has no such key."""
+    """The robot whose name the folder begins with that a method's base is shipped in; "": none; None: not shipped."""
     from kickbench.config.yamlio import load_document  # not needed for --help
 
-    document = load_document(file)
-    origin = document.origin((key,)) or document.file
-    return origin.parent / str(document.data.get(key, ""))
+    folder, methods = load_document(method).sources[-1].parent, root() / FOLDERS["method"][0]
+    if methods not in (folder, folder.parent):
+        return None
+    return next((robot for robot in names("robot") if robot.startswith(folder.name)), "")
+
+
+def _robot_of_task(task: Path) -> str:
+    """The folder of a task's robot."""
+    from kickbench.config.yamlio import load_document  # not needed for --help
+
+    document = load_document(task)
+    origin = document.origin(("robot",)) or document.file
+    return (origin.parent / str(document.data.get("robot", ""))).parent.name

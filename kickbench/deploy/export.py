@@ -125,7 +125,7 @@ def _limits(bounds: np.ndarray) -> tuple[float, float] | None:
 
 def _observation(task: CompiledTask, field: Field) -> parts.Observation:
     term, layout = field.bound.term, task.scene.layout
-    names = {"joints": layout.joint_names, "actions": layout.actuator_names}.get(str(term.size))
+    names = {"joints": layout.joint_names, "actions": layout.actuator_names}.get(str(term.representation))
     return parts.Observation(
         name=field.name,
         description=" ".join(term.description.split()),

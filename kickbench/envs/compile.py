@@ -18,7 +18,10 @@ from kickbench.envs.curriculum import spec_at
 from kickbench.envs.term import Bound, Field, field_size
 from kickbench.errors import SpecError
 from kickbench.sim.build import Scene, build_scene
+from kickbench.sim.layout import SceneLayout
 from kickbench.sim.sensors import SensorGroup, available_groups
+from kickbench.symmetry.mirror import mirror_actions, mirror_joints
+from kickbench.symmetry.representation import Representation
 
 
 @dataclass(frozen=True)
@@ -82,12 +85,21 @@ def compile_task(task: LoadedTask[Any]) -> CompiledTask:
     scene = build_scene(spec, task.robot, needs)
     if problems := list(scene_problems(task, scene.layout)):
         raise SpecError(problems)
-    sizes = len(scene.layout.joint_names), len(scene.layout.actuator_names)
-    groups = {group: _fields(bound["observations", group], *sizes) for group in ("actor", "critic")}
+    own = own_representations(task.robot.spec, scene.layout)
+    groups = {group: _fields(bound["observations", group], own) for group in ("actor", "critic")}
     terminations = bound["terminations",]
     return CompiledTask(
         task.name, spec, task.robot, scene, groups, terminations=terminations, **_growing(bound)
     )
+
+
+def own_representations(robot: RobotSpec, layout: SceneLayout) -> dict[str, Representation]:
+    """How a robot's observed joints and its actions mirror, by the names that expressions have for them."""
+    image = robot.symmetry.image()
+    return {
+        "joints": mirror_joints(layout.joint_names, image),
+        "actions": mirror_actions(robot.actuators, image),
+    }
 
 
 def grown(task: CompiledTask, levels: Mapping[str, float]) -> CompiledTask:
@@ -119,11 +131,11 @@ def _growing(bound: Mapping[tuple[str, ...], tuple[Bound, ...]]) -> dict[str, An
     }
 
 
-def _fields(bounds: tuple[Bound, ...], joints: int, actions: int) -> tuple[Field, ...]:
+def _fields(bounds: tuple[Bound, ...], own: Mapping[str, Representation]) -> tuple[Field, ...]:
     fields, first = [], 0
     for bound in bounds:
         assert isinstance(bound.params, ObservationParams)
-        size = field_size(bound.term, joints, actions)
+        size = field_size(bound.term, own)
         fields.append(Field(bound, bound.params, first, size))
         first += size
     return tuple(fields)

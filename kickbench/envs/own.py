@@ -22,15 +22,16 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from types import ModuleType
-from typing import Any, Literal
+from typing import Any
 
 import torch
 from pydantic import BaseModel, ValidationError, create_model
 from torch import Tensor
 
 from kickbench.config.base import NameList, PositiveInt, Range
+from kickbench.config.method import parse_expression
 from kickbench.config.terms import JointName, JointNames, TermParams
-from kickbench.envs.term import COMMON, Kind, Size, Term
+from kickbench.envs.term import COMMON, Kind, Term
 from kickbench.errors import KickbenchError, Mark, Problem, SpecError, shown
 from kickbench.sim.sensors import SensorGroup
 
@@ -52,14 +53,14 @@ class Marker(BaseModel):
         units: Unit of what it returns.
         source: Where it comes from; default: its file.
         needs: Sensors that it reads: foot_frame, foot_ball, foot_floor, body_floor.
-        size: Length of an observation: a number, "joints" or "actions".
+        size: Representation of an observation, which gives its length; or its length alone.
     """
 
     kind: Kind
     units: str
     source: str
     needs: tuple[SensorGroup, ...]
-    size: PositiveInt | Literal["joints", "actions"] = 1
+    size: PositiveInt | str = 1
 
     def __call__(self, function: Callable[..., Tensor]) -> Callable[..., Tensor]:
         """The function as it is: a marker is for those who read the file."""
@@ -72,9 +73,19 @@ def reward(units: str = "1", source: str = "", needs: tuple[SensorGroup, ...] = 
 
 
 def observation(
-    size: Size, units: str = "1", source: str = "", needs: tuple[SensorGroup, ...] = ()
+    size: int | str, units: str = "1", source: str = "", needs: tuple[SensorGroup, ...] = ()
 ) -> Marker:
-    """Marks a function `(state, parameters...) -> Tensor[B, size]` as an observation."""
+    """Marks a function `(state, parameters...) -> Tensor[B, size]` as an observation.
+
+    Args:
+        size: How it mirrors, such as "trivial + sign + trivial", which gives its length too; or its length alone: then
+            the method's representation table says how it mirrors.
+        units: Unit of what it returns.
+        source: Where it comes from; default: its file.
+        needs: Sensors that it reads.
+    """
+    if isinstance(size, str):
+        parse_expression(size)
     return Marker(kind="observation", size=size, units=units, source=source, needs=needs)
 
 

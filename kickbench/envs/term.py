@@ -18,12 +18,12 @@ from kickbench.config.terms import (
     TermParams,
 )
 from kickbench.sim.sensors import SensorGroup
+from kickbench.symmetry.field_table import resolve_expression
+from kickbench.symmetry.representation import Representation
 
 Kind = Literal["observation", "reward", "termination", "randomization"]
 Stage = Literal["initial", "command", "push"]
 """When a randomisation acts: on initial states, on the way to the servos, or as a force on the base."""
-Size = int | Literal["joints", "actions"]
-"""Length of an observation field: a number, or one number per observed joint or per action."""
 Frame = Literal["base", "world"]
 """Axes of a vector. base: those of the robot's base body, x forward, y left, z up; world: those of the scene."""
 
@@ -50,7 +50,8 @@ class Term:
         units: Unit of the returned value.
         source: Section of the thesis, or paper.
         needs: Sensor groups it reads.
-        size: Length of an observation field.
+        representation: How an observation field mirrors, as an expression (`config.method`), which gives its length
+            too; or its length alone.
         frame: Frame of the vectors in an observation field; None: it has none.
         from_default: Whether an observation of joints is the offset from their default pose.
         truncates: For terminations: a time limit rather than an outcome, so PPO bootstraps the value.
@@ -64,7 +65,7 @@ class Term:
     units: str
     source: str
     needs: frozenset[SensorGroup] = frozenset()
-    size: Size = 1
+    representation: str | int = 1
     frame: Frame | None = None
     from_default: bool = False
     truncates: bool = False
@@ -81,8 +82,9 @@ class Term:
         return " ".join(self.description.split("\n\n")[0].split())
 
     def describe(self) -> str:
-        """The term in words: name, size, unit, source, formula and its own parameters."""
-        facts = [f"size {self.size}"] if self.kind == "observation" else []
+        """The term in words: name, representation, unit, source, formula and its own parameters."""
+        what = "size" if isinstance(self.representation, int) else "representation"
+        facts = [f"{what} {self.representation}"] if self.kind == "observation" else []
         facts += [f"unit {self.units}", f"source {self.source}"]
         facts += [f"needs {', '.join(sorted(self.needs))}"] if self.needs else []
         own = {k: v for k, v in self.params.model_fields.items() if k not in COMMON[self.kind].model_fields}
@@ -122,15 +124,21 @@ class Field:
         """The field's name."""
         return self.bound.name
 
+    @property
+    def representation(self) -> str | int:
+        """What the term states of it (`Term.representation`)."""
+        return self.bound.term.representation
+
     @cached_property
     def key(self) -> str:
         """What the exact value depends on: the term and its parameters, but for noise and clipping."""
         return f"{self.name} {self.params.model_dump(exclude={'noise', 'clip'})}"
 
 
-def field_size(term: Term, joints: int, actions: int) -> int:
-    """Length of an observation field for a robot with that many observed joints and actions."""
-    return {"joints": joints, "actions": actions}[term.size] if isinstance(term.size, str) else term.size
+def field_size(term: Term, own: Mapping[str, Representation]) -> int:
+    """Length of an observation field for a robot whose joints and actions have these representations."""
+    stated = term.representation
+    return stated if isinstance(stated, int) else resolve_expression(stated, own).dim
 
 
 def describe_common(kind: Kind) -> str:
@@ -153,7 +161,7 @@ Decorator = Callable[[Callable[..., Any]], Term]
 
 
 def observation(
-    size: Size,
+    representation: str,
     units: str,
     source: str,
     *,
@@ -161,8 +169,9 @@ def observation(
     from_default: bool = False,
     needs: Iterable[SensorGroup] = (),
 ) -> Decorator:
-    """Makes a function `(state, params) -> Tensor[B, size]` an observation field."""
-    return _decorator("observation", source, units, needs, size=size, frame=frame, from_default=from_default)
+    """Makes a function `(state, params) -> Tensor[B, size]` an observation field; see `Term.representation`."""
+    facts = {"representation": representation, "frame": frame, "from_default": from_default}
+    return _decorator("observation", source, units, needs, **facts)
 
 
 def reward(source: str, *, units: str = "1", needs: Iterable[SensorGroup] = ()) -> Decorator:

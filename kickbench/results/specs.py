@@ -65,7 +65,7 @@ def write_specs(directory: RunDirectory, experiment: Trial) -> None:
         atomic_write_bytes(directory.path / name, content)
     model = os.path.relpath(names[Path(task.robot.spec.model)], directory.specs.name)
     _write(directory.robot_spec, task.robot.document, {"model": model})
-    _write(directory.representations_spec, method.representations.document, {})
+    atomic_write_text(directory.representations_spec, dump_yaml(method.representations.spec.model_dump()))
     if task.spec.terms:
         atomic_write_bytes(directory.terms, Path(task.spec.terms).read_bytes())
     _write_task_and_method(directory, experiment)

@@ -73,6 +73,23 @@ def _resolve(expression: Expression, names: Mapping[str, Representation]) -> Rep
     return direct_sum(parts) if isinstance(expression, Sum) else reduce(tensor, parts)
 
 
+def completed(table: RepresentationSpec, stated: Mapping[str, str | int]) -> RepresentationSpec:
+    """A representation table with what the terms state of the fields that it leaves out.
+
+    Args:
+        table: The table; its entries win.
+        stated: Field -> expression, in the order of the vector; or the field's length, where no expression is stated.
+
+    Returns:
+        The table itself if it leaves out none; else one in the order of the vector.
+    """
+    if stated.keys() <= table.fields.keys():
+        return table
+    known = {name: table.fields.get(name, text) for name, text in stated.items()}
+    fields = {name: text for name, text in known.items() if isinstance(text, str)} | table.fields
+    return table.model_copy(update={"fields": fields})
+
+
 def field_table(
     table: RepresentationSpec,
     document: Document,
@@ -82,7 +99,7 @@ def field_table(
     """The field table of an observation group.
 
     Args:
-        table: The representation table.
+        table: The representation table, completed.
         document: Where it was written, for errors.
         fields: Name and length of each field, in the order of the vector.
         own: The robot's representations: `joints` and `actions`.

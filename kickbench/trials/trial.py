@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from kickbench.config.load import Loaded, LoadedMethod, LoadedTask, load_method, load_task, split_overrides
 from kickbench.config.method import RepresentationSpec
 from kickbench.config.task import TaskSpec
 from kickbench.envs.catalog import model_of_task
-from kickbench.envs.compile import CompiledTask, compile_task
+from kickbench.envs.compile import CompiledTask, compile_task, own_representations
 from kickbench.errors import Problem, SpecError, collected
-from kickbench.symmetry.field_table import FieldTable, field_table, resolve_expression
-from kickbench.symmetry.mirror import mirror_actions, mirror_joints, mirror_qpos, mirror_qvel
+from kickbench.symmetry.field_table import FieldTable, completed, field_table, resolve_expression
+from kickbench.symmetry.mirror import mirror_qpos, mirror_qvel
 from kickbench.symmetry.representation import Representation
 
 MIN_SCALED_EPISODES = 100
@@ -43,9 +43,9 @@ class Trial:
 
     Attributes:
         loaded_task: The task as loaded, with its documents.
-        method: The method as loaded.
+        method: The method as loaded, with its representation table completed by what the terms state.
         task: The compiled task.
-        symmetry: The reflection, from robot and representation table.
+        symmetry: The reflection, from robot, representation table and terms.
         initial_policy: Hash of the policy that the training begins with; None: a random one.
     """
 
@@ -79,7 +79,9 @@ def load_trial(
         loaded_task = loaded_task.changed({"evaluation.episodes": episodes})
         loaded_method = loaded_method.changed({"algorithm.iterations": max(1, round(scale * iterations))})
     compiled = compile_task(loaded_task)
-    return Trial(loaded_task, loaded_method, compiled, symmetry_of(compiled, loaded_method.representations))
+    table = completed_table(compiled, loaded_method.representations)
+    method = replace(loaded_method, representations=table)
+    return Trial(loaded_task, method, compiled, symmetry_of(compiled, table))
 
 
 def load_both(
@@ -101,19 +103,23 @@ def load_both(
     return loaded_task, loaded_method  # pyright: ignore[reportPossiblyUnbound] (no problem, so both are there)
 
 
+def completed_table(
+    task: CompiledTask, representations: Loaded[RepresentationSpec]
+) -> Loaded[RepresentationSpec]:
+    """A representation table with what a task's terms state of the fields that it leaves out."""
+    stated = {field.name: field.representation for fields in task.groups.values() for field in fields}
+    return replace(representations, spec=completed(representations.spec, stated))
+
+
 def symmetry_of(task: CompiledTask, representations: Loaded[RepresentationSpec]) -> Symmetry:
-    """Builds the reflection of a task from the robot's joint table and a representation table.
+    """Builds the reflection of a task from the robot's joint table, a representation table and what the terms state.
 
     Raises:
-        SpecError: A field lacks a representation, or has one of another dimension.
+        SpecError: A field has no representation, or one of another dimension.
     """
-    layout, robot = task.scene.layout, task.robot.spec
-    image = robot.symmetry.image()
-    table, document = representations.spec, representations.document
-    own = {
-        "joints": mirror_joints(layout.joint_names, image),
-        "actions": mirror_actions(robot.actuators, image),
-    }
+    robot, document = task.robot.spec, representations.document
+    table = completed_table(task, representations).spec
+    own = own_representations(robot, task.scene.layout)
     groups: dict[str, FieldTable] = {}
     problems: list[Problem] = []
     for name, fields in task.groups.items():

@@ -13,10 +13,11 @@ from kickbench.config.load import Loaded, LoadedMethod, load, load_method, load_
 from kickbench.config.method import MethodSpec, RepresentationSpec
 from kickbench.config.robot import RobotSpec
 from kickbench.config.yamlio import RENAMED, Document, load_document
-from kickbench.envs.catalog import model_of_task, task_model
-from kickbench.envs.compile import CompiledTask, compile_task
+from kickbench.envs.catalog import catalog, model_of_task, task_model
+from kickbench.envs.compile import CompiledTask, compile_task, own_representations
 from kickbench.errors import Mark, Problem, collected, did_you_mean
 from kickbench.sim.check import check_symmetry
+from kickbench.symmetry.field_table import resolve_expression
 from kickbench.trials.experiment import load_experiment
 from kickbench.trials.trial import symmetry_of
 
@@ -89,7 +90,21 @@ def check_files(files: Sequence[Path], overrides: Sequence[str] = ()) -> Iterato
         report = Report(f"{tasks[0].name} with {method.name}", "task and method")
         with collected(report.problems):
             symmetry_of(tasks[0], method.representations)
+            report.notes += _table_notes(tasks[0], method.representations)
         yield report
+
+
+def _table_notes(task: CompiledTask, table: Loaded[RepresentationSpec]) -> Iterator[str]:
+    """Entries of a representation table that differ from what the term states, or are of no term."""
+    terms = catalog(task.spec.terms).observations
+    own = own_representations(task.robot.spec, task.scene.layout)
+    for name, text in table.spec.fields.items():
+        stated = terms[name].representation if name in terms else None
+        if stated is None:
+            what, hint = "no observation has this name", did_you_mean(name, terms)
+            yield str(table.document.problem(("fields", name), what, hint))
+        elif isinstance(stated, str) and resolve_expression(stated, own) != resolve_expression(text, own):
+            yield str(table.document.problem(("fields", name), f"'{text}', but the term states '{stated}'"))
 
 
 def _head(override: str) -> str:

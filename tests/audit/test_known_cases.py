@@ -51,7 +51,7 @@ def test_the_states_have_kicks_falls_pushes_and_endings(k1):
 
 
 def test_the_thesis_table_fails_on_the_contact_forces_and_on_nothing_else(k1):
-    table = load(RepresentationSpec, TABLES / "booster_k1_thesis.yaml")
+    table = load(RepresentationSpec, TABLES / "thesis.yaml")
     rows = k1.rows(symmetry_of(k1.trial.task, table))
     assert failures(rows) == ["foot_contact_forces"]
     assert (
@@ -176,28 +176,23 @@ def audit(*arguments: str | Path) -> int:
 
 
 def test_the_command_prints_a_table_and_returns_1_for_a_wrong_one(capsys):
-    assert audit(K1_FAST, TABLES / "booster_k1_thesis.yaml", "--states", "256") == 1
+    assert audit(K1_FAST, TABLES / "thesis.yaml", "--states", "256") == 1
     *_, last = capsys.readouterr().out.splitlines()
     assert last == "foot_contact_forces: declared trivial; measured: regular x (trivial, sign, trivial)"
 
 
-def test_without_a_method_the_robot_s_own_table_is_taken_and_json_says_it_all(capsys):
-    task = ROOT / "tasks/mini_general.yaml"
+def test_without_a_method_the_standard_table_is_taken_wherever_the_task_is_and_json_says_it_all(
+    tmp_path, capsys
+):
+    task = tmp_path / "far.yaml"
+    task.write_text(f"extends: {ROOT / 'tasks/mini_general.yaml'}\n")
     assert audit(task, "--states", "128", "--json") == 0
     found = json.loads(capsys.readouterr().out)
-    assert found["table"].endswith("methods/representations/mini_kicker.yaml")
+    assert found["table"].endswith("methods/representations/standard.yaml")
     assert found["passed"] is True
     assert found["states"] >= 128, "whole steps of all worlds"
     keys = {"check", "name", "verdict", "error", "tolerance", "unit", "excited", "detail"}
     assert all(set(row) == keys for row in found["rows"])
-
-
-def test_a_task_alone_in_the_world_needs_a_table(tmp_path, capsys):
-    file = tmp_path / "far.yaml"
-    file.write_text(f"extends: {ROOT / 'tasks/mini_general.yaml'}\n")
-    assert audit(file) == 2
-    assert "name a representation table, or a method, after the task" in capsys.readouterr().err
-    assert audit(file, ROOT / "methods/mini/baseline.yaml", "--states", "64") == 0
 
 
 def test_what_is_no_table_is_refused(capsys):

@@ -14,10 +14,13 @@ import torch
 from tensordict import TensorDict
 
 from kickbench.audit.record import Reflection
-from kickbench.config.load import Loaded
+from kickbench.config.load import Loaded, load
+from kickbench.config.method import RepresentationSpec
 from kickbench.config.robot import JointPairs, JointSymmetrySpec
+from kickbench.config.shipped import find
 from kickbench.envs.engines import make_engine
 from kickbench.envs.env import KickEnv
+from kickbench.envs.term import Field
 from kickbench.nets.build import build_actor
 from kickbench.symmetry.field_table import FieldTable
 from kickbench.symmetry.mirror import Image
@@ -157,6 +160,29 @@ def test_a_wrong_field_fails_alone(k1, mutants, failures):
     for mutant in mutants:
         if mutant.entry[0] in fields:
             assert failures[mutant.name] == list(mutant.entry), mutant.name
+
+
+WRONGLY_STATED = {
+    "base_ang_vel": "trivial + sign + trivial",
+    "ball_position": "trivial + trivial + trivial",
+    "joint_vel": "actions x sign",
+    "foot_height": "trivial + trivial",
+    "foot_contact_forces": "(trivial + sign + trivial) x regular",
+}
+
+
+@pytest.mark.parametrize("name", WRONGLY_STATED)
+def test_a_term_that_states_a_wrong_representation_fails_alone(k1, name):
+    def stating(field: Field) -> Field:
+        stated = WRONGLY_STATED[name] if field.name == name else field.representation
+        term = replace(field.bound.term, representation=stated)
+        return replace(field, bound=replace(field.bound, term=term))
+
+    task = k1.trial.task
+    groups = {group: tuple(map(stating, fields)) for group, fields in task.groups.items()}
+    standard = load(RepresentationSpec, find("standard", "representations"))
+    symmetry = symmetry_of(replace(task, groups=groups), standard)
+    assert [row.name for row in k1.rows(symmetry) if row.failed] == [name]
 
 
 def test_a_check_of_the_tables_against_themselves_catches_none(k1, mutants):

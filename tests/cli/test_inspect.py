@@ -120,7 +120,7 @@ def test_what_show_prints_is_the_same_task(place, printed):
     [
         ("methods/mini/equivariant.yaml", "type: equivariant"),
         ("assets/mini_kicker/robot.yaml", "base: trunk"),
-        ("methods/representations/mini_kicker.yaml", "joint_pos: joints"),
+        ("methods/representations/standard.yaml", "actions: actions"),
     ],
 )
 def test_show_knows_every_kind_of_file(place, printed, file, line):
@@ -357,8 +357,12 @@ def test_a_name_that_is_a_folder_here_is_still_a_name(tmp_path, monkeypatch):
         ),
         (
             ["run", "k1_general", "mini/equivariant"],
-            "mini/equivariant: this method is for mini_kicker, and the task's robot is booster_k1; "
+            "mini/equivariant: this method is not for the task's robot, booster_k1; "
             "use equivariant or cpu/equivariant or lite/equivariant",
+        ),
+        (
+            ["run", "mini_general", str(ROOT / "methods/lite/ppo.yaml")],
+            "ppo.yaml: this method is not for the task's robot, mini_kicker; use mini/ppo",
         ),
         (["run", "k1_general", "nowhere/x.yaml"], "the directory 'nowhere' does not exist"),
         (["run", "nowhere/x.yaml", "equivariant"], "the directory 'nowhere' does not exist"),

@@ -15,7 +15,7 @@ TASK, HOME = "tasks/mini_general.yaml", "tasks/mini_home_field.yaml"
 K1 = "tasks/k1_general.yaml"
 ROBOT, XML = "assets/mini_kicker/robot.yaml", "assets/mini_kicker/mini_kicker.xml"
 BASELINE, EQUIVARIANT = "methods/mini/baseline.yaml", "methods/mini/equivariant.yaml"
-TABLE = "methods/representations/mini_kicker.yaml"
+TABLE = "methods/representations/standard.yaml"
 
 
 @dataclass(frozen=True)
@@ -197,15 +197,9 @@ MALFORMED = {
         (ROBOT, "¦position: [0, 0, 1]"),
         "initial.position: the robot's model has no free joint, so its base cannot be moved",
     ),
-    "field without a representation": Case(
-        [TASK, BASELINE],
-        (TABLE, "  ball_velocity: trivial", "  ball_velocty: trivial"),
-        (TABLE, "\n¦fields:"),
-        "fields: the field 'ball_velocity' has no representation (the nearest name there is 'ball_velocty')",
-    ),
     "representation of another dimension": Case(
         [TASK, BASELINE],
-        (TABLE, "ball_touched: trivial", "ball_touched: regular"),
+        (TABLE, "\nactions:", "\nfields: {ball_touched: regular}\nactions:"),
         (TABLE, "¦ball_touched: regular"),
         "fields.ball_touched: 'regular' has dimension 2, the field 'ball_touched' has 1",
     ),
@@ -217,7 +211,7 @@ MALFORMED = {
     ),
     "no expression": Case(
         [BASELINE],
-        (TABLE, "regular x (trivial + sign + trivial)", "regular x (trivial + sign"),
+        (TABLE, "\nactions:", "\nfields:\n  foot_position: regular x (trivial + sign\nactions:"),
         (TABLE, "¦regular x (trivial + sign"),
         "fields.foot_position: expected names (trivial, sign, regular, regular_sign, joints, actions) joined by '+' "
         "and 'x', and parentheses, found 'regular x (trivial + sign'",
@@ -412,7 +406,7 @@ def test_the_mini_files_are_fine_each_and_together(place, capsys):
     patterns = (
         "tasks/mini_home_field.yaml",
         "methods/mini/*.yaml",
-        "methods/*/mini_kicker.yaml",
+        "methods/representations/*.yaml",
         "assets/mini_kicker/*.yaml",
     )
     files = [str(path.relative_to(place)) for pattern in patterns for path in sorted(place.glob(pattern))]
@@ -423,6 +417,20 @@ def test_the_mini_files_are_fine_each_and_together(place, capsys):
     lines = printed.out.splitlines()
     assert {f"{file}: fine" for file in files} < {line.partition(" (")[0] for line in lines}
     assert "mini_home_field with equivariant: fine (task and method)" in lines
+    assert not any("note" in line for line in lines)
+
+
+def test_entries_of_a_table_that_differ_from_what_the_terms_state_are_noted(place, edit, capsys):
+    table = "methods/representations/thesis.yaml"
+    edit(table, "\nactions:", "\n  ball_touched: sign x sign\n  ball_velocty: trivial\nactions:")
+    assert main(["validate", TASK, BASELINE, "--set", f"representations={table}"]) == 0
+    notes = [line for line in capsys.readouterr().out.splitlines() if "note: " in line]
+    wrong, misspelt = (f"{table}:{line}:3: fields" for line in (5, 7))
+    assert [note.partition("note: ")[2] for note in notes] == [
+        f"{wrong}.foot_contact_forces: 'trivial + trivial + trivial + trivial + trivial + trivial', "
+        "but the term states 'regular x (trivial + sign + trivial)'",
+        f"{misspelt}.ball_velocty: no observation has this name (did you mean 'ball_velocity'?)",
+    ]
 
 
 def test_every_error_of_a_file_is_reported_in_the_order_of_its_lines(edit, fails):
@@ -536,7 +544,7 @@ def test_a_file_that_cannot_be_read_may_have_the_key_of_an_override(fails):
 
 
 @pytest.mark.parametrize(
-    "name", ["wrong term name", "joint driven on one side only", "field without a representation"]
+    "name", ["wrong term name", "joint driven on one side only", "representation of another dimension"]
 )
 def test_a_run_of_a_malformed_file_leaves_nothing_behind(name, edit, fails, place):
     case = MALFORMED[name]
@@ -566,8 +574,7 @@ def test_a_wrong_number_on_the_command_line_is_a_usage_error(capsys, count):
     assert f"--iterations: expected a whole number of at least 1, found '{count}'" in capsys.readouterr().err
 
 
-def test_several_tasks_are_checked_one_by_one_since_methods_belong_to_a_robot(capsys):
-    """The K1's tasks do not go with the mini kicker's methods; each file is fine all the same."""
+def test_several_tasks_are_checked_one_by_one(capsys):
     root = Path(__file__).parent.parent.parent
     files = [
         root / "tasks/mini_general.yaml",
@@ -578,8 +585,8 @@ def test_several_tasks_are_checked_one_by_one_since_methods_belong_to_a_robot(ca
     *fine, note = capsys.readouterr().out.splitlines()
     assert [line.rpartition(": ")[2] for line in fine] == ["fine (task)", "fine (task)", "fine (method)"]
     assert note == "several tasks: note: none was checked together with a method, which takes a single task"
-    assert main(["validate", *map(str, files[1:])]) == 2
-    assert "the field 'projected_gravity' has no representation" in capsys.readouterr().err
+    assert main(["validate", *map(str, files[1:])]) == 0
+    assert "k1_general with baseline: fine (task and method)" in capsys.readouterr().out, "one table for all"
 
 
 def test_an_experiments_robot_is_compared_with_its_geometry_once(edit, fails):

@@ -114,10 +114,9 @@ def test_every_wrong_expression_is_reported_where_it_stands(complaints):
     ]
 
 
-def test_a_table_without_fields_is_an_error(complaints):
-    assert complaints(RepresentationSpec, "fields: {}\n") == [
-        "a.yaml:1:9: fields: expected at least 1 entry, found an empty mapping"
-    ]
+def test_a_table_may_leave_all_fields_to_their_terms():
+    assert RepresentationSpec().fields == {}
+    assert RepresentationSpec().actions == "actions"
 
 
 def test_an_expression_is_a_string(complaints):

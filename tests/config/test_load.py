@@ -43,7 +43,8 @@ def test_a_method_comes_with_the_representations_it_names():
     method = load_method(ROOT / "methods" / "mini" / "equivariant.yaml")
     assert method.name == "equivariant"
     assert method.spec.network.type == "equivariant"
-    assert method.representations.spec.fields["joint_pos"] == "joints"
+    assert method.representations.spec.actions == "actions"
+    assert not method.representations.spec.fields, "the terms state them"
 
 
 def test_a_path_is_relative_to_the_file_that_names_it(folder):

@@ -3,6 +3,7 @@ import pytest
 from kickbench.envs.catalog import catalog
 from kickbench.envs.term import field_size
 from kickbench.errors import SpecError
+from kickbench.symmetry.representation import SIGN, direct_sum
 
 ACTOR = [
     "base_lin_vel",
@@ -26,10 +27,19 @@ def test_fields_follow_the_yaml_without_gaps(mini):
 
 def test_sizes_that_depend_on_the_robot_are_resolved():
     observations = catalog().observations
-    assert field_size(observations["joint_pos"], 22, 24) == 22
-    assert field_size(observations["previous_action"], 22, 24) == 24
-    assert field_size(observations["base_lin_vel"], 22, 24) == 3
-    assert field_size(observations["joint_vel"], 0, 3) == 0, "a robot may have base drives only"
+    own = {"joints": direct_sum([SIGN] * 22), "actions": direct_sum([SIGN] * 24)}
+    assert field_size(observations["joint_pos"], own) == 22
+    assert field_size(observations["previous_action"], own) == 24
+    assert field_size(observations["base_lin_vel"], own) == 3
+    bare = {"joints": direct_sum([]), "actions": direct_sum([SIGN] * 3)}
+    assert field_size(observations["joint_vel"], bare) == 0, "a robot may have base drives only"
+
+
+def test_fields_carry_the_representations_that_their_terms_state(mini):
+    stated = {field.name: field.representation for field in mini.groups["critic"]}
+    assert stated["base_ang_vel"] == "sign + trivial + sign"
+    assert stated["joint_pos"] == "joints"
+    assert stated["foot_position"] == "regular x (trivial + sign + trivial)"
 
 
 def test_rewards_carry_their_weights_in_the_order_of_the_yaml(mini):

@@ -6,18 +6,22 @@ import dataclasses
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
+import yaml
 from torch import Tensor
 
 from kickbench.config.terms import ObservationParams
 from kickbench.envs.catalog import catalog
+from kickbench.envs.compile import own_representations
 from kickbench.envs.observations import Disturbance, Observer
 from kickbench.envs.state import StateIndex
 from kickbench.envs.term import field_size
 
+MEASURED = Path(__file__).parents[2] / "results/measured"
 LEFT_TURN = (math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))
 """A quarter turn to the left: the robot looks along +y, its left is -x."""
 NOSE_DOWN = (math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0)
@@ -103,9 +107,15 @@ def test_soles_are_seen_from_the_base_left_first(term):
 
 @pytest.mark.parametrize("name", catalog().observations)
 def test_every_field_is_as_long_as_its_term_says(name, term, mini):
-    layout = mini.scene.layout
-    size = field_size(catalog().observations[name], len(layout.joint_names), len(layout.actuator_names))
-    assert len(term(name)) == size
+    own = own_representations(mini.robot.spec, mini.scene.layout)
+    assert len(term(name)) == field_size(catalog().observations[name], own)
+
+
+@pytest.mark.parametrize("run", ["k1_lite/baseline/seed0", "mini_home_field/baseline/seed0"])
+def test_terms_state_what_the_tables_of_recorded_runs_say(run):
+    table = yaml.safe_load((MEASURED / run / "specs/representations.yaml").read_text())["fields"]
+    terms = catalog().observations
+    assert {name: terms[name].representation for name in table} == table
 
 
 @pytest.mark.parametrize("name", catalog().observations)

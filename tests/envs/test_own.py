@@ -117,6 +117,7 @@ WRONG = {
     "@observation()\ndef f(state): ...": r"observation\(\) missing 1 required positional argument: 'size'",
     "@reward(needs=('foot_bal',))\ndef f(state): ...": "needs.0: Input should be .*'foot_ball'.* found 'foot_bal'",
     "@observation(0)\ndef f(state): ...": "size.*: Input should be greater than 0",
+    "@observation('trivail')\ndef f(state): ...": "unknown representation 'trivail'.*did you mean 'trivial'",
     "@reward()\ndef f(state): ...\n@reward()\ndef f(state): ...": "two terms of this name",
     "@reward()\ndef upright(state): ...": "upright: kickbench has a reward of this name",
 }
@@ -127,6 +128,45 @@ def test_what_is_no_term_is_an_error_at_its_line(task, code):
     task.with_name("my_terms.py").write_text(code)
     with pytest.raises(SpecError, match=WRONG[code]):
         load_trial(task, METHOD)
+
+
+FORWARD = """
+from kickbench.envs.own import observation
+
+@observation({size}, units="m/s")
+def base_forward_and_lateral(state):
+    return state.base_lin_vel[:, :2]
+"""
+
+
+@pytest.fixture
+def observing(task):
+    """Loads the task with an observation of one's own that states something, and a table with some fields."""
+
+    def load(size: str, fields: str = "{}"):
+        task.with_name("my_terms.py").write_text(FORWARD.format(size=size))
+        task.with_name("table.yaml").write_text(f"fields: {fields}\n")
+        task.write_text(
+            f"extends: {ROOT}/tasks/mini_general.yaml\nterms: my_terms.py\n"
+            "observations: {actor: {base_forward_and_lateral: {}}, critic: {base_forward_and_lateral: {}}}\n"
+        )
+        return load_trial(task, METHOD, [f"representations={task.with_name('table.yaml')}"])
+
+    return load
+
+
+def test_an_observation_states_how_it_mirrors(observing):
+    stated = observing('"trivial + sign"').symmetry
+    assert str(stated.groups["actor"]["base_forward_and_lateral"]) == "1 trivial + 1 sign"
+
+
+def test_an_observation_that_states_its_length_alone_needs_an_entry_in_the_table(observing):
+    with pytest.raises(SpecError, match="field 'base_forward_and_lateral' has no representation"):
+        observing("2")
+    by_table = observing("2", "{base_forward_and_lateral: trivial + sign}")
+    assert by_table.symmetry == observing('"trivial + sign"').symmetry
+    with pytest.raises(SpecError, match=r"fields.base_forward_and_lateral: 'sign' has dimension 1, .* has 2"):
+        observing("2", "{base_forward_and_lateral: sign}")
 
 
 @pytest.mark.parametrize(

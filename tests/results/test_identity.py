@@ -225,6 +225,21 @@ def test_a_model_with_an_absolute_path_is_an_error_and_nothing_is_left(robot, tm
     assert not list(run.path.rglob("*"))
 
 
+@pytest.mark.parametrize("robot", ["k1_lite/baseline", "mini_home_field/equivariant"])
+def test_a_run_planned_by_the_shipped_files_has_the_identity_of_the_recorded_one(robot, tmp_path):
+    run = MEASURED / robot / "seed0"
+    folder = {"k1_lite": "lite", "mini_home_field": "mini"}[run.parents[1].name]
+    task, method = (
+        ROOT / f"tasks/{run.parents[1].name}.yaml",
+        ROOT / f"methods/{folder}/{run.parent.name}.yaml",
+    )
+    planned = load_trial(task, method)
+    assert identity_of(planned) == read_identity(run)
+    write_specs(RunDirectory(tmp_path / "run"), planned)
+    stored = (tmp_path / "run/specs/representations.yaml").read_bytes()
+    assert stored == (run / "specs/representations.yaml").read_bytes(), "in full"
+
+
 def test_recorded_runs_keep_their_identity():
     """What was recorded stays comparable: code may change, but not what a run is."""
     by_contents: dict[tuple[bytes, ...], Identity] = {}

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from kickbench.config.load import load
 from kickbench.config.method import RepresentationSpec
 from kickbench.errors import SpecError
-from kickbench.symmetry.field_table import FieldTable, field_table, resolve_expression
+from kickbench.symmetry.field_table import FieldTable, completed, field_table, resolve_expression
 from kickbench.symmetry.representation import (
     BY_NAME,
     REGULAR,
@@ -124,6 +124,21 @@ def test_a_representation_of_another_dimension_is_an_error(table):
     assert complaints(table, ("touch", 1)) == [
         "table.yaml:4:3: fields.touch: 'regular' has dimension 2, the field 'touch' has 1"
     ]
+
+
+def test_an_entry_of_the_table_wins_and_a_missing_one_is_what_the_term_states():
+    table = RepresentationSpec(fields={"ball": "sign", "unused": "trivial"}, actions="joints")
+    found = completed(table, {"touch": "regular", "ball": "trivial", "mine": 2, "joint_pos": "joints"})
+    texts = {"touch": "regular", "ball": "sign", "joint_pos": "joints", "unused": "trivial"}
+    assert list(found.fields.items()) == list(texts.items()), "in the order of the vector"
+    assert found.actions == "joints"
+    assert "mine" not in found.fields, "nothing states it"
+    assert completed(RepresentationSpec(), {"touch": "regular"}).fields == {"touch": "regular"}
+
+
+def test_a_full_table_stays_as_it_is_written():
+    table = RepresentationSpec(fields={"unused": "sign", "ball": "trivial", "touch": "regular"})
+    assert completed(table, {"touch": "trivial", "ball": "sign"}) is table
 
 
 def test_every_wrong_field_is_reported(table):
