@@ -140,8 +140,12 @@ VALUE, METRIC = "value: {condition: baseline}", "metric: success_rate"
         ("seeds: [0, 1]", f"seeds: [0]\nevaluation: {{transfer: [{ROOT}/tasks/mini_general.yaml]}}",
          "x.yaml:3:14: evaluation.transfer: the condition baseline is trained on mini_general, and evaluated on it "
          "anyway"),
+        ("at_least, metric: success_rate, value: {condition: baseline}, bound: 0.5",
+         "less_than, metric: success_rate, seeds: each, value: {condition: baseline}, than: {condition: other}",
+         "x.yaml:8:60: claims.c.seeds: each seed of two conditions is compared with that of the same number: their "
+         "seeds differ"),
     ],
-    ids=["condition", "side", "task", "termination", "reward", "not reported", "transfer"],
+    ids=["condition", "side", "task", "termination", "reward", "not reported", "transfer", "seeds"],
 )  # fmt: skip
 def test_what_does_not_fit_together_is_named(complaints, old, new, complaint):
     assert complaint in complaints(old, new)
