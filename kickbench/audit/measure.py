@@ -1,8 +1,8 @@
 """Measures from samples how the components of a vector transform, and names what was found.
 
-Given a vector in many states, and in their mirror images, every signed permutation is tried component by component:
-`image[i] = s * original[j]`. What is declared must fit, and nothing else may: where another entry fits as well, the
-states did not excite the component enough to decide.
+Given a vector in many states, and in their mirror images, every signed permutation is tried component by
+component: `image[i] = s * original[j]`. What is declared must fit, and nothing else may: where another entry
+fits as well, the states did not excite the component enough to decide.
 """
 
 from __future__ import annotations
@@ -157,7 +157,7 @@ def entry_name(representation: Representation, index: int, names: Sequence[str])
 def entry_contradiction(
     declared: Representation, measured: Representation, index: int, names: Sequence[str]
 ) -> str:
-    """Words what is wrong with one entry."""
+    """Describes what is wrong with one entry."""
     said, seen = (entry_name(table, index, names) for table in (declared, measured))
     return f"{names[index]} declared {said}; measured: {seen}"
 
@@ -165,7 +165,7 @@ def entry_contradiction(
 def contradiction(
     found: Measurement, own: Mapping[str, Representation], components: Sequence[str] | None = None
 ) -> str:
-    """Words what is wrong: what was declared and what was measured.
+    """Describes what is wrong: what was declared and what was measured.
 
     Args:
         found: A measurement with wrong components.

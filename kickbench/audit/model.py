@@ -1,4 +1,4 @@
-"""Check 2: a robot's geometry, masses, limits and gains against their mirror images, and its joint table too."""
+"""Check 2: a robot's geometry, masses, limits, gains and joint table against their mirror images."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def _exclusions(derivation: Derivation) -> Row:
 
 
 def _speakers(matches: Sequence[Match], elements: Sequence[Element]) -> Iterator[tuple[Match, Element]]:
-    """Parts in the model's order; the first of a pair speaks for both."""
+    """Parts in the model's order; of a pair only the first."""
     places = {element.name: place for place, element in enumerate(elements)}
     for place, (match, element) in enumerate(zip(matches, elements, strict=True)):
         if match.partner is None or place <= places[match.partner]:
@@ -137,8 +137,8 @@ def _compare(
 
 
 def _anchor_error(joint: Element, partner: Element) -> float:
-    """Distance between a hinge's anchor and its partner's image, m; along the axis it is of no account."""
-    if joint.by_name["axis"].law == "polar":  # a slide's anchor is of no account at all
+    """Distance between a hinge's anchor and its partner's image across the axis, m."""
+    if joint.by_name["axis"].law == "polar":  # the anchor of a slide has no effect
         return 0.0
     apart, axis = joint.get("anchor") - _REFLECTION @ partner.get("anchor"), joint.get("axis")
     return float(np.linalg.norm(apart - (apart @ axis) * axis))
