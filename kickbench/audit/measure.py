@@ -100,7 +100,7 @@ def representation_of(fits: np.ndarray, preferred: Representation) -> Representa
         if i in entries:
             continue
         own = preferred.permutation[i], preferred.signs[i]
-        # A component of its own is the simpler explanation of a pair of constants.
+        # Two constants fit as a pair and as single components: single ones are the simpler explanation.
         options = [own, (i, 1), (i, -1), *((j, s) for j in range(size) if j != i for s in (1, -1))]
         pick = next((o for o in options if o[0] not in entries and _both_fit(fits, i, *o)), None)
         if pick is None:

@@ -120,7 +120,7 @@ def _compare(
         error = quantity.error(other, _REFLECTION, match.sign or 1)
         relative = quantity.relative_error(other, _REFLECTION, match.sign or 1)
         if quantity.name == "axis":
-            # That the reflected axis is the opposite one is what a sign of its own means.
+            # The axis may also be reversed: the joint's declared sign accounts for that.
             opposite = replace(quantity, value=-quantity.value)
             error = relative = min(error, opposite.error(other, _REFLECTION))
         elif quantity.name == "anchor":

@@ -215,7 +215,7 @@ class _Stage:
 
 
 def room_of(engine: Engine) -> RoomFigures | None:
-    """Use of an engine's room since it was last asked; None if it has no limit."""
+    """Use of an engine's room since the last call; None if it has no limit."""
     load = engine.take_load()
     if load is None:
         return None
@@ -228,7 +228,7 @@ def _memory(device: torch.device) -> dict[str, int]:
     figures = {"memory": unit * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss}
     if device.type == "cuda":
         free, total = torch.cuda.mem_get_info(device)
-        # Warp allocates by itself; only the driver knows everything.
+        # Warp allocates its own memory; only the driver knows the total.
         figures |= {"torch on the GPU": torch.cuda.max_memory_allocated(device), "GPU in use": total - free}
     return figures
 

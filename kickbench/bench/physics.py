@@ -59,7 +59,7 @@ class EnginePhysics:
         self._step = recorded_call(engine, lambda: engine.step(self._target))
 
     def prepare(self, actions: list[Tensor]) -> Callable[[], None]:
-        """The call that makes the control steps of actions, from the environment's present state."""
+        """The call that makes the control steps of actions, from the environment's current state."""
         env = self._env
         everywhere = torch.ones(env.num_envs, dtype=torch.bool, device=env.device)
         self._engine.reset(everywhere, env.engine.qpos, env.engine.qvel)

@@ -183,7 +183,7 @@ def _gpus() -> list[str]:
 
 
 def _drawing() -> str:
-    """The OpenGL platform that works, or why none does. In a process of its own: some drivers end it."""
+    """The OpenGL platform that works, or why none does. In a separate process, which some drivers end."""
     command = [sys.executable, "-c", _DRAW]
     try:
         done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=_SECONDS)

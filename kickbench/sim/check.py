@@ -30,7 +30,7 @@ _FREE = mujoco.mjtJoint.mjJNT_FREE
 
 
 def read_robot(robot: Loaded[RobotSpec]) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
-    """Reads and compiles a robot's MJCF by itself, and checks that a scene can be made of it.
+    """Reads and compiles a robot's MJCF alone, and checks that a scene can be made of it.
 
     Raises:
         SpecError: The MJCF cannot be read or compiled, lacks a name, or has what no scene can carry over.
@@ -158,7 +158,7 @@ def _drive_problems(robot: Loaded[RobotSpec]) -> Iterator[Problem]:
             yield robot.document.problem(("actuators", name, "joint"), what)
 
 
-# What a scene carries over from the MJCF: nothing of it may vanish, so what cannot be is refused by name
+# What a scene keeps of the MJCF: nothing may get lost silently, so what it cannot keep is an error
 
 
 def _lost(spec: mujoco.MjSpec) -> Iterator[str]:
@@ -201,7 +201,7 @@ def _name(part: mujoco.MjsElement, index: int) -> str:
 
 
 def differences(native: mujoco.MjModel, scene: mujoco.MjModel) -> Iterator[str]:
-    """In what the robot of a compiled scene differs from the robot by itself, drives and visuals excepted.
+    """Differences between the robot of a compiled scene and the robot alone, except drives and visuals.
 
     Args:
         native: The robot's MJCF, compiled by itself.
@@ -233,7 +233,7 @@ def differences(native: mujoco.MjModel, scene: mujoco.MjModel) -> Iterator[str]:
             yield f"the {name} of the body '{body}' is {by_itself} by itself, {in_scene} in a scene"
 
 
-# The start
+# The default pose
 
 
 def check_start(robot: Loaded[RobotSpec], model: mujoco.MjModel, layout: SceneLayout) -> list[Problem]:

@@ -42,12 +42,12 @@ class ModelField:
 
 @dataclass(frozen=True)
 class EngineLoad:
-    """Use of an engine's room for contacts and constraints since it was last asked.
+    """Use of an engine's room for contacts and constraints since the last call.
 
     Attributes:
-        contacts: Most contacts in a substep, an env on average.
+        contacts: Most contacts in a substep, per env on average.
         constraints: Most constraint rows of any env in a substep.
-        contact_room: Contacts there is room for, an env on average.
+        contact_room: Contacts there is room for, per env on average.
         constraint_room: Constraint rows there is room for in every env.
         short_share: Share of the control steps, over all envs, in which something did not fit.
     """

@@ -104,7 +104,7 @@ class WarpEngine(Engine):
 
     @contextmanager
     def _on_stream(self) -> Iterator[wp.Stream | None]:
-        """Lets warp work on torch's present stream, so that both keep one order."""
+        """Lets warp work on torch's current stream, so that both keep one order."""
         if self.device.type == "cpu":
             with wp.ScopedDevice("cpu"):
                 yield None
@@ -151,7 +151,7 @@ class WarpEngine(Engine):
         torch.logical_not(squares < HUGE**2, out=self.failed)
 
     def _sense_frames(self) -> None:
-        """Evaluates the frame sensors in the present states."""
+        """Evaluates the frame sensors in the current states."""
         model, data = self._model.frames, self._data
         mjw.kinematics(model, data)
         mjw.com_pos(model, data)
@@ -214,7 +214,7 @@ class DeviceModel:
     """
 
     def __init__(self, model: mujoco.MjModel, num_envs: int) -> None:
-        """Copies the model to warp's present device.
+        """Copies the model to warp's current device.
 
         Raises:
             KickbenchError: mujoco_warp lacks a feature of the model.

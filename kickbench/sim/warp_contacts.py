@@ -40,7 +40,7 @@ class Capacity:
     """Room of an engine.
 
     Attributes:
-        contacts: Contacts an env, on average over the envs, which share them.
+        contacts: Contacts per env, on average over the envs, which share them.
         constraints: Constraint rows of every env.
         allowed_share: Largest share of the control steps that may run short of either.
     """
@@ -114,7 +114,7 @@ class LoadWatch:
     """Watches on the device how much room the envs use; the host looks at it once in a while."""
 
     def __init__(self, capacity: Capacity, num_envs: int) -> None:
-        """Allocates the counters on warp's present device."""
+        """Allocates the counters on warp's current device."""
         self.capacity = capacity
         self._num_envs = num_envs
         self._contacts, self._steps = wp.zeros(1, dtype=wp.int32), wp.zeros(1, dtype=wp.int32)
@@ -256,7 +256,7 @@ class ContactLatch:
     def __init__(
         self, model: mujoco.MjModel, num_envs: int, decimation: int, contact_forces: Sequence[int]
     ) -> None:
-        """Makes the table of geom pairs on warp's present device.
+        """Makes the table of geom pairs on warp's current device.
 
         Args:
             model: Compiled model, its contact sensors after all others: `found`, or `found` and the net
