@@ -33,8 +33,9 @@ from kickbench.trials.trial import Symmetry, Trial
 _EXACT = 1e-6
 """Relative velocity error of a step that mirrors exactly."""
 _SHARE, _MOST = 0.8, 0.99
-"""Share of steps that must mirror exactly, and share that must do so within `_LOOSE`. MuJoCo finds contacts between
-convex shapes by iteration, which is not mirror-symmetric to the last digit; where they press hard, that shows."""
+"""Share of steps that must mirror exactly, and share that must do so within `_LOOSE`. MuJoCo finds contacts
+between convex shapes by iteration, which is not mirror-symmetric to the last digit; where they press hard,
+that shows."""
 _LOOSE = 1e-3
 """Relative velocity error."""
 _FIELD, _REWARD = 1e-5, 1e-4
@@ -128,7 +129,7 @@ def _joint_rows(recording: Recording, declared: Image, exact: np.ndarray, scale:
 
 
 def _motion_row(name: str, errors: np.ndarray, scale: float, unit: str, moved: np.ndarray) -> Row:
-    """Judges all steps; the row has the error that 99 % of them keep within, or 80 % where that is what fails."""
+    """Judges all steps; the row has the 99 % quantile of the errors, or the 80 % quantile if that fails."""
     off, peak = errors.max(axis=1), float(np.abs(moved).max(initial=0.0))
     typical, error = (float(np.quantile(off, q)) if len(off) else 0.0 for q in (_SHARE, _MOST))
     tolerance = _LOOSE * scale
@@ -182,7 +183,7 @@ def _actuator_rows(recording: Recording, actions: Representation) -> Iterator[Ro
         yield Row("dynamics", f"action {name}", verdict, error, _RESPONSE, "", excited, detail)
 
 
-# Checks 4 and 5: what terms say of a state's mirror image
+# Checks 4 and 5: the values of terms in a state and in its mirror image
 
 
 def _field_rows(recording: Recording, symmetry: Symmetry, declared: Image) -> Iterator[Row]:
@@ -229,9 +230,12 @@ def _unit(pairs: Pairs) -> str:
 
 
 def _idle(original: np.ndarray, found: Measurement, names: Sequence[str]) -> str:
-    """Words which components prove nothing."""
+    """Names the components for which the states prove nothing."""
     zero = np.abs(original).max(axis=0) == 0.0
-    groups = {"zero in every state": zero & ~found.proven, "not told from others": ~zero & ~found.proven}
+    groups = {
+        "zero in every state": zero & ~found.proven,
+        "not distinguished from others": ~zero & ~found.proven,
+    }
     parts = [(what, [names[int(i)] for i in np.flatnonzero(mask)]) for what, mask in groups.items()]
     return "; ".join(f"{', '.join(which)} {what}" for what, which in parts if which)
 
@@ -246,7 +250,7 @@ def _term_row(kind: str, pairs: Pairs, relative: float) -> Row:
     mine, theirs = pairs.original, pairs.image
     off, peak = np.abs(mine - theirs), float(np.abs(mine).max(initial=0.0))
     error, tolerance = float(off.max(initial=0.0)), relative * max(peak, _REWARD)
-    # NaN compares false, and is no agreement.
+    # A comparison with NaN is false, so NaN counts as a violation.
     verdict = verdict_of(wrong=not error <= tolerance, excited=peak != 0.0)
     odd = f"{int((~(off <= tolerance)).sum())} of {len(mine)} states"
     details = {

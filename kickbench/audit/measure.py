@@ -1,8 +1,8 @@
 """Measures from samples how the components of a vector transform, and names what was found.
 
-Given a vector in many states, and in their mirror images, every signed permutation is tried component by component:
-`image[i] = s * original[j]`. What is declared must fit, and nothing else may: where another entry fits as well, the
-states did not excite the component enough to decide.
+Given a vector in many states, and in their mirror images, every signed permutation is tried component by
+component: `image[i] = s * original[j]`. What is declared must fit, and nothing else may: where another entry
+fits as well, the states did not excite the component enough to decide.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ def representation_of(fits: np.ndarray, preferred: Representation) -> Representa
         if i in entries:
             continue
         own = preferred.permutation[i], preferred.signs[i]
-        # A component of its own is the simpler explanation of a pair of constants.
+        # Two constants fit as a pair and as single components: single ones are the simpler explanation.
         options = [own, (i, 1), (i, -1), *((j, s) for j in range(size) if j != i for s in (1, -1))]
         pick = next((o for o in options if o[0] not in entries and _both_fit(fits, i, *o)), None)
         if pick is None:
@@ -157,7 +157,7 @@ def entry_name(representation: Representation, index: int, names: Sequence[str])
 def entry_contradiction(
     declared: Representation, measured: Representation, index: int, names: Sequence[str]
 ) -> str:
-    """Words what is wrong with one entry."""
+    """Describes what is wrong with one entry."""
     said, seen = (entry_name(table, index, names) for table in (declared, measured))
     return f"{names[index]} declared {said}; measured: {seen}"
 
@@ -165,7 +165,7 @@ def entry_contradiction(
 def contradiction(
     found: Measurement, own: Mapping[str, Representation], components: Sequence[str] | None = None
 ) -> str:
-    """Words what is wrong: what was declared and what was measured.
+    """Describes what is wrong: what was declared and what was measured.
 
     Args:
         found: A measurement with wrong components.

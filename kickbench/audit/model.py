@@ -1,4 +1,4 @@
-"""Check 2: a robot's geometry, masses, limits and gains against their mirror images, and its joint table too."""
+"""Check 2: a robot's geometry, masses, limits, gains and joint table against their mirror images."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def _exclusions(derivation: Derivation) -> Row:
 
 
 def _speakers(matches: Sequence[Match], elements: Sequence[Element]) -> Iterator[tuple[Match, Element]]:
-    """Parts in the model's order; the first of a pair speaks for both."""
+    """Parts in the model's order; of a pair only the first."""
     places = {element.name: place for place, element in enumerate(elements)}
     for place, (match, element) in enumerate(zip(matches, elements, strict=True)):
         if match.partner is None or place <= places[match.partner]:
@@ -120,7 +120,7 @@ def _compare(
         error = quantity.error(other, _REFLECTION, match.sign or 1)
         relative = quantity.relative_error(other, _REFLECTION, match.sign or 1)
         if quantity.name == "axis":
-            # That the reflected axis is the opposite one is what a sign of its own means.
+            # The axis may also be reversed: the joint's declared sign accounts for that.
             opposite = replace(quantity, value=-quantity.value)
             error = relative = min(error, opposite.error(other, _REFLECTION))
         elif quantity.name == "anchor":
@@ -137,8 +137,8 @@ def _compare(
 
 
 def _anchor_error(joint: Element, partner: Element) -> float:
-    """Distance between a hinge's anchor and its partner's image, m; along the axis it is of no account."""
-    if joint.by_name["axis"].law == "polar":  # a slide's anchor is of no account at all
+    """Distance between a hinge's anchor and its partner's image across the axis, m."""
+    if joint.by_name["axis"].law == "polar":  # the anchor of a slide has no effect
         return 0.0
     apart, axis = joint.get("anchor") - _REFLECTION @ partner.get("anchor"), joint.get("axis")
     return float(np.linalg.norm(apart - (apart @ axis) * axis))

@@ -1,4 +1,4 @@
-"""Records real states and their mirror images: what every term says of both, and how both go on."""
+"""Records states and their mirror images: the value of every term in both, and the next step of both."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ from kickbench.symmetry.mirror import Image, mirror_actions, mirror_qpos, mirror
 from kickbench.symmetry.torch_ops import Mirror
 
 _ENVS, _STEPS = 128, 32
-"""Most envs, and steps of each that they are traded for: a fall takes its time."""
+"""Largest number of envs, and least number of steps of each (a fall takes many steps)."""
 _KINDS = 24
-"""Envs that it takes to have every kind of start with every kind of action."""
+"""Number of envs that combines every kind of initial state with every kind of action."""
 _LYING = 15
 """Steps for which envs of one kind go on after their episode's end."""
 
@@ -61,14 +61,16 @@ class Reflection:
 
 
 def reflection_of(task: CompiledTask, derivation: Derivation) -> Reflection:
-    """What states are mirrored with: the geometry's reflection, or the declared one where it makes no sense."""
+    """The reflection for states: derived from the geometry, or the declared one if that is inconsistent."""
     declared, derived = task.robot.spec.symmetry.image(), derivation.image
-    # A joint whose image does not follow from the geometry keeps its declared partner, unless that is another's.
+    # A joint whose image does not follow from the geometry keeps its declared partner, unless another
+    # joint has that partner.
     kept = {j: (p, s) if p not in derived else (j, 1) for j, (p, s) in declared.items()}
     try:
         return Reflection.of(task, {**kept, **derived})
     except (KeyError, ValueError):
-        # The geometry pairs a driven joint with an undriven one, or gives no involution: check 2 reports that.
+        # Check 2 reports this: the geometry pairs a joint that has an actuator with one that has none, or
+        # gives no involution.
         return Reflection.of(task, declared)
 
 
@@ -122,10 +124,11 @@ class Recording:
         rewards: Reward terms, unweighted.
         terminations: Termination terms, as 0 and 1.
         touches: Contact channels one step later: whether anything touched; the original's already reflected.
-        forces: Force channels one step later, summed over their parts [N, 3]; the original's already reflected.
+        forces: Force channels one step later, summed over their parts [N, 3]; the original's already
+            reflected.
         velocity: Velocities one step later, the original's [N, nv] and the image's.
-        response: Effect of a unit action of every actuator on the velocities, [S, nu, nv]; in the mirror image, of
-            a unit action and of its opposite [S, 2 nu, nv].
+        response: Effect of a unit action of every actuator on the velocities, [S, nu, nv]; in the mirror
+            image, of a unit action and of its opposite [S, 2 nu, nv].
         coverage: What happened: "with ball contact" -> number of states.
     """
 
@@ -184,7 +187,7 @@ def record(
         task: Compiled task.
         reflection: What to mirror states with.
         states: Number of states; rounded up to whole steps of all envs.
-        seed: Seed of starts, actions and randomisation.
+        seed: Seed of initial states, actions and randomisation.
         threads: Physics threads.
         policy: Drives half of the envs.
     """
@@ -200,16 +203,16 @@ class _Recorder:
         self.recording = Recording.begun(task, reflection)
         actions = len(task.scene.layout.actuator_names)
         envs = max(min(_ENVS, states // _STEPS), _KINDS, 2 * actions + 1)
-        starts = VariedStarts(task, seed)
+        initial = VariedStarts(task, seed)
         self.env, self.other = (
             KickEnv(
-                task, make_engine(task, envs, num_threads=threads), seed, noise=False, initial_states=starts
+                task, make_engine(task, envs, num_threads=threads), seed, noise=False, initial_states=initial
             )
             for _ in range(2)
         )
         self.actions = VariedActions(envs, actions, seed)
         self.draws = torch.Generator().manual_seed(seed)
-        # Thrown robots are followed until they lie.
+        # Thrown robots are followed until they lie on the floor.
         self.patience = torch.where(torch.arange(envs) % 4 == 3, _LYING, 0)
         self.over = torch.zeros(envs, dtype=torch.int64)
 
@@ -226,7 +229,7 @@ class _Recorder:
             other.advance(self.reflection.actions(actions))
             keep = ~(env.engine.failed | other.engine.failed)
             self._note_motion(keep)
-            # The very same instant, mirrored: terms are judged on it whatever the dynamics did.
+            # Terms are judged on exactly mirrored states, whatever error the dynamics made.
             other.restore(self.reflection(env.snapshot()))
             self._note_terms(state, other.state(), keep)
             ended = torch.stack([bound(state) for bound in self.task.terminations], dim=1).any(dim=1)
@@ -267,7 +270,7 @@ class _Recorder:
             recording.count("with the body on the floor", state.body_floor_contact & keep)
 
     def _measure_response(self) -> None:
-        """Steps envs that differ in one actuator's command, and their mirror images with either sign of it."""
+        """Steps envs that differ in one actuator's command, and their mirror images with both signs of it."""
         env, other, actions = self.env, self.other, self.env.num_actions
         count = 2 * actions + 1
         commands = torch.cat([torch.eye(actions), -torch.eye(actions), torch.zeros(1, actions)])
@@ -289,7 +292,7 @@ class _Recorder:
 
 
 def _field_pairs(task: CompiledTask) -> tuple[Pairs, ...]:
-    """One entry a field; a field that two groups have with other parameters has one for each."""
+    """One entry per field; a field that two groups have with different parameters has two."""
     found: dict[str, Pairs] = {}
     for group, fields in task.groups.items():
         for item in fields:

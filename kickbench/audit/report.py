@@ -8,8 +8,9 @@ from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
 Verdict = Literal["ok", "FAIL", "never excited", "partly excited", "by design", "measured", "not compared"]
-"""`never excited`: nothing contradicts the declaration, but every state left the quantity at zero, so nothing proves
-it; `partly excited`: so for some components; `by design`: asymmetric, and meant to be; `measured`: not claimed."""
+"""`never excited`: nothing contradicts the declaration, but every state left the quantity at zero, so nothing
+proves it; `partly excited`: the same for some components; `by design`: asymmetric, and meant to be;
+`measured`: nothing was declared."""
 
 
 def verdict_of(*, wrong: bool, excited: bool = True) -> Verdict:
@@ -36,8 +37,8 @@ class Row:
         check: Key of `CHECKS`.
         name: Field, term, joint, body, ...
         verdict: See `Verdict`.
-        error: Worst error, in `unit`; of motions the error that 99 % of the steps keep within; None where there is
-            nothing to measure.
+        error: Worst error, in `unit`; of motions the error that 99 % of the steps keep within; None where
+            there is nothing to measure.
         tolerance: What is allowed.
         unit: Unit of both.
         excited: How much the quantity took part.
@@ -88,7 +89,7 @@ class Report:
 
     @property
     def conclusion(self) -> str:
-        """One line: the first thing that is wrong, in plain words, or that nothing is."""
+        """One line: the first thing that is wrong, in plain words, or that nothing is wrong."""
         failures = self.failures
         if failures:
             first = failures[0]
@@ -96,7 +97,7 @@ class Report:
             return f"{first.name}: {first.detail or 'beyond tolerance'}{more}"
         unproven = [row.name for row in self.rows if row.verdict in ("never excited", "partly excited")]
         proven = "no row fails"
-        return f"{proven}; not proven, for want of excitation: {', '.join(unproven)}" if unproven else proven
+        return f"{proven}; not proven, never or partly excited: {', '.join(unproven)}" if unproven else proven
 
     def as_json(self) -> dict[str, Any]:
         """The report as plain data; infinities become null."""

@@ -43,7 +43,7 @@ def audit(
         table: Path of a method or a representation table; default: the run's, else the standard table.
         run: Run directory of a policy.
         states: Number of states.
-        seed: Seed of starts, actions and randomisation.
+        seed: Seed of initial states, actions and randomisation.
         overrides: `key.path=value` texts for the task.
         threads: Physics threads.
 

@@ -1,8 +1,9 @@
-"""Where the audit's states come from: starts, counters and actions that bring about what episodes can bring.
+"""States for the audit: initial states, counters and actions that excite all that episodes can excite.
 
-A default pose proves little: with all lateral quantities at zero, wrong signs fit. So envs start as the task starts
-them, with the ball rolling against a foot, in random poses, and thrown; their counters and targets are such that every
-gate opens somewhere; and they move by noise of several sizes, held or fresh, and by swinging every joint.
+A default pose proves little: with all lateral quantities at zero, wrong signs fit. So envs begin in the
+task's own initial states, with the ball rolling against a foot, in random poses, and thrown. Their counters
+and targets open every gate in some env. Their actions are noise of several sizes, held or fresh, and swings
+of every joint.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ class _Draws:
 
 
 class VariedStarts:
-    """Starts of four kinds, one after the other: the task's own, ball at a foot, random pose, thrown."""
+    """Initial states of four kinds in turn: the task's own, ball at a foot, random pose, thrown."""
 
     def __init__(self, task: CompiledTask, seed: int) -> None:
         layout = task.scene.layout
@@ -46,14 +47,14 @@ class VariedStarts:
         self._base = next((c for c in layout.coordinates if c.free and c.name != "ball"), None)
 
     def __call__(self, mask: Tensor) -> InitialStates:
-        """A start for every world; the kind follows from its number, so that every kind comes back."""
-        starts = self._sampler.sample(len(mask))
-        qpos, qvel = starts.qpos.clone(), starts.qvel.clone()
+        """An initial state for every env; env i gets kind i mod 4."""
+        initial = self._sampler.sample(len(mask))
+        qpos, qvel = initial.qpos.clone(), initial.qvel.clone()
         kind = torch.arange(len(mask)) % 4
         self._roll_ball(qpos, qvel, kind == 1)
         self._pose(qpos, qvel, (kind == 2) | (kind == 3))
         self._throw(qpos, qvel, kind == 3)
-        return replace(starts, qpos=qpos, qvel=qvel)
+        return replace(initial, qpos=qpos, qvel=qvel)
 
     def _roll_ball(self, qpos: Tensor, qvel: Tensor, mask: Tensor) -> None:
         """The ball rolls towards one of the robot's low parts, which in the default pose are its feet."""
@@ -101,19 +102,20 @@ class VariedStarts:
 
 
 def vary_episodes(env: KickEnv, snapshot: Tensors, fresh: Tensor, draws: torch.Generator) -> Tensors:
-    """Sets counters, targets and actions of worlds whose episode has just begun, so that every gate opens somewhere.
+    """Sets counters, targets and actions of envs whose episode has just begun.
 
-    Half of them keep their counters; the others are past the contact window, with the target near the ball or far, or
-    shortly before the time limit. In every other one a push comes soon.
+    Every gate then opens in some env. Half of the envs keep their counters; the others are past the contact
+    window, with the target near the ball or far away, or shortly before the time limit. In every other env a
+    push comes soon.
     """
     spec, place = env.task.spec, env.task.scene.layout.ball_qpos
-    draw, worlds, episode = _Draws(draws), env.num_envs, snapshot.episode
-    kind = torch.randint(8, (worlds,), generator=draws)
+    draw, envs, episode = _Draws(draws), env.num_envs, snapshot.episode
+    kind = torch.randint(8, (envs,), generator=draws)
     late, near, ending = fresh & (kind < 3), fresh & (kind < 2), fresh & (kind == 3)
     window = spec.episode.contact_window
-    offset = draw.uniform(-1.0, 1.0, worlds, 2) * 2.0 * spec.evaluation.success_radius
+    offset = draw.uniform(-1.0, 1.0, envs, 2) * 2.0 * spec.evaluation.success_radius
     target = (snapshot.qpos[:, place : place + 2] + offset).float()
-    actions = 0.5 * draw.normal(2, worlds, env.num_actions)
+    actions = 0.5 * draw.normal(2, envs, env.num_actions)
     moved = (fresh & (kind < 4)).unsqueeze(1)
     episode.contact_count = torch.where(late, window + 1, episode.contact_count)
     episode.step = torch.where(ending, spec.episode.max_steps - 2, episode.step)
@@ -121,13 +123,13 @@ def vary_episodes(env: KickEnv, snapshot: Tensors, fresh: Tensor, draws: torch.G
     episode.action = torch.where(moved, actions[0], episode.action)
     episode.previous_action = torch.where(moved, actions[1], episode.previous_action)
     if "push" in snapshot:
-        soon = torch.randint(1, 20, (worlds,), generator=draws)
+        soon = torch.randint(1, 20, (envs,), generator=draws)
         snapshot.push.wait = torch.where(fresh & (kind % 2 == 0), soon, snapshot.push.wait)
     return snapshot
 
 
 class VariedActions:
-    """Actions of several kinds, one an env: none, noise of three sizes, held noise, and swings of every joint."""
+    """Actions of one kind per env: zero, noise of three sizes, held noise, swings of every joint."""
 
     _SIZES = (0.0, 0.3, 1.0, 3.0, 1.0, 2.0)
 

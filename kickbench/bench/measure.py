@@ -86,14 +86,14 @@ class _Unkept(Checkpoints):
 
 
 class Stopwatch:
-    """Seconds of variants that take turns, a round each."""
+    """Seconds of variants that are timed in turn, once per round."""
 
     def __init__(self, device: torch.device) -> None:
-        """Takes the device of the work; a GPU is waited for before each look at the clock."""
+        """Takes the device of the work; a GPU is synchronised before the clock is read."""
         self._device, self.seconds = device, defaultdict[str, list[float]](list)
 
     def time(self, name: str, call: Callable[[], object]) -> None:
-        """Calls, and notes how long it took."""
+        """Calls a function and records how long it took."""
         start = self._now()
         call()
         self.seconds[name].append(self._now() - start)
@@ -202,7 +202,7 @@ class _Stage:
             self._steps.step(action)
 
     def round(self) -> None:
-        """Times some control steps both ways, from the same states."""
+        """Times some control steps of both, from the same states."""
         actions = self._actions(_STEPS_PER_ROUND)
         physics = self._physics(actions)
         self.watch.time("physics alone", physics)
@@ -215,7 +215,7 @@ class _Stage:
 
 
 def room_of(engine: Engine) -> RoomFigures | None:
-    """Use of an engine's room since it was last asked; None if it has no limit."""
+    """Use of an engine's room since the last call; None if it has no limit."""
     load = engine.take_load()
     if load is None:
         return None
@@ -228,7 +228,7 @@ def _memory(device: torch.device) -> dict[str, int]:
     figures = {"memory": unit * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss}
     if device.type == "cuda":
         free, total = torch.cuda.mem_get_info(device)
-        # Warp allocates by itself; only the driver knows everything.
+        # Warp allocates its own memory; only the driver knows the total.
         figures |= {"torch on the GPU": torch.cuda.max_memory_allocated(device), "GPU in use": total - free}
     return figures
 
@@ -236,7 +236,7 @@ def _memory(device: torch.device) -> dict[str, int]:
 def profile_iteration(trial: Trial, device: str, threads: int) -> str:
     """Profiles an iteration of a training; a table of its parts and of torch's operations, the longest first.
 
-    It is one without CUDA graphs: what a graph replays has no parts.
+    The iteration runs without CUDA graphs, whose parts the profiler cannot see.
     """
     method = Iterations(trial, device, threads, graph=False)
     activities = [ProfilerActivity.CPU, *([ProfilerActivity.CUDA] if device.startswith("cuda") else [])]

@@ -22,23 +22,23 @@ from kickbench.sim.engine import Engine
 def physics_alone(env: KickEnv, threads: int) -> Callable[[list[Tensor]], Callable[[], None]]:
     """The reference of the environment's step.
 
-    On the CPU that is `mujoco.rollout` as it is, without the engine's sensing and latching, from the states in which
-    the environment's control steps begin and with the controls, delays and pushes that they apply; all envs have
-    the compiled model, whatever the environment varies. On a GPU it is the engine, whose step is one graph, with the
-    actions' own targets.
+    On the CPU that is `mujoco.rollout` as it is, without the engine's sensing and latching, from the states
+    in which the environment's control steps begin and with the controls, delays and pushes that they apply;
+    all envs have the compiled model, whatever the environment varies. On a GPU it is the engine, whose step
+    is one graph, with the actions' own targets.
 
     Args:
         env: The environment, as it was made: no step taken yet.
         threads: Its physics threads.
 
     Returns:
-        Given the actions of the next control steps, makes the call that repeats their physics alone, before the
-        environment takes them. It needs all of its actions.
+        Given the actions of the next control steps, makes the call that repeats their physics alone, before
+        the environment takes them. It needs all of its actions.
     """
     engine = make_engine(env.task, env.num_envs, str(env.device), num_threads=threads)
     if not isinstance(engine, CpuEngine):
         return EnginePhysics(env, engine).prepare
-    # It does what the environment will do, as they share the seed.
+    # It does what the environment will do: both have the same seed.
     twin = KickEnv(env.task, engine, seed=env.generator.initial_seed())
     raw = _RawPhysics(env.task.scene.model, env.task.spec.simulation.decimation, threads)
 
@@ -59,7 +59,7 @@ class EnginePhysics:
         self._step = recorded_call(engine, lambda: engine.step(self._target))
 
     def prepare(self, actions: list[Tensor]) -> Callable[[], None]:
-        """The call that makes the control steps of actions, from the environment's present state."""
+        """The call that makes the control steps of actions, from the environment's current state."""
         env = self._env
         everywhere = torch.ones(env.num_envs, dtype=torch.bool, device=env.device)
         self._engine.reset(everywhere, env.engine.qpos, env.engine.qvel)

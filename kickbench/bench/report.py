@@ -1,7 +1,7 @@
 """The figures of `kickbench bench`: its JSON file, and its tables for people.
 
-A step is one control step of one env. Ratios are medians over rounds of the ratio within a round: they hold on a
-machine whose speed drifts, which absolute figures do not.
+A step is one control step of one env. Ratios are medians over rounds of the ratio within a round: they are
+valid on a machine whose speed drifts, absolute figures are not.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Timing(Record):
 
 
 class RoomFigures(Record):
-    """How an engine with limited room for contacts and constraints got by, under random actions."""
+    """How much of an engine's room for contacts and constraints random actions used."""
 
     contacts: NonNegativeFloat = Field(description="most contacts in a substep, an env on average")
     contact_room: PositiveInt = Field(description="contacts there is room for, an env on average")

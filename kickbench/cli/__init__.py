@@ -39,7 +39,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         code = _call(_spread(list(sys.argv[1:] if argv is None else argv)))
         if sys.stdout is not None:
-            sys.stdout.flush()  # while there is still someone to handle a full disk
+            sys.stdout.flush()  # here, where the error of a full disk is still handled
         return code
     except KeyboardInterrupt:
         _report("interrupted")
@@ -99,7 +99,7 @@ def _spread(argv: list[str]) -> list[str]:
 
 
 def _fault(error: Exception) -> str | None:
-    """What the user or the system did wrong, in one line; None for a defect of kickbench: its traceback is wanted."""
+    """The fault of the user or the system, in one line; None: a defect of kickbench, shown as a traceback."""
     if isinstance(error, KickbenchError):
         return printable(str(error))
     if isinstance(error, OSError):
@@ -110,7 +110,8 @@ def _fault(error: Exception) -> str | None:
     # torch's and MuJoCo's own errors, known by their names: importing them takes seconds.
     kind, text = type(error).__name__, " ".join(str(error).split())
     if isinstance(error, MemoryError) or kind == "OutOfMemoryError" or any(t in text for t in _NO_MEMORY):
-        return f"not enough memory: {text[:200] or 'the system gives no more'}; --num-envs takes fewer environments"
+        reason = text[:200] or "the system gives no more"
+        return f"not enough memory: {reason}; --num-envs takes fewer environments"
     return f"MuJoCo: {text}" if kind == "FatalError" else None
 
 
@@ -121,7 +122,7 @@ def _report(text: str) -> None:
 
 
 def _mute(*streams: TextIO | None) -> None:
-    """What is still buffered goes nowhere: the interpreter would fail on it once more when it ends."""
+    """Discards what is still buffered, on which the interpreter would fail again when it ends."""
     for stream in streams:
         with suppress(OSError, ValueError, AttributeError):
             assert stream is not None

@@ -58,8 +58,8 @@ def verb(
 ) -> Callable[[Callable[..., int | None]], Callable[..., int | None]]:
     """Makes a function a verb: its docstring is the help, its parameters are the arguments.
 
-    It returns its exit code, or nothing for 0. What takes long to import is imported in the function: every verb is
-    defined whenever one of them is called.
+    It returns its exit code, or nothing for 0. Slow imports belong in the function, since
+    every verb is defined whenever one of them is called.
 
     Args:
         panel: The group in `kickbench --help`.
@@ -226,7 +226,8 @@ Json = Annotated[bool, option("Print JSON.", "--json", default=...)]
 Scale = Annotated[
     float | None,
     option(
-        "Shrink iterations and evaluation episodes (100 a side at least) by this factor, below 1; marked in results.",
+        "Shrink iterations and evaluation episodes (100 a side at least) by this factor, below 1; "
+        "marked in results.",
         default=...,
         metavar="S",
         parser=number(0, 1),

@@ -86,7 +86,7 @@ def bench(
     threads = threads or usable_cores()
     default = [_DEFAULT_ENVS] if cli.override_of(overrides, _NUM_ENVS) is None else []
     sizes = [[f"{_NUM_ENVS}={number}"] for number in num_envs or default] or [[]]
-    # All at first: a wrong file is an error before anything is measured.
+    # All of them first: a wrong file is an error before anything is measured.
     chosen = [_trials(file, methods, [*overrides, *size]) for size in sizes]
     if json:
         check_writable(json)
@@ -138,13 +138,13 @@ def _broken() -> dict[str, str]:
     for package, module in _NEEDED.items():
         try:
             import_module(module)
-        except Exception as error:  # a library that does not load fails in ways of its own
+        except Exception as error:  # a library that does not load may raise anything
             reasons[package] = " ".join(str(error).split()) or type(error).__name__
     return reasons
 
 
 def _devices() -> tuple[list[tuple[str, str]], str]:
-    """What there is to say of processor and graphics cards, and what can be used of them."""
+    """Rows about processor and graphics cards, and what can be used of them."""
     import torch
 
     from kickbench.envs.graph import graph_obstacle
@@ -183,7 +183,7 @@ def _gpus() -> list[str]:
 
 
 def _drawing() -> str:
-    """The OpenGL platform that works, or why none does. In a process of its own: some drivers end it."""
+    """The OpenGL platform that works, or why none does. In a separate process, which some drivers end."""
     command = [sys.executable, "-c", _DRAW]
     try:
         done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=_SECONDS)
@@ -196,7 +196,7 @@ def _drawing() -> str:
 
 
 def _waiting(environment: Mapping[str, str]) -> str:
-    """What torch's threads do while they have no work: kickbench asks for passive waiting where nothing is set."""
+    """What torch's threads do while they have no work; by default kickbench asks for passive waiting."""
     if "GOMP_SPINCOUNT" in environment:
         return f"spin: GOMP_SPINCOUNT={environment['GOMP_SPINCOUNT']}"
     policy = environment.get("OMP_WAIT_POLICY", "not set")

@@ -69,7 +69,7 @@ def claims(
     if power:
         print(rates_table(loaded))
         return 0
-    # Without a folder nothing was measured yet, which is a result; a folder that was typed should be there.
+    # A missing default folder means that nothing is measured yet; a folder that the user names must exist.
     if folder and not folder.is_dir():
         raise KickbenchError(f"{folder}: no such folder")
     measured = load_runs(folder or loaded.document.file.parent.parent / "measured" / loaded.name, loaded)

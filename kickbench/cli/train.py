@@ -24,9 +24,9 @@ CONDITIONS = ("baseline", "augmentation", "equivariant")
 _FILM = ("baseline", "equivariant")
 _FILM_SIZE, _EPISODES = (320, 240), 2
 _NOTHING = 0.01
-"""Success that may be lost and still count as nothing lost."""
+"""Largest loss of success that counts as none."""
 _LEARNED = 0.05
-"""Success below which nothing is said of the other side."""
+"""Success below which no statement about the other side is made."""
 
 
 @cli.verb("Train", "run mini_home_field equivariant --seed 1")
@@ -86,7 +86,7 @@ def run(
 @cli.verb("Train", "reproduce mini_home_field --seeds 0 1 --jobs 2")
 def reproduce(
     experiment: cli.Experiment,
-    only: list[str] = cli.option("This condition only; may be repeated.", metavar="ARM", default=[]),
+    only: list[str] = cli.option("This condition only; may be repeated.", metavar="CONDITION", default=[]),
     seeds: list[int] = cli.count(
         "Seeds: one or more numbers (default: the experiment's).", least=0, metavar="K...", default=[]
     ),
@@ -290,7 +290,7 @@ def _states(root: Path, record: PlanRecord | None) -> Iterator[tuple[str, RunSta
 
 
 def _remarks(frame: pd.DataFrame, path: Path) -> list[str]:
-    """Damage of a run's results on transfer tasks, episodes that became non-finite, and what the run repeats."""
+    """Damaged results on transfer tasks, episodes with NaN or infinity, and which run this one repeats."""
     from kickbench.results.notes import repeat_lines
     from kickbench.results.tables import non_finite_note
 

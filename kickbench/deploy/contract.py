@@ -35,7 +35,7 @@ class Observation(Spec):
     units: str
     """Unit of the value."""
     frame: Frame | None
-    """Frame of a vector: that of the body `base`, or the world's; null: it is no vector."""
+    """Frame of a vector: that of the body `base`, or the world's; null: not a vector."""
     components: NameList
     """What the numbers are: axes, sides, joints or actuators."""
     offset: FloatList

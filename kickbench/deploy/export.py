@@ -47,7 +47,8 @@ def export(
         The folder.
 
     Raises:
-        KickbenchError: The run has no policy or is damaged, a policy is in the way, or a library is missing.
+        KickbenchError: The run has no policy or is damaged, the folder has one already, or a library is
+            missing.
     """
     require("onnx", "an export", "deploy")
     loaded = load_run(run)
@@ -69,7 +70,7 @@ def onnx_bytes(policy: TrainedPolicy, contract: Contract) -> bytes:
     module, buffer = policy.network.as_onnx(verbose=False).eval(), cast(Any, io.BytesIO())
     example, name = torch.zeros(1, policy.network.obs_dim), contract.input
     with warnings.catch_warnings():
-        # The exporter that torch prefers since 2.9 writes operators that runtimes before 2022 cannot read.
+        # The default exporter since torch 2.9 writes operators that runtimes before 2022 cannot read.
         warnings.simplefilter("ignore", DeprecationWarning)
         torch.onnx.export(
             module, (example,), buffer, input_names=[name], output_names=[contract.output],

@@ -30,7 +30,7 @@ class Policy:
             path: `policy.onnx`, or the folder that holds it.
 
         Raises:
-            KickbenchError: It is missing, damaged or none of kickbench's, or onnxruntime is not installed.
+            KickbenchError: It is missing, damaged or not from kickbench, or onnxruntime is not installed.
         """
         runtime = require("onnxruntime", "an exported policy", "deploy")
         file = Path(path, "policy.onnx") if Path(path).is_dir() else Path(path)
@@ -39,7 +39,7 @@ class Policy:
         try:
             self._session = runtime.InferenceSession(file.read_bytes(), providers=["CPUExecutionProvider"])
             metadata = self._session.get_modelmeta().custom_metadata_map
-        except Exception as error:  # the classes of onnxruntime have nothing in common
+        except Exception as error:  # onnxruntime's exceptions have no common class
             raise KickbenchError(f"{shown(file)}: damaged: {' '.join(str(error).split())}") from None
         self.contract: dict[str, Any] = json.loads(metadata.get("kickbench", "{}"))
         if self.contract.get("format") != 1:

@@ -56,9 +56,9 @@ class SymmetricModel(MLPModel):
 class EquivariantModel(SymmetricModel):
     """An actor whose mean is equivariant, or (with ``TRIVIAL`` output) a critic that is invariant.
 
-    With a ``residual_scale`` every layer has a free residual that starts at zero (`RelaxedLinear`). The normaliser
-    stays symmetric then: the network starts equivariant, and all the asymmetry of what it learns lies in the
-    residuals, where its size is known.
+    With a ``residual_scale`` every layer has a free residual that starts at zero (`RelaxedLinear`). The
+    normaliser stays symmetric then. The network is equivariant at first, and all asymmetry that it learns is
+    in the residuals, where it can be measured.
 
     Args:
         *args: As of ``MLPModel``.
@@ -131,8 +131,8 @@ def _build(
     sample = TensorDict({role: torch.zeros(1, fields.dim)}, batch_size=[1])
     model = cls(sample, GROUPS, role, output.dim, **options)
     for module in model.modules():
-        # ELU and ReLU know their derivative from their result, and nothing else reads what their linear layer gives:
-        # 5 % off a 128-64 network, forward and backward.
+        # ELU and ReLU know their derivative from their result, and nothing else reads what their linear layer
+        # gives: 5 % off a 128-64 network, forward and backward.
         if isinstance(module, nn.ELU | nn.ReLU):
             module.inplace = True
     return model

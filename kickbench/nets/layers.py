@@ -32,8 +32,8 @@ HALF_ROOT = math.sqrt(0.5)
 class _Block(nn.Module):
     r"""The part of the intertwiners in one isotypic subspace, :math:`Q^{in} E^T (Q^{out})^T`.
 
-    A coordinate lies in at most one basis vector of the subspace, so an entry of the product is one free parameter
-    times a factor.
+    A coordinate lies in at most one basis vector of the subspace, so an entry of the product is one free
+    parameter times a factor.
 
     Args:
         before: Basis of the input's subspace, ``[n, n_sub]``.
@@ -50,7 +50,7 @@ class _Block(nn.Module):
         self.size = math.prod(self.shape)
         pairs = np.logical_or.outer(*(np.count_nonzero(basis, axis=0) == 2 for basis in (before, after)))
         self.widening = torch.tensor(np.where(pairs, math.sqrt(2.0), 1.0))
-        """Factor on the bound of each free parameter that gives the entries the right variance, ``[n_sub, m_sub]``."""
+        """Factor ``[n_sub, m_sub]`` on the bounds of the parameters: gives entries the right variance."""
         factors = np.outer(before.sum(1), after.sum(1))
         self.register_buffer("factors", torch.tensor(factors, dtype=torch.float32), persistent=False)
         for name, basis in (("rows", before), ("columns", after)):
@@ -92,10 +92,10 @@ class Intertwiners(nn.Module):
 
     @torch.no_grad()
     def draw_(self, free: Tensor, bound: float) -> None:
-        r"""Draws free parameters so that every entry of W that is not forced to zero has variance ``bound**2 / 3``.
+        r"""Draws free parameters: every entry of W that is not forced to zero has variance ``bound**2 / 3``.
 
-        An entry that involves a pair is E or O times :math:`1/\sqrt2` (one pair), or :math:`(E \pm O)/2` (two):
-        either way a bound larger by :math:`\sqrt2` gives the right variance.
+        An entry that involves a pair is E or O times :math:`1/\sqrt2` (one pair), or :math:`(E \pm O)/2`
+        (two): either way a bound larger by :math:`\sqrt2` gives the right variance.
         """
         widening = torch.cat((self.even.widening.flatten(), self.odd.widening.flatten()))
         free.uniform_(-bound, bound).mul_(widening.to(free))
@@ -104,12 +104,13 @@ class Intertwiners(nn.Module):
 class EquivariantLinear(nn.Module):
     r"""Linear map with :math:`W \rho_{in} = \rho_{out} W` and :math:`\rho_{out} b = b`.
 
-    Between two hidden layers, laid out ``[left | right]``, it multiplies the sum :math:`S = L + R` and the difference
-    :math:`D = L - R` of the input's halves,
+    Between two hidden layers, laid out ``[left | right]``, it multiplies the sum :math:`S = L + R` and the
+    difference :math:`D = L - R` of the input's halves,
 
     .. math:: P = \tfrac12 S E^T + b/\sqrt2, \quad Q = \tfrac12 D O^T, \quad y = [P + Q \mid P - Q],
 
-    which is half the arithmetic of the dense product of the same width. Elsewhere it multiplies by the dense matrix.
+    which is half the arithmetic of the dense product of the same width. Elsewhere it multiplies by the dense
+    matrix.
 
     Args:
         in_representation: Representation of the input, dimension n.
@@ -117,8 +118,8 @@ class EquivariantLinear(nn.Module):
     """
 
     free: nn.Parameter
-    """Free parameters of the matrix with the bias as an additional input, see `Intertwiners`. A single tensor keeps
-    the optimiser's work per layer below that of a plain layer."""
+    """Free parameters of the matrix with the bias as an additional input, see `Intertwiners`. A single tensor
+    keeps the optimiser's work per layer below that of a plain layer."""
 
     def __init__(self, in_representation: Representation, out_representation: Representation) -> None:
         super().__init__()
@@ -130,7 +131,7 @@ class EquivariantLinear(nn.Module):
         self.reset_parameters()
 
     def reset_parameters(self) -> None:
-        r"""Draws the parameters so that weight and bias have the variances of ``torch.nn.Linear``, :math:`1/(3 n)`."""
+        r"""Draws weight and bias with the variances of ``torch.nn.Linear``, :math:`1/(3 n)`."""
         self.base.draw_(self.free, 1.0 / math.sqrt(self.in_representation.dim))
 
     def matrix(self) -> Tensor:
@@ -172,21 +173,22 @@ def _is_hidden(representation: Representation) -> bool:
 
 
 class RelaxedLinear(EquivariantLinear):
-    r"""Linear map :math:`W = W_+ + \epsilon R`: an equivariant one with a small part that is free to break symmetry.
+    r"""Linear map :math:`W = W_+ + \epsilon R`: equivariant, plus a small part that may break symmetry.
 
-    Every linear map between two representations splits in exactly one way into a part that commutes with the mirror
-    and one that anticommutes with it,
+    Every linear map between two representations splits in exactly one way into a part that commutes with the
+    mirror and one that anticommutes with it,
 
     .. math:: W = W_+ + W_-, \quad W_\pm = \tfrac12 (W \pm \rho_{out} W \rho_{in}),
 
-    and the two are orthogonal in the Frobenius product. An anticommuting map is an intertwiner to the output twisted
-    by the sign, :math:`\rho_{out} \otimes \mathrm{sign}`. The thesis proposes such asymmetric corrections for robots
-    whose hardware is not quite symmetric (section 5.1); Finzi et al. 2021 ("Residual Pathway Priors for Soft
-    Equivariance Constraints") study the like.
+    and the two are orthogonal in the Frobenius product. An anticommuting map is an intertwiner to the output
+    twisted by the sign, :math:`\rho_{out} \otimes \mathrm{sign}`. The thesis proposes such asymmetric
+    corrections for robots whose hardware is not quite symmetric (section 5.1); Finzi et al. 2021 ("Residual
+    Pathway Priors for Soft Equivariance Constraints") study similar corrections.
 
-    R starts at zero, so the layer starts equivariant; W reaches every matrix. An optimiser that normalises gradients,
-    like Adam, moves :math:`\epsilon R` in steps :math:`\epsilon` times those of the base: the scale says how fast the
-    layer may leave symmetry and is no bound. The bias is treated like W, as its column for a constant input.
+    R starts at zero, so the layer starts equivariant; W reaches every matrix. An optimiser that normalises
+    gradients, like Adam, moves :math:`\epsilon R` in steps :math:`\epsilon` times those of the base: the
+    scale sets how fast the layer may leave symmetry; it does not bound how far. The bias is treated like W,
+    as its column for a constant input.
 
     Args:
         in_representation: Representation of the input, dimension n.
@@ -229,7 +231,7 @@ class RelaxedLinear(EquivariantLinear):
 def residual_share(module: nn.Module) -> Tensor | None:
     r"""Norm of the asymmetric part of a network's weights over the norm of all of them, in [0, 1].
 
-    :math:`\sqrt{\sum_l \|\epsilon R_l\|^2 / \sum_l \|W_l\|^2}` over the relaxed layers l; None if there is none.
+    :math:`\sqrt{\sum_l \|\epsilon R_l\|^2 / \sum_l \|W_l\|^2}` over the relaxed layers l; None without any.
     """
     norms = [layer.squared_norms() for layer in module.modules() if isinstance(layer, RelaxedLinear)]
     if not norms:
@@ -249,8 +251,8 @@ class EquivariantMLP(nn.Sequential):
         hidden_dims: Widths of the hidden layers, even numbers.
         out_representation: Representation of the output; ``TRIVIAL`` makes an invariant value function.
         activation: Name of the activation, as rsl_rl knows it.
-        residual_scale: Scale of a free residual in every layer, which starts at zero; None: none, and the network
-            stays equivariant.
+        residual_scale: Scale of a free residual in every layer, which starts at zero; None: none, and the
+            network stays equivariant.
 
     Raises:
         ValueError: If a width is not an even number.

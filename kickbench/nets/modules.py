@@ -19,7 +19,7 @@ class SymmetricNormalization(EmpiricalNormalization):
 
     The statistics are those of x and :math:`\rho(s)x` together, :math:`\bar\mu = (\mu + \rho\mu)/2`, so that
     normalising and mirroring commute: a sign coordinate has mean 0, a regular pair shares mean and variance,
-    a regular_sign pair shares the variance and has opposite means. ``count`` counts samples, not mirror images.
+    a regular_sign pair shares the variance and has opposite means. ``count`` is without the mirror images.
 
     The state has the keys and shapes of the stock normaliser.
 
@@ -38,9 +38,9 @@ class SymmetricNormalization(EmpiricalNormalization):
     @torch.jit.unused
     def update(self, x: Tensor) -> None:
         """Learn from the batch ``x [n, dim]`` and its mirror image."""
-        # Through the parent, so that averaging over processes stays rsl_rl's own. Mirror images need no pass of their
-        # own: what they do to mean and variance follows from those of the samples, which lie off the common mean by
-        # half the distance between their own mean and that of the images.
+        # Through the parent, so that averaging over processes stays rsl_rl's own. Mirror images need no pass
+        # of their own: their effect on mean and variance follows from those of the samples, whose mean is off
+        # the common mean by half the distance between it and the mean of the images.
         super().update(x)
         mirrored_mean = self.mirror(self._mean)
         mirrored_variance = self._var.index_select(-1, self.mirror.permutation)  # signs do not change it

@@ -21,8 +21,8 @@ from kickbench.sim.sensors import ALWAYS, ROBOT, SensorGroup, plan_sensors, robo
 _AXES = ("x", "y", "z", "rx", "ry", "rz")
 _BASE_SITE = "kickbench_base"
 _FOOT_PRIORITY = 1
-"""Feet decide their contact with the floor, else the larger friction would hide theirs; the ball decides all of its
-own; everything else has priority 0."""
+"""Feet decide their contact with the floor, else the larger friction would hide theirs; the ball decides all
+of its own; everything else has priority 0."""
 _EVERYTHING = 0x7FFFFFFF
 """Contact bits of ball and floor: whatever collides at all touches them (full-body contact, Table 3.1)."""
 _INERTIA = {"solid": mujoco.mjtGeomInertia.mjINERTIA_VOLUME, "shell": mujoco.mjtGeomInertia.mjINERTIA_SHELL}
@@ -48,7 +48,7 @@ class Scene:
 
 
 def files_read_by(model: Path) -> list[Path]:
-    """An MJCF file and every file it reads: included and attached models, meshes, textures, height fields, skins."""
+    """An MJCF file and all files it reads: other models, meshes, textures, height fields, skins."""
     files = mujoco.mju_getXMLDependencies(str(model))
     return sorted({model, *(Path(os.path.abspath(file)) for file in files)})
 
@@ -72,7 +72,7 @@ def build_scene(task: TaskSpec, robot: Loaded[RobotSpec], needs: frozenset[Senso
     scene = mujoco.MjSpec()
     scene.modelname = "kickbench"
     _set_options(scene, task.simulation)
-    # Options and visual settings are the scene's, and where the robot's MJCF has others MuJoCo need not say so.
+    # Options and visual settings are the scene's; set equal here, so that MuJoCo does not warn.
     body.option, body.memory, body.nuserdata = scene.option, scene.memory, scene.nuserdata
     body.visual, body.stat = scene.visual, scene.stat
     _add_floor(scene, task)
@@ -100,7 +100,7 @@ def build_scene(task: TaskSpec, robot: Loaded[RobotSpec], needs: frozenset[Senso
 
 
 def _strip(body: mujoco.MjSpec, robot: RobotSpec) -> None:
-    """Leaves of a robot's MJCF the robot alone, with the scene's contact priorities and the robot file's servos."""
+    """Keeps only the robot of an MJCF; sets the scene's contact priorities and the robot file's servos."""
     world = body.worldbody
     own = (*world.geoms, *world.sites, *world.lights, *world.cameras)
     skies = [texture for texture in body.textures if texture.type == mujoco.mjtTexture.mjTEXTURE_SKYBOX]
@@ -143,7 +143,7 @@ def _set_options(scene: mujoco.MjSpec, simulation: SimulationSpec) -> None:
     option.iterations, option.ls_iterations = simulation.iterations, simulation.ls_iterations
     option.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{simulation.integrator.upper()}")
     option.cone = getattr(mujoco.mjtCone, f"mjCONE_{simulation.cone.upper()}")
-    # An unstable world must be seen and counted; MuJoCo's automatic reset would hide it.
+    # An unstable env must be seen and counted; MuJoCo's automatic reset would hide it.
     option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
 
 
@@ -245,8 +245,8 @@ def servo_law(servo: Servo) -> dict[tuple[str, int | None], Any]:
     return {
         ("actuator_gainprm", 0): kp + kd * is_velocity,
         ("actuator_biasprm", 1): -kp,
-        # MuJoCo would read a positive velocity coefficient as a damping ratio, so a servo damps no less than its
-        # back-EMF.
+        # MuJoCo would read a positive velocity coefficient as a damping ratio, so a servo damps no less than
+        # its back-EMF.
         ("actuator_biasprm", 2): (slope - kd) * (kd > slope),
         # MuJoCo applies `damping` outside the force limit.
         ("actuator_damping", None): slope,

@@ -1,4 +1,4 @@
-"""Reads a robot's MJCF and checks the robot file against it: names, what a scene carries over, start, reflection."""
+"""Reads a robot's MJCF and checks the robot file against it: names, parts, default pose, reflection."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _FREE = mujoco.mjtJoint.mjJNT_FREE
 
 
 def read_robot(robot: Loaded[RobotSpec]) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
-    """Reads and compiles a robot's MJCF by itself, and checks that a scene can be made of it.
+    """Reads and compiles a robot's MJCF alone, and checks that a scene can be made of it.
 
     Raises:
         SpecError: The MJCF cannot be read or compiled, lacks a name, or has what no scene can carry over.
@@ -158,16 +158,17 @@ def _drive_problems(robot: Loaded[RobotSpec]) -> Iterator[Problem]:
             yield robot.document.problem(("actuators", name, "joint"), what)
 
 
-# What a scene carries over from the MJCF: nothing of it may vanish, so what cannot be is refused by name
+# What a scene keeps of the MJCF: nothing may get lost silently, so what it cannot keep is an error
 
 
 def _lost(spec: mujoco.MjSpec) -> Iterator[str]:
-    """What refers to geoms or sites of the MJCF's own world, which a scene leaves out; and drives it cannot have."""
+    """References to geoms and sites of the MJCF's world body, which a scene omits, and unsupported drives."""
     world = spec.worldbody
     own = {"geom": {geom.name for geom in world.geoms}, "site": {site.name for site in world.sites}}
     for what, kind, names in _references(spec):
         if lost := next((name for name in names if name in own[kind]), None):
-            yield f"the {what} refers to the {kind} '{lost}' of the MJCF's world, which is no part of the robot"
+            place = f"{kind} '{lost}' of the MJCF's world"
+            yield f"the {what} refers to the {place}, which is no part of the robot"
     drives = {
         mujoco.mjtTrn.mjTRN_TENDON: "the tendon",
         mujoco.mjtTrn.mjTRN_SLIDERCRANK: "a slider-crank",
@@ -200,7 +201,7 @@ def _name(part: mujoco.MjsElement, index: int) -> str:
 
 
 def differences(native: mujoco.MjModel, scene: mujoco.MjModel) -> Iterator[str]:
-    """In what the robot of a compiled scene differs from the robot by itself, drives and visuals excepted.
+    """Differences between the robot of a compiled scene and the robot alone, except drives and visuals.
 
     Args:
         native: The robot's MJCF, compiled by itself.
@@ -232,7 +233,7 @@ def differences(native: mujoco.MjModel, scene: mujoco.MjModel) -> Iterator[str]:
             yield f"the {name} of the body '{body}' is {by_itself} by itself, {in_scene} in a scene"
 
 
-# The start
+# The default pose
 
 
 def check_start(robot: Loaded[RobotSpec], model: mujoco.MjModel, layout: SceneLayout) -> list[Problem]:
@@ -295,7 +296,10 @@ def _feet_problems(robot: Loaded[RobotSpec], model: mujoco.MjModel, layout: Scen
         touching = [g for g in geoms if model.geom_contype[g] or model.geom_conaffinity[g]]
         if not touching:
             what = f"no geom of the foot '{foot.body}' collides: it can touch neither floor nor ball"
-            hint = "contype and conaffinity of its geoms are 0; contact pairs of the MJCF do not name floor or ball"
+            hint = (
+                "contype and conaffinity of its geoms are 0; "
+                "contact pairs of the MJCF do not name floor or ball"
+            )
             yield robot.document.problem(("feet", side), what, hint)
         elif all({(0, b), (b, 0)} & excluded for b in model.geom_bodyid[touching].tolist()):
             what = f"a contact exclusion keeps the foot '{foot.body}' from touching the floor"
@@ -311,7 +315,7 @@ class Agreement:
 
     Attributes:
         problems: Contradictions, each where it is declared.
-        notes: Joints whose image does not follow from the geometry; physics options that a scene does not take over.
+        notes: Joints whose image does not follow from the geometry; physics options that a scene ignores.
     """
 
     problems: tuple[Problem, ...]
@@ -374,7 +378,8 @@ def _contradicted_feet(robot: Loaded[RobotSpec], derivation: Derivation) -> Iter
 
     partner = bodies.get(feet.left.body)
     if partner not in (None, feet.right.body):
-        what = f"'{feet.right.body}' is declared the right foot, but the mirror image of the left one is '{partner}'"
+        declared = f"'{feet.right.body}' is declared the right foot"
+        what = f"{declared}, but the mirror image of the left one is '{partner}'"
         yield robot.document.problem(("feet", "right", "body"), what)
     images, right = {shapes.get(geom) for geom in geoms(feet.left)}, geoms(feet.right)
     if None not in images and images != right:

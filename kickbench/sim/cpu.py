@@ -28,8 +28,8 @@ class CpuEngine(Engine):
     mirroring rely on.
 
     MuJoCo evaluates sensors before it integrates, so the sensors of the last substep are one substep old.
-    Instead of a full final forward pass, `FrameSensing` evaluates the frame sensors in the final state, at a fraction
-    of the cost. Contacts are latched over the substeps and need no such pass.
+    Instead of a full final forward pass, `FrameSensing` evaluates the frame sensors in the final state, at a
+    fraction of the cost. Contacts are latched over the substeps and need no such pass.
     """
 
     def __init__(
@@ -47,8 +47,8 @@ class CpuEngine(Engine):
             model: Compiled model, shared by all envs until `set_model` makes copies.
             num_envs: Number of envs B.
             decimation: Physics substeps per control step.
-            contact_forces: Places of contact sensors in sensordata that are averaged over the substeps; the others
-                are latched by their maximum.
+            contact_forces: Places of contact sensors in sensordata that are averaged over the substeps; the
+                others are latched by their maximum.
             pushed_body: Id of the body that `push` acts on; None: nothing can be pushed.
             num_threads: Threads; default: the cores this process may use.
         """
@@ -115,15 +115,15 @@ class CpuEngine(Engine):
             mean /= self.decimation
 
     def _find_failures(self) -> None:
-        """Finds rollouts that MuJoCo cut short with a warning (their clock is late) or that are not finite."""
+        """Finds envs that MuJoCo cut short with a warning (the clock is late), and NaN or infinite states."""
         due = (self.decimation - 0.5) * self.model.opt.timestep
         clock = self._state[:, 0]
-        # One look at all envs together shows that none has failed, as is nearly always so. NaN compares false.
+        # One check of all envs together: nearly always, none has failed. A comparison with NaN is false.
         if clock.min() > due and torch.linalg.vector_norm(torch.from_numpy(self._state)) < HUGE:
             self.failed.zero_()
             return
-        # A warning in the last substep comes too late to cut the rollout short. The largest number is found by the
-        # norm, which reads the state once. NaN and overflow compare false as well.
+        # A warning in the last substep comes too late to cut the rollout short. The largest number is found
+        # by the norm, which reads the state once. NaN and overflow compare false as well.
         squares = np.einsum("ij,ij->i", self._state, self._state)
         self.failed = torch.from_numpy(~(clock > due) | ~(squares < HUGE**2))
 
@@ -172,7 +172,7 @@ class CpuEngine(Engine):
         return self._state.copy()
 
     def full_control(self) -> tuple[np.ndarray, int]:
-        """A copy of what the last control step applied [B, decimation, n], and `mujoco.rollout`'s name for it."""
+        """A copy of the last step's controls [B, decimation, n], and their `control_spec` for a rollout."""
         return self._control.copy(), self._spec
 
     def model_field(self, name: str) -> np.ndarray:

@@ -17,30 +17,31 @@ _ARRAYS = {
     "jnt": "type bodyid pos axis range limited margin solref solimp stiffness stiffnesspoly springyield "
     "actfrclimited actfrcrange actgravcomp",
     "dof": "armature damping dampingpoly frictionloss solref solimp",
-    "geom": "type bodyid dataid contype conaffinity condim priority size pos quat friction solmix solref solimp "
-    "margin gap fluid adhesion surfacevel",
+    "geom": "type bodyid dataid contype conaffinity condim priority size pos quat friction solmix solref "
+    "solimp margin gap fluid adhesion surfacevel",
     "pair": "geom1 geom2 dim friction solref solreffriction solimp margin gap adhesion",
     "exclude": "signature",
     "eq": "type objtype obj1id obj2id active0 data solref solimp",
     "tendon": "num limited range margin stiffness stiffnesspoly damping dampingpoly frictionloss armature "
     "lengthspring springyield actfrclimited actfrcrange solref_lim solimp_lim solref_fri solimp_fri",
     "wrap": "type objid prm",
-    "actuator": "trntype dyntype gaintype biastype ctrllimited ctrlrange forcelimited forcerange actlimited actrange "
-    "actearly gear cranklength dynprm gainprm biasprm armature damping dampingpoly delay",
+    "actuator": "trntype dyntype gaintype biastype ctrllimited ctrlrange forcelimited forcerange actlimited "
+    "actrange actearly gear cranklength dynprm gainprm biasprm armature damping dampingpoly delay",
     "mesh": "vertnum vert facenum face",
     "hfield": "size nrow ncol data",
-    "flex": "contype conaffinity condim priority solmix solref solimp friction margin gap internal selfcollide dim "
-    "vertbodyid nodebodyid vert elem radius stiffness bending damping edgestiffness edgedamping rigid passive",
-    "opt": "timestep gravity wind magnetic density viscosity impratio integrator cone solver iterations tolerance "
-    "ls_iterations ls_tolerance noslip_iterations noslip_tolerance ccd_iterations ccd_tolerance disableflags "
-    "enableflags disableactuator",
+    "flex": "contype conaffinity condim priority solmix solref solimp friction margin gap internal "
+    "selfcollide dim vertbodyid nodebodyid vert elem radius stiffness bending damping edgestiffness "
+    "edgedamping rigid passive",
+    "opt": "timestep gravity wind magnetic density viscosity impratio integrator cone solver iterations "
+    "tolerance ls_iterations ls_tolerance noslip_iterations noslip_tolerance ccd_iterations ccd_tolerance "
+    "disableflags enableflags disableactuator",
 }
-"""Arrays of a compiled model that its motion depends on, by what they belong to; those that follow from them are not
-listed, such as `body_invweight0`."""
+"""Arrays of a compiled model that its motion depends on, by what they belong to; arrays
+derived from them, such as `body_invweight0`, are not listed."""
 
 
 def dynamics_arrays(scene: Scene) -> Iterator[tuple[str, Any]]:
-    """Lists what a scene moves by, by name: arrays of its model, options, and which parts the robot file names.
+    """Lists by name what a scene's motion depends on: model arrays, options, parts that the robot file names.
 
     Colours, textures, cameras, lights, sensors and sites that nothing is fixed to are not part of it.
     """

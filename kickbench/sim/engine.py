@@ -42,12 +42,12 @@ class ModelField:
 
 @dataclass(frozen=True)
 class EngineLoad:
-    """Use of an engine's room for contacts and constraints since it was last asked.
+    """Use of an engine's room for contacts and constraints since the last call.
 
     Attributes:
-        contacts: Most contacts in a substep, an env on average.
+        contacts: Most contacts in a substep, per env on average.
         constraints: Most constraint rows of any env in a substep.
-        contact_room: Contacts there is room for, an env on average.
+        contact_room: Contacts there is room for, per env on average.
         constraint_room: Constraint rows there is room for in every env.
         short_share: Share of the control steps, over all envs, in which something did not fit.
     """
@@ -67,10 +67,11 @@ class Engine(ABC):
         device: Where the tensors live.
         qpos: Generalised positions [B, nq].
         qvel: Generalised velocities [B, nv].
-        sensors: Sensor data [B, ns]. Frame sensors describe the current state; contact sensors are latched: the
-            largest count, and the mean force, over the substeps of the last control step (0 after a reset).
-        failed: Envs whose last control step left finite numbers or was cut short by MuJoCo [B] bool. Their state
-            is meaningless until they are reset.
+        sensors: Sensor data [B, ns]. Frame sensors describe the current state; contact sensors are latched:
+            the largest count, and the mean force, over the substeps of the last control step (0 after a
+            reset).
+        failed: Envs whose last control step gave NaN or infinity or was cut short by MuJoCo [B] bool. Their
+            state is meaningless until they are reset.
     """
 
     num_envs: int
@@ -136,7 +137,9 @@ class Engine(ABC):
             tensor.copy_(state[name])
 
     def capturing(self) -> AbstractContextManager[None]:
-        """Entered while torch records a CUDA graph on its present stream: what runs in it becomes part of the graph.
+        """Context in which torch records a CUDA graph on its current stream.
+
+        What runs in it becomes part of the graph.
 
         Only for engines on a CUDA device; elsewhere it does nothing.
         """
@@ -155,7 +158,7 @@ class Engine(ABC):
 
 
 def frame_size(model: mujoco.MjModel) -> int:
-    """How many numbers a model's frame sensors give; they come first in sensordata, contact sensors after them.
+    """How many numbers a model's frame sensors give; in sensordata they come before the contact sensors.
 
     Raises:
         ValueError: They do not come first.

@@ -64,8 +64,8 @@ class FrameSensing:
 class FrameModel:
     """A model of the bodies and joints that a model's frame sensors hang on, several envs side by side.
 
-    It is put together from the compiled model, so that nothing of the file it came from matters. Geoms, contacts and
-    forces are not there, and masses are of no account.
+    It is made from the compiled model, not from its file. It has no geoms, contacts and forces, and its
+    masses have no effect.
 
     Attributes:
         copies: Envs side by side.
@@ -160,7 +160,7 @@ def _places(first: np.ndarray, size: np.ndarray, items: np.ndarray) -> np.ndarra
 
 
 def runs(places: np.ndarray | Sequence[int]) -> list[slice]:
-    """Ascending places as slices of consecutive ones, which are read and written much faster than lists of places."""
+    """Ascending places as slices of consecutive ones: much faster to read and write than lists of places."""
     parts = np.split(places, np.flatnonzero(np.diff(places) != 1) + 1) if len(places) else []
     return [slice(int(part[0]), int(part[-1]) + 1) for part in parts]
 

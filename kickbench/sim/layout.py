@@ -70,8 +70,8 @@ class SceneLayout:
         body_sides: Side of every body [nbody]: that of the nearest joint towards the root.
         actuator_sides: Side of every actuator [nu]: that of its joint.
         servos: Gains and limits of the actuators, each an array [nu].
-        obstacles: What a ball on the floor could overlap in the default pose: ground rectangles of the robot's
-            low colliding geoms [K, 4], each x low, x high, y low, y high, m.
+        obstacles: What a ball on the floor could overlap in the default pose: ground rectangles of the
+            robot's low colliding geoms [K, 4], each x low, x high, y low, y high, m.
     """
 
     coordinates: tuple[Coordinate, ...]

@@ -60,8 +60,8 @@ _UNLIMITED = np.array([-np.inf, np.inf])
 def read_parts(model: mujoco.MjModel, prefix: str = "") -> ModelParts:
     """Reads a model's parts.
 
-    The frame is that of the first body: its own axes if a free joint carries it, else the world's axes through its
-    origin. Parts that belong to no body (a floor) are left out.
+    The frame is that of the first body: its own axes if a free joint carries it, else the world's axes
+    through its origin. Parts that belong to no body (a floor) are left out.
 
     Args:
         model: Compiled model.
@@ -196,7 +196,7 @@ class _Reader:
         return Shape(self._name("geom", g), body, tuple(quantities), kind, touches)
 
     def _extent(self, g: int, kind: str) -> np.ndarray:
-        """Squared half sizes as a tensor, which knows nothing of a shape's own symmetries; of a mesh: its spread."""
+        """Squared half sizes as a tensor, the same for equivalent poses of a shape; of a mesh: its spread."""
         model, matrix = self.model, self.data.geom_xmat[g]
         if kind == "mesh":
             mesh = model.geom_dataid[g]

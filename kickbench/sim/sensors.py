@@ -40,7 +40,7 @@ class SensorPlan:
 
     Attributes:
         channel: Name that state views read.
-        part: Tells the sensors of a channel apart.
+        part: Distinguishes the sensors of a channel.
         type: Kind of sensor.
         objtype: Kind of the thing that is sensed.
         objname: Its name in the scene.

@@ -31,19 +31,20 @@ _SPECS = {field.name: field.type for field in dataclasses.fields(mjw.Model)}
 class WarpEngine(Engine):
     """Steps B envs with mujoco_warp, in single precision.
 
-    All tensors are fixed views of device memory that warp writes, and neither `step`, `reset`, `push` nor `set_model`
-    waits for the host or reads a tensor there. They can therefore be recorded in a CUDA graph, once each of them has
-    run (kernels are compiled, and fields that vary are allocated, when they are first used):
+    All tensors are fixed views of device memory that warp writes, and neither `step`, `reset`, `push` nor
+    `set_model` waits for the host or reads a tensor there. They can therefore be recorded in a CUDA graph,
+    once each of them has run (kernels are compiled, and fields that vary are allocated, when they are first
+    used):
 
         with torch.cuda.graph(graph, capture_error_mode="thread_local"), engine.capturing():
             engine.step(targets)
             engine.reset(mask, qpos, qvel)
 
-    Outside a graph, on CUDA, mujoco_warp's solver asks the device after every iteration whether it has converged; in a
-    graph the device decides alone.
+    Outside a graph, on CUDA, mujoco_warp's solver asks the device after every iteration whether it has
+    converged; in a graph the device decides alone.
 
-    As in the CPU engine the solver's warm start is cleared at the beginning of every control step, and the frame
-    sensors are evaluated once more in the final state.
+    As in the CPU engine the solver's warm start is cleared at the beginning of every control step, and the
+    frame sensors are evaluated once more in the final state.
     """
 
     def __init__(
@@ -64,12 +65,12 @@ class WarpEngine(Engine):
             num_envs: Number of envs B.
             decimation: Physics substeps per control step.
             capacity: Room for contacts and constraints.
-            contact_forces: Places of contact sensors in sensordata that are averaged over the substeps; the others
-                are latched by their maximum.
+            contact_forces: Places of contact sensors in sensordata that are averaged over the substeps; the
+                others are latched by their maximum.
             pushed_body: Id of the body that `push` acts on; None: nothing can be pushed.
             device: `cpu`, `cuda` or `cuda:<number>`.
-            deterministic: Whether the same call gives the same bits on CUDA: the order in which threads come then
-                has no influence, at a good part of the speed.
+            deterministic: Whether the same call gives the same bits on CUDA, whatever the order of the
+                threads; much slower.
         """
         self.model = model
         self.num_envs, self.decimation = num_envs, decimation
@@ -103,7 +104,7 @@ class WarpEngine(Engine):
 
     @contextmanager
     def _on_stream(self) -> Iterator[wp.Stream | None]:
-        """Lets warp work on torch's present stream, so that both keep one order."""
+        """Lets warp work on torch's current stream, so that both keep one order."""
         if self.device.type == "cpu":
             with wp.ScopedDevice("cpu"):
                 yield None
@@ -114,7 +115,7 @@ class WarpEngine(Engine):
 
     @property
     def stream(self) -> wp.Stream:
-        """Torch's present stream, for warp; always the same object for the same stream, as captures demand."""
+        """Torch's current stream, for warp; the same object for the same stream, as captures require."""
         present = torch.cuda.current_stream(self.device)
         if present.cuda_stream not in self._streams:
             self._streams[present.cuda_stream] = wp.stream_from_torch(present)
@@ -150,7 +151,7 @@ class WarpEngine(Engine):
         torch.logical_not(squares < HUGE**2, out=self.failed)
 
     def _sense_frames(self) -> None:
-        """Evaluates the frame sensors in the present states."""
+        """Evaluates the frame sensors in the current states."""
         model, data = self._model.frames, self._data
         mjw.kinematics(model, data)
         mjw.com_pos(model, data)
@@ -208,12 +209,12 @@ def _with_number(device: torch.device) -> torch.device:
 class DeviceModel:
     """One compiled model for B envs: a field becomes an array over the envs when it is first set.
 
-    There are two views of it. `substep` has no sensors: contacts are sensed by `ContactLatch`, and frames are of
-    interest in the final state only. `frames` has the frame sensors alone.
+    There are two views of it. `substep` has no sensors: contacts are sensed by `ContactLatch`, and frames are
+    of interest in the final state only. `frames` has the frame sensors alone.
     """
 
     def __init__(self, model: mujoco.MjModel, num_envs: int) -> None:
-        """Copies the model to warp's present device.
+        """Copies the model to warp's current device.
 
         Raises:
             KickbenchError: mujoco_warp lacks a feature of the model.

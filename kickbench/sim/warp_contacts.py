@@ -1,11 +1,12 @@
 """Contacts on the device: how much room they need, and which sensors count them, latched over the substeps.
 
-mujoco_warp allocates contacts for all envs together and constraint rows for each env; what does not fit is left
-out of the physics. The room is measured, its use is watched, and a run in which it is short too often ends.
+mujoco_warp allocates contacts for all envs together and constraint rows for each env; what does not fit is
+left out of the physics. The room needed is measured, its use is watched, and a run that is short of room too
+often ends.
 
-mujoco_warp's own contact sensors search all contacts once a sensor and keep up to 64 of them an env and sensor, in
-every substep. Here every contact finds the sensors that count it in a table of geom pairs and adds itself to them:
-one launch a substep, whatever the number of sensors.
+In every substep, mujoco_warp's own contact sensors search all contacts once per sensor, and keep up to 64 of
+them per env and sensor. Here every contact finds the sensors that count it in a table of geom pairs and adds
+itself to them: one launch per substep, whatever the number of sensors.
 """
 
 # Kernels read their annotations, so they must not be strings: no `from __future__ import annotations` here.
@@ -39,7 +40,7 @@ class Capacity:
     """Room of an engine.
 
     Attributes:
-        contacts: Contacts an env, on average over the envs, which share them.
+        contacts: Contacts per env, on average over the envs, which share them.
         constraints: Constraint rows of every env.
         allowed_share: Largest share of the control steps that may run short of either.
     """
@@ -54,7 +55,8 @@ def measure_capacity(
 ) -> Capacity:
     """Measures with MuJoCo how many contacts and constraints envs have, and adds head-room.
 
-    A size is `HEADROOM` times the 95th percentile over envs and substeps, and no less than the largest value seen.
+    A size is `HEADROOM` times the 95th percentile over envs and substeps, and no less than the largest value
+    seen.
 
     Args:
         model: Compiled model.
@@ -112,7 +114,7 @@ class LoadWatch:
     """Watches on the device how much room the envs use; the host looks at it once in a while."""
 
     def __init__(self, capacity: Capacity, num_envs: int) -> None:
-        """Allocates the counters on warp's present device."""
+        """Allocates the counters on warp's current device."""
         self.capacity = capacity
         self._num_envs = num_envs
         self._contacts, self._steps = wp.zeros(1, dtype=wp.int32), wp.zeros(1, dtype=wp.int32)
@@ -120,7 +122,7 @@ class LoadWatch:
         self._short_steps = wp.zeros(num_envs, dtype=wp.int32)
 
     def note(self, data: Data) -> None:
-        """Notes what a substep has used."""
+        """Records what a substep has used."""
         wp.launch(
             _note,
             dim=self._num_envs,
@@ -141,7 +143,7 @@ class LoadWatch:
         """What has been seen since the last call; waits for the device.
 
         Raises:
-            KickbenchError: Too often something did not fit; with the figure to raise.
+            KickbenchError: Something did not fit too often; the message names the figure to raise.
         """
         load = EngineLoad(
             contacts=float(self._contacts.numpy()[0]) / self._num_envs,
@@ -155,8 +157,9 @@ class LoadWatch:
         allowed = self.capacity.allowed_share
         if load.short_share > allowed:
             raise KickbenchError(
-                f"in {load.short_share:.2%} of the control steps an env ran out of room for contacts or constraints, "
-                f"which were left out of its physics ({allowed:.2%} are allowed): {_advice(load)}"
+                f"in {load.short_share:.2%} of the control steps an env ran out of room for contacts or "
+                f"constraints, which were left out of its physics ({allowed:.2%} are allowed): "
+                f"{_advice(load)}"
             )
         return load
 
@@ -194,7 +197,7 @@ def _sense(
     efc_force: wp.array2d(dtype=wp.float32),
     sensed: wp.array2d(dtype=wp.float32),
 ):
-    """Adds contact `i` to every sensor that counts it: 1 to its count, its force on the second geom to its force."""
+    """Adds contact `i` to every sensor that counts it: 1, and its force on the second geom."""
     i = wp.tid()
     if i >= wp.min(count[0], geom.shape[0]):
         return
@@ -248,16 +251,16 @@ def _latch(
 
 
 class ContactLatch:
-    """Senses the contacts of every substep of a control step and latches them; nothing is allocated on the way."""
+    """Senses the contacts of every substep of a control step and latches them, without allocations."""
 
     def __init__(
         self, model: mujoco.MjModel, num_envs: int, decimation: int, contact_forces: Sequence[int]
     ) -> None:
-        """Makes the table of geom pairs on warp's present device.
+        """Makes the table of geom pairs on warp's current device.
 
         Args:
-            model: Compiled model, its contact sensors after all others: `found`, or `found` and the net `force`, of
-                geoms, bodies and subtrees against a geom.
+            model: Compiled model, its contact sensors after all others: `found`, or `found` and the net
+                `force`, of geoms, bodies and subtrees against a geom.
             num_envs: Number of envs.
             decimation: Substeps of a control step.
             contact_forces: Places in sensordata that are averaged over the substeps.

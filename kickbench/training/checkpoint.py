@@ -1,6 +1,6 @@
 """Checkpoints and policies as files: tensors and plain values, never unpickled code.
 
-Imports torch only where a file is written or loaded: `kickbench status` looks at them without.
+Imports torch only where a file is written or loaded: `kickbench status` does not need it.
 """
 
 from __future__ import annotations
@@ -19,28 +19,28 @@ if TYPE_CHECKING:
     from rsl_rl.models import MLPModel
 
 FORMAT = 4
-"""Version of a checkpoint's layout: from 4 on its SHA-256 stands behind it."""
+"""Version of a checkpoint's layout: from 4 on the file ends with its SHA-256."""
 _POLICY_FORMAT = 2
-"""Version of a policy's layout: from 2 on its SHA-256 stands behind it."""
+"""Version of a policy's layout: from 2 on the file ends with its SHA-256."""
 
 
 class Checkpoints:
     """The last two checkpoints of a run, files named by the iterations done.
 
-    A checkpoint appears whole or not at all, and the one before stays beside it: if the newer cannot be read, a
-    run goes on from the older.
+    A checkpoint appears whole or not at all, and the one before stays beside it: if the newer cannot be read,
+    a run goes on from the older.
     """
 
     _KEPT = 2
 
     def __init__(self, folder: Path) -> None:
-        """Remembers the folder, which is made with the first checkpoint."""
+        """Sets the folder, which the first checkpoint creates."""
         self.folder = Path(folder)
 
     def save(self, iteration: int, state: dict[str, Any]) -> None:
         """Writes a checkpoint, then removes all but the last two.
 
-        Those of later iterations go too: they were damaged, and the run has been taken up before them.
+        Those of later iterations are removed, too: they were damaged, so the run resumed from an older one.
         """
         _write(self.folder / f"iteration_{iteration:06d}.pt", {"format": FORMAT, **state})
         older = [file for file in self.files() if iteration_of(file) <= iteration]
@@ -52,7 +52,7 @@ class Checkpoints:
         return sorted(self.folder.glob("iteration_*.pt"), key=iteration_of)
 
     def load(self) -> dict[str, Any] | None:
-        """Reads the newest checkpoint that is whole, None if there are no checkpoints; a damaged one is reported.
+        """Reads the newest intact checkpoint, None if there are no checkpoints; a damaged one is reported.
 
         Raises:
             KickbenchError: There are some and all are damaged, or the newest is of another version.
@@ -61,7 +61,7 @@ class Checkpoints:
         for file in reversed(files):
             try:
                 state = _read(file, digest_from=FORMAT)
-            # Whatever goes wrong in reading means that the file is damaged, and damage takes every shape.
+            # Damage can raise any exception while the file is read.
             except Exception as error:
                 print(f"{shown(file)}: damaged, it is left out: {error}", file=sys.stderr)
                 continue
@@ -122,7 +122,7 @@ def iteration_of(file: Path) -> int:
 
 
 def is_whole(file: Path) -> bool:
-    """Whether a checkpoint has the SHA-256 of its content behind it."""
+    """Whether a checkpoint ends with the SHA-256 of its content."""
     try:
         return without_digest(read_regular(file)) is not None
     except (OSError, ValueError):
@@ -138,7 +138,7 @@ def _write(path: Path, content: dict[str, Any]) -> None:
 
 
 def _read(path: Path, digest_from: int) -> dict[str, Any]:
-    """Reads a file whose digest, if it has one, is right; from a format on it must have one."""
+    """Reads a file and checks its SHA-256, which files from format `digest_from` on must have."""
     import torch
 
     data = read_regular(path)

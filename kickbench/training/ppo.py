@@ -1,6 +1,6 @@
-"""rsl_rl's PPO, put together from a method; and a check of what it learns from: where something first is not finite.
+"""rsl_rl's PPO, built from a method; and a check of its data that names the first NaN or infinite number.
 
-That check costs a few reductions per iteration, and details only on failure.
+That check costs a few reductions per iteration, and more only on failure.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ from kickbench.trials.trial import Trial
 
 
 class BoundedPPO(PPO):
-    """PPO whose adaptive learning rate stays within bounds of the method's choosing."""
+    """PPO whose adaptive learning rate stays within the method's bounds."""
 
     def __init__(
         self, *args: Any, learning_rate_range: tuple[float, float], tf32: bool = False, **kwargs: Any
     ) -> None:
-        """As PPO; `learning_rate_range` holds the lowest and the highest learning rate, `tf32` is for updates."""
+        """As PPO; `learning_rate_range`: lowest and highest learning rate; `tf32`: as in `tf32_products`."""
         self._bounds, self._tf32 = learning_rate_range, tf32
         super().__init__(*args, **kwargs)
 
@@ -57,12 +57,12 @@ class BoundedPPO(PPO):
 def tf32_products(enabled: bool) -> Iterator[None]:
     """Within the block, a GPU may multiply float32 matrices in TF32.
 
-    Updates only: what they change are free parameters, so tied weights stay tied to the bit however a gradient was
-    rounded, and a policy that acts in float32 is as equivariant as ever. Acting in TF32 it would not be. Rounding is
-    odd and looks at one factor at a time, so it commutes with the mirror; but hidden activations of a sample and of its
-    mirror image differ by the order of float32 sums, and where a rounding boundary lies between the two, that
-    difference of 1e-7 becomes one of 1e-3 in the next layer (4e-5 in the actions of a 256-256 network,
-    with the rounding simulated on a CPU).
+    For updates only. Updates change free parameters, so tied weights stay equal to the bit however a gradient
+    was rounded, and a policy that acts in float32 stays equivariant. A policy that acted in TF32 would not.
+    Rounding is odd and concerns one factor at a time, so it commutes with the mirror. But the hidden
+    activations of a sample and of its mirror image differ by the order of float32 sums. Where a rounding
+    boundary lies between the two, that difference of 1e-7 becomes one of 1e-3 in the next layer (4e-5 in the
+    actions of a 256-256 network, with the rounding simulated on a CPU).
     """
     matmul = torch.backends.cuda.matmul
     before = matmul.allow_tf32
@@ -74,19 +74,19 @@ def tf32_products(enabled: bool) -> Iterator[None]:
 
 
 class GatheredRollout(RolloutStorage):
-    """rsl_rl's storage, which draws one permutation an update: its mini-batches are gathered once, not every epoch."""
+    """rsl_rl's storage, whose mini-batches are gathered once per update: all epochs use one permutation."""
 
     def mini_batch_generator(
         self, num_mini_batches: int, num_epochs: int = 8
     ) -> Iterator[RolloutStorage.Batch]:
-        """See `RolloutStorage.mini_batch_generator`; each batch is an object of its own over shared tensors."""
+        """See `RolloutStorage.mini_batch_generator`; batches are separate objects over shared tensors."""
         batches = list(super().mini_batch_generator(num_mini_batches, 1))
         for _ in range(num_epochs):
             yield from map(copy.copy, batches)
 
 
 class _AugmentationOnly(Symmetry):
-    """rsl_rl's symmetry extension without the pass for a mirror loss that nobody asked for."""
+    """rsl_rl's symmetry extension without the forward pass for a mirror loss."""
 
     def compute_loss(self, actor: MLPModel, batch: RolloutStorage.Batch, original_batch_size: int) -> Tensor:
         return torch.zeros((), device=batch.actions.device) if batch.actions is not None else torch.zeros(())
@@ -118,7 +118,7 @@ def build_ppo(
 
 
 def use_fused_adam(ppo: PPO) -> None:
-    """Lets all parameters be stepped in one kernel instead of several launches each.
+    """Makes the optimiser step all parameters in one kernel instead of several launches each.
 
     Worth it on a GPU. On a CPU it took 1 to 4 % off the update of 128-64 networks in the median, which was
     within the noise of a shared machine, and it would change the bits of what was recorded.
@@ -128,7 +128,7 @@ def use_fused_adam(ppo: PPO) -> None:
 
 
 def _build_symmetry(spec: SymmetrySpec, reflection: Reflection) -> Symmetry | None:
-    """rsl_rl's extension with what the method asks for: mirrored samples, the mirror loss, both or nothing."""
+    """rsl_rl's symmetry extension: mirrored samples, the mirror loss or both; None for neither."""
     if not spec.augmentation and not spec.mirror_loss_coefficient:
         return None
     tables = {name: table.representation for name, table in reflection.groups.items()}
@@ -165,7 +165,7 @@ def check_samples(ppo: PPO, env: KickEnv, iteration: int) -> None:
     """Checks what was collected.
 
     Raises:
-        KickbenchError: Observations, actions, rewards or values are not finite; the first culprit is named.
+        KickbenchError: An observation, action, reward or value is NaN or infinite; the first is named.
     """
     if ppo.storage.returns.isfinite().all():
         return
@@ -175,10 +175,10 @@ def check_samples(ppo: PPO, env: KickEnv, iteration: int) -> None:
 
 @contextmanager
 def checked_update(ppo: PPO, iteration: int) -> Iterator[None]:
-    """Checks the networks after an update, also after one that failed because they were not finite.
+    """Checks the networks after an update, also after one that failed because of NaN or infinity.
 
     Raises:
-        KickbenchError: A gradient or a parameter is not finite.
+        KickbenchError: A gradient or a parameter is NaN or infinite.
     """
     try:
         yield
@@ -209,7 +209,7 @@ def _samples(ppo: PPO, env: KickEnv) -> Iterator[str]:
 
 
 def _wrong_rewards(env: KickEnv) -> list[str]:
-    """The rewards that are not finite in what has ended since the last reading, or is still running."""
+    """Reward terms with NaN or infinity in episodes that run or have ended since the last reading."""
     sums = (env.totals.by_reward_raw + env.record.by_reward_raw.sum(dim=0)) * env.totals.weights
     return [
         bound.name for (bound, _), total in zip(env.task.rewards, sums, strict=True) if not total.isfinite()
@@ -219,7 +219,7 @@ def _wrong_rewards(env: KickEnv) -> list[str]:
 def _parameters(ppo: PPO) -> Iterator[str]:
     networks: dict[str, nn.Module] = {"actor": ppo.get_policy(), "critic": ppo.critic}
     named = [(f"{owner}.{name}", p) for owner, net in networks.items() for name, p in net.named_parameters()]
-    # One look at all of them together shows that they are finite, as is nearly always so.
+    # One check of all of them together: nearly always, they are finite.
     if torch.stack([p.detach().square().sum() for _, p in named]).isfinite().all():
         return
     for name, parameter in named:

@@ -1,23 +1,23 @@
-"""What a training reports after every iteration: a bar or lines on the console, `progress.csv` and TensorBoard events.
+"""Reports of a training after every iteration: on the console, in `progress.csv` and in TensorBoard.
 
-A record of an iteration is a flat table; its names are the columns of `progress.csv`. Means are over the episodes that
-ended in the iteration, NaN where none has.
+A record of an iteration is a flat table; its names are the columns of `progress.csv`. Means are over the
+episodes that ended in the iteration, NaN where none has.
 
 | name | content |
 |---|---|
 | `iteration` | index from 0 over the whole run, resumed or not |
 | `env_steps` | control steps so far, summed over envs |
 | `steps_per_second` | control steps of this iteration over its wall-clock time, 1/s |
-| `mean_return`, `mean_episode_steps` | undiscounted sum of weighted rewards, and control steps of an episode |
+| `mean_return`, `mean_episode_steps` | per episode: undiscounted sum of weighted rewards, and control steps |
 | `success_rate`, `termination/<name>` | fractions of the episodes |
 | `reward/<name>`, `reward_raw/<name>` | sum over an episode, with and without the term's weight |
 | `loss/<name>`, `learning_rate`, `action_std` | of the update; mean standard deviation of the action noise |
 | `collect_seconds`, `update_seconds` | wall-clock time, s |
-| `resets_nonfinite` | envs reset because their state was not finite |
+| `resets_nonfinite` | envs reset because their state had NaN or infinite numbers |
 | `residual_share/<network>` | share of the asymmetric residual in the norm of a relaxed network's weights |
-| `load/<name>` | most contacts per env and constraint rows in a substep, and the share of steps short of room (GPU) |
+| `load/<name>` | most contacts per env and constraint rows in a substep; share of steps short of room (GPU) |
 | `curriculum/<key>` | level of every value that the curriculum moves, from 0 to 1 for the task's own |
-| `evaluation/<side>` | success of the policy in evaluations during the training; NaN in iterations without one |
+| `evaluation/<side>` | success of the policy in evaluations during the training; NaN without one |
 """
 
 from __future__ import annotations
@@ -44,13 +44,16 @@ _START_AGAIN = "the table of the training cannot be completed; --force starts th
 
 
 class Progress:
-    """Somewhere a training is shown: `start` once, `update` after each iteration, `close` once. This one: nowhere."""
+    """A display of a training; this one shows nothing.
+
+    `start` and `close` are called once, `update` after each iteration.
+    """
 
     def start(self, total_iterations: int, first_iteration: int) -> None:
         """Training begins, or goes on.
 
         Args:
-            total_iterations: Number of iterations of the whole run, what came before a resume included.
+            total_iterations: Number of iterations of the whole run, those before a resume included.
             first_iteration: Index of the next iteration; above 0 on a resume.
         """
 
@@ -127,10 +130,10 @@ def _group(record: Record, group: str) -> Iterator[tuple[str, float]]:
 
 
 class CsvProgress(Progress):
-    """`progress.csv`: a header from the first record, then a row an iteration, on the disk before the next begins.
+    """`progress.csv`: a header from the first record, then a row per iteration, written to disk at once.
 
-    On a resume the rows of iterations that will be run again, and a row that a kill cut short, are dropped; the others
-    are all there, since a checkpoint is written after the rows of its iterations.
+    On a resume the rows of iterations that will be run again, and a row that a kill cut short, are dropped.
+    None is missing, since a checkpoint is written after the rows of its iterations.
 
     Args:
         path: The file.
@@ -193,7 +196,7 @@ def rows_before(path: Path, first_iteration: int) -> list[list[str]]:
 
 
 def _to_csv(columns: list[str], rows: list[list[str]], *, with_header: bool) -> str:
-    """Rows as text, each with its check behind it."""
+    """Rows as text, each followed by its checksum."""
     header, *lines = (_line(cells) for cells in (columns, *rows))
     body = [f"{line},{row_check(header, line)}\n" for line in lines]
     return "".join([f"{header},{CHECK}\n"] * with_header + body)
@@ -206,7 +209,7 @@ def _line(cells: list[str]) -> str:
 
 
 def _format(value: float | None) -> str:
-    """Whole numbers as they are, others with six significant digits, nothing for what is absent."""
+    """Whole numbers as they are, others with six significant digits, nothing for an absent one."""
     if value is None:
         return ""
     # Integral, not int: a numpy integer must keep all its digits too.
@@ -214,7 +217,7 @@ def _format(value: float | None) -> str:
 
 
 class TensorBoardProgress(Progress):
-    """TensorBoard events, the step being the iteration: a convenience, whose failure is reported once and ends nothing.
+    """TensorBoard events by iteration. A failure is reported once, and the training goes on.
 
     Args:
         folder: Folder of the event files.
@@ -252,7 +255,7 @@ class TensorBoardProgress(Progress):
 
     @contextmanager
     def _or_without(self) -> Iterator[None]:
-        """Whatever the writer fails with (a full disk, a missing package), training goes on without it."""
+        """Whatever error the writer raises (a full disk, a missing package), training goes on without it."""
         try:
             yield
         except Exception as error:

@@ -1,9 +1,9 @@
 """Several processes that train one policy together, as `torchrun` starts them.
 
-Each process has its share of the method's environments, on a GPU of its own if there are GPUs. rsl_rl averages the
-gradients and the KL divergence over the processes, and the normalisers' statistics are those of all samples; so the
-weights stay the same everywhere, and so does the learning rate. Only what is of the process, its envs and its random
-numbers, differs. The process of rank 0 writes, prints and evaluates.
+Each process has its share of the method's environments, on a GPU of its own if there are GPUs. rsl_rl
+averages the gradients and the KL divergence over the processes, and the normalisers' statistics are those of
+all samples; so weights and learning rate stay the same in all processes. Only envs and random numbers differ.
+The process of rank 0 writes, prints and evaluates.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ class Ranks:
         return [self._broadcast(state, rank) for rank in range(self.size)]
 
     def from_main(self, state: Mapping[str, Any]) -> Mapping[str, Any]:
-        """The state that rank 0 has; what the others pass is not read."""
+        """The state of rank 0; those that the others pass are ignored."""
         return self._broadcast(state, 0)
 
     def _broadcast(self, state: Mapping[str, Any], source: int) -> Mapping[str, Any]:
@@ -137,7 +137,7 @@ def read_ranks(device: str, environ: Mapping[str, str] = os.environ) -> Ranks:
 
 @contextmanager
 def joined(ranks: Ranks) -> Iterator[None]:
-    """Within the block, the processes can talk to each other."""
+    """Within the block, the processes can communicate."""
     if ranks.size == 1:
         yield
         return

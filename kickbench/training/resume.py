@@ -1,4 +1,4 @@
-"""How a run begins: anew, with the policy of another one (`--init-from`), or where it was interrupted or killed."""
+"""How a run begins: anew, with the policy of another run (`--init-from`), or where it was interrupted."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ class Resume:
 
     Attributes:
         state: Its last checkpoint, as `Trainer.state_dict` made it; None: nothing has been trained.
-        finished: There is nothing left to do.
-        directory: Where it is made; None: another process knows.
+        finished: Whether nothing is left to do.
+        directory: The run directory; None: another process knows it.
     """
 
     state: Mapping[str, Any] | None = None
@@ -42,7 +42,7 @@ class Resume:
 
 
 def begin(directory: RunDirectory, trial: Trial, initial: Initial | None = None) -> Resume:
-    """Begins a run in a directory without one, which stays as it was if the trial cannot be stored."""
+    """Begins a run in a directory without one; if the trial cannot be stored, the directory is unchanged."""
     try:
         write_specs(directory, trial)
         if initial is not None:
@@ -50,7 +50,7 @@ def begin(directory: RunDirectory, trial: Trial, initial: Initial | None = None)
             seal(directory)
     except BaseException:
         directory.clear()
-        with suppress(OSError):  # of a folder in which something is left
+        with suppress(OSError):  # the folder is not empty
             directory.path.rmdir()
         raise
     return Resume(directory=directory)
@@ -67,8 +67,8 @@ def take_up(
 ) -> Resume:
     """Checks that the run in a directory is this one, and finds where it stands.
 
-    A run that `--force` began beside another one goes on, if it is this one. A directory without a run, or whose
-    run was killed before its first checkpoint, is made ready for the beginning; any other is left as it is.
+    A run that `--force` began beside another one goes on, if it is this one. A directory without a run, or
+    whose run was killed before its first checkpoint, is prepared for a new run; any other stays as it is.
 
     Args:
         directory: The run directory.
@@ -80,7 +80,7 @@ def take_up(
 
     Raises:
         SpecError: The run is another one; every key that differs is a problem.
-        KickbenchError: No checkpoint can be read, or a file that the run needs to go on is damaged or has gaps.
+        KickbenchError: No checkpoint can be read, or a file that the run needs is damaged or has gaps.
     """
     if directory.beside.holds_a_run:
         try:
@@ -153,7 +153,7 @@ def _text(value: Any) -> str:
 
 
 def _is_intact(directory: RunDirectory) -> bool:
-    """Whether a run is intact; one whose damage its last checkpoint mends is reported.
+    """Whether a run is intact; damage that its last checkpoint can repair is reported.
 
     Raises:
         KickbenchError: It is damaged, and going on would keep the damage.
@@ -168,10 +168,10 @@ def _is_intact(directory: RunDirectory) -> bool:
 
 @dataclass(frozen=True)
 class Initial:
-    """The policy that a run begins with: network, observation statistics and action noise. The critic begins anew.
+    """The policy that a run begins with: network, observation statistics, action noise; not the critic.
 
     Attributes:
-        policy: It.
+        policy: The policy.
         ref: Where it comes from.
     """
 

@@ -1,4 +1,4 @@
-"""The training loop: collect, update, report, keep; and how it is stopped between two iterations."""
+"""The training loop: collect, update, report, save; and how it is stopped between two iterations."""
 
 from __future__ import annotations
 
@@ -58,9 +58,9 @@ class TrainingResult:
 class Trainer:
     """Trains one trial with one seed.
 
-    Its state between two iterations is all there is: N iterations, a checkpoint, and M iterations in another
-    process give the very bits of N + M iterations on the CPU (at the same number of update threads; the time that
-    things took differs, of course).
+    Its state between two iterations is complete: on the CPU, N iterations, a checkpoint, and M iterations in
+    another process give the same bits as N + M iterations (with the same number of update threads; recorded
+    times differ).
     """
 
     def __init__(
@@ -104,7 +104,7 @@ class Trainer:
         self._steps_per_iteration = trial.method.spec.algorithm.steps_per_env * env.num_envs * ranks.size
 
     def _grow(self) -> None:
-        """Gives the environments the values that the curriculum has come to."""
+        """Sets the curriculum's current values in the environments."""
         if self._growth is None:
             return
         levels = self._growth.levels(min(1.0, self.iteration / max(self._horizon, 1)))
@@ -114,7 +114,7 @@ class Trainer:
             self._steps = fastest_steps(self.env, graph=self._graph)
 
     def _grow_after(self, success: float) -> None:
-        """Lets the curriculum know how often exploration succeeded in an iteration, in all processes."""
+        """Gives the curriculum the success rate of exploration in an iteration, over all processes."""
         if self._growth is not None:
             rates = [float(part["success"]) for part in self._ranks.gather({"success": success})]
             self._growth.note(sum(rates) / len(rates))
@@ -128,11 +128,11 @@ class Trainer:
     def train(self, iterations: int) -> TrainingResult:
         """Trains until `iterations` are done in all.
 
-        The method's schedules run over the iterations that the first call asked for, and end at their last value:
-        a run that is extended keeps what it has already annealed.
+        The method's schedules run over the iterations that the first call asked for, and end at their last
+        value: a run that is extended keeps what it has already annealed.
 
-        Ctrl-C ends the training after the present iteration, with a checkpoint; pressed again, at once, and the
-        last checkpoint counts.
+        Ctrl-C ends the training after the current iteration, with a checkpoint. A second Ctrl-C ends it
+        at once; then the last checkpoint counts.
         """
         self._horizon = self._horizon or iterations
         if self.iteration >= iterations:
@@ -186,7 +186,7 @@ class Trainer:
         }
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Goes to where another trainer of the same trial was.
+        """Restores the state of another trainer of the same trial.
 
         Raises:
             KickbenchError: The state is that of another trial or of another version of kickbench.
@@ -261,7 +261,7 @@ class Trainer:
         return time.perf_counter()
 
     def _collect(self) -> None:
-        """Nothing in it waits for a number from the device; those are read once an iteration, afterwards."""
+        """Collects samples without waiting for the device; its numbers are read once, after the iteration."""
         with torch.no_grad():
             observations = self._steps.get_observations()
             for _ in range(self.trial.method.spec.algorithm.steps_per_env):
@@ -340,11 +340,11 @@ def _set_rng_states(states: Mapping[str, Tensor], device: torch.device) -> None:
 class StopRequest:
     """While it is entered, the first Ctrl-C (or SIGTERM) is a request; the second is a `KeyboardInterrupt`.
 
-    Outside of the main thread, where Python does not hear signals, it is never requested.
+    Outside of the main thread, where Python handles no signals, it is never requested.
 
     Args:
-        patient: Whether all further ones are only that same request. `torchrun` passes on to its processes what the
-            terminal has sent them already, and kills them itself if they take too long.
+        patient: Whether further signals change nothing. `torchrun` sends its processes the signals that they
+            already had from the terminal, and kills them itself if they take too long.
         quiet: Whether nothing is printed.
     """
 
