@@ -14,7 +14,9 @@ from pydantic import (
     ConfigDict,
     Field,
     PlainSerializer,
+    ValidationInfo,
     WithJsonSchema,
+    model_validator,
 )
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticCustomError
@@ -38,6 +40,14 @@ class Spec(BaseModel):
         validate_default=True,
         use_attribute_docstrings=True,
     )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _note_model(cls, data: Any, info: ValidationInfo) -> Any:
+        """Notes for `kickbench.config.problems` which models the mapping was tried with."""
+        if info.context is not None:
+            info.context[id(data)].append(cls)
+        return data
 
 
 PositiveFloat = Annotated[float, Field(gt=0)]

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import re
+from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from types import UnionType
-from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
+from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
@@ -16,6 +16,9 @@ from kickbench.config.yamltree import describe
 from kickbench.errors import KeyPath, Problem, SpecError, did_you_mean
 
 S = TypeVar("S", bound=BaseModel)
+
+_Models = Mapping[int, list[type[BaseModel]]]
+"""The models that have been tried on a mapping of the data, by its `id`: see `Spec`."""
 
 _OF_KEY = "[key]"
 """How pydantic ends the location of an error in a key of a dict."""
@@ -27,10 +30,11 @@ def validate(model: type[S], document: Document) -> S:
     Raises:
         SpecError: With every problem of the document, in the order of its lines.
     """
+    data, models = document.tree.plain(located=True), defaultdict[int, list[type[BaseModel]]](list)
     try:
-        return model.model_validate(document.tree.plain(located=True))
+        return model.model_validate(data, context=models)
     except ValidationError as error:
-        problems = _problems_of(error, model, document)
+        problems = _problems_of(error, data, models, document)
     files = [str(file) for file in document.sources]
 
     def place(problem: Problem) -> tuple[int, int, int]:
@@ -53,11 +57,11 @@ class _Finding:
     at_value: bool = False
 
 
-def _problems_of(error: ValidationError, model: type[BaseModel], document: Document) -> list[Problem]:
+def _problems_of(error: ValidationError, data: Any, models: _Models, document: Document) -> list[Problem]:
     groups: dict[KeyPath, list[_Finding]] = {}
     for detail in error.errors(include_url=False):
         if not _only_seems_short(detail):
-            finding = _find(detail, model, document.data)
+            finding = _find(detail, data, models)
             groups.setdefault(finding.path, []).append(finding)
     return [problem for group in groups.values() for problem in _words(group, document)]
 
@@ -83,13 +87,13 @@ def _only_seems_short(detail: ErrorDetails) -> bool:
     return detail["type"] == "too_short" and isinstance(found, list) and len(found) >= least
 
 
-def _find(detail: ErrorDetails, model: type[BaseModel], data: Any) -> _Finding:
+def _find(detail: ErrorDetails, data: Any, models: _Models) -> _Finding:
     kind, found, context = detail["type"], detail["input"], detail.get("ctx", {})
     path, of_key = _path(detail["loc"], data, absent=kind == "missing")
     if kind == "extra_forbidden":
-        return _unknown_key(path, model, data)
+        return _unknown_key(path, data, models)
     if kind == "missing":
-        return _missing(path, model, data)
+        return _missing(path, data, models)
     if kind == "union_tag_not_found":
         key = str(context["discriminator"]).strip("'")
         return _Finding((*path, key), message=f"missing key '{key}'")
@@ -168,13 +172,12 @@ def _value_at(data: Any, path: KeyPath) -> Any:
     return data
 
 
-def _unknown_key(path: KeyPath, model: type[BaseModel], data: Any) -> _Finding:
+def _unknown_key(path: KeyPath, data: Any, models: _Models) -> _Finding:
     name = str(path[-1])
-    known = list(
-        dict.fromkeys(key for above in _models_at(model, path[:-1], data) for key in above.model_fields)
-    )
+    above = _value_at(data, path[:-1])
+    known = list(dict.fromkeys(key for model in models[id(above)] for key in model.model_fields))
     # A key that is already there is not the one that was misspelt.
-    free = [key for key in known if key not in _value_at(data, path[:-1])]
+    free = [key for key in known if key not in above]
     if name == EXTENDS:
         hint = f"`{EXTENDS}` stands at the top of a file only"
     else:
@@ -183,55 +186,11 @@ def _unknown_key(path: KeyPath, model: type[BaseModel], data: Any) -> _Finding:
     return _Finding(path, message=f"unknown key '{name}'; {expected}", hint=hint)
 
 
-def _missing(path: KeyPath, model: type[BaseModel], data: Any) -> _Finding:
+def _missing(path: KeyPath, data: Any, models: _Models) -> _Finding:
     name, above = path[-1], path[:-1]
     if isinstance(name, int):  # an entry of a tuple of fixed length
         return _Finding(above, expected="more entries")
-    fields = [m.model_fields[name] for m in _models_at(model, above, data) if name in m.model_fields]
+    known = models[id(_value_at(data, above))]
+    fields = [model.model_fields[name] for model in known if name in model.model_fields]
     description = next((field.description for field in fields if field.description), "")
     return _Finding(path, message=f"missing key '{name}'", hint=" ".join(description.split()) or None)
-
-
-def _models_at(model: type[BaseModel], path: KeyPath, data: Any) -> list[type[BaseModel]]:
-    """The models that the value at a path in the data of a model may be of.
-
-    Of models that are told apart by the key `kind`, only that which the data name.
-    """
-    types: list[Any] = [model]
-    for key in path:
-        types = [below for above in _fitting(types, data) for below in _types_below(above, key)]
-        data = data[key]
-    return [found for found in _fitting(types, data) if hasattr(found, "model_fields")]
-
-
-def _fitting(types: list[Any], data: Any) -> list[Any]:
-    def fits(found: Any) -> bool:
-        kind = getattr(found, "model_fields", {}).get("kind")
-        return kind is None or data.get("kind") in get_args(kind.annotation)
-
-    return ([found for found in types if fits(found)] if isinstance(data, Mapping) else None) or types
-
-
-def _types_below(above: Any, key: str | int) -> Iterator[Any]:
-    """The types that a value may have under a key or index of a value of a type."""
-    items = get_args(above)
-    if hasattr(above, "model_fields"):
-        if key in above.model_fields:
-            yield from _types(above.model_fields[key].annotation)
-    elif get_origin(above) is dict:
-        yield from _types(items[1])
-    elif items:
-        fixed = isinstance(key, int) and key < len(items) and Ellipsis not in items
-        yield from _types(items[int(key) if fixed else 0])
-
-
-def _types(annotation: Any) -> Iterator[Any]:
-    """The types that an annotation allows, unions opened and `Annotated` unpacked."""
-    items = get_args(annotation)
-    if get_origin(annotation) is Annotated:
-        yield from _types(items[0])
-    elif get_origin(annotation) in (Union, UnionType):
-        for item in items:
-            yield from _types(item)
-    else:
-        yield annotation

@@ -3,25 +3,24 @@
 from __future__ import annotations
 
 import signal
-import sys
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import Enum
 from types import FrameType
 from typing import Any, TextIO
 
 from kickbench.errors import shown
-from kickbench.evaluation.progress import EVALUATING, duration, percent
+from kickbench.evaluation.progress import duration, percent
 from kickbench.launch.plan import Plan, PlannedRun
 from kickbench.launch.process import Process
 from kickbench.launch.record import write_record
-from kickbench.launch.state import RunState, State, run_table, time_left
+from kickbench.launch.state import RunState, State, time_left
 from kickbench.results.store import RunDirectory
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _POLL_SECONDS = 0.25
-_DRAW_SECONDS, _PRINT_SECONDS = 0.5, 60.0
+_SUMMARY_SECONDS = 60.0
 
 
 class Outcome(Enum):
@@ -64,7 +63,7 @@ class Job:
 
 
 class Display:
-    """How the jobs do, for people: on a terminal a table that is redrawn in place, elsewhere a line for what is new.
+    """How the jobs do, for people: a line for whatever is new, and now and then how much is left.
 
     Args:
         at_a_time: Runs at a time, for the time left.
@@ -72,54 +71,25 @@ class Display:
     """
 
     def __init__(self, at_a_time: int = 1, stream: TextIO | None = None) -> None:
-        from rich.console import Console
-        from rich.live import Live
-
-        self._at_a_time, self._console = at_a_time, Console(file=stream or sys.stdout)
-        # Drawn by `update` alone: no thread may run while processes are started.
-        self._live = Live(console=self._console, auto_refresh=False)
+        self._at_a_time, self._stream = at_a_time, stream
         self._known: dict[str, object] = {}
         self._shown_at = time.monotonic()
 
     def update(self, jobs: Sequence[Job]) -> None:
         """Shows what is new; called several times a second."""
-        if self._console.is_terminal:
-            self._draw(jobs)
-        else:
-            self._print(jobs)
-
-    def say(self, text: str) -> None:
-        """Prints a line that concerns all of them."""
-        self._console.print(text, highlight=False, markup=False, soft_wrap=True)
-
-    def close(self) -> None:
-        """Gives the terminal back; the table stays on the screen as it last was."""
-        self._live.stop()
-
-    def _draw(self, jobs: Sequence[Job]) -> None:
-        from rich.text import Text
-
-        if self._is_due(_DRAW_SECONDS) or all(job.has_ended for job in jobs):
-            rows = [(job.run.name, job.state, job.reason) for job in jobs]
-            table = run_table("", rows, [job.outcome.value for job in jobs])
-            text = Text(f"{table}\n{self._summary(jobs)}", no_wrap=True, overflow="ellipsis")
-            self._live.start()
-            self._live.update(text, refresh=True)
-
-    def _print(self, jobs: Sequence[Job]) -> None:
         for number, job in enumerate(jobs, start=1):
             now = (job.outcome, job.reason, job.command)
             if self._known.get(job.run.name) != now:
                 self._known[job.run.name] = now
                 if news := _news(job):
                     self.say(f"[{number}/{len(jobs)}] {job.run.name}: {news}")
-        if self._is_due(_PRINT_SECONDS):
+        if time.monotonic() - self._shown_at >= _SUMMARY_SECONDS:
+            self._shown_at = time.monotonic()
             self.say(self._summary(jobs))
 
-    def _is_due(self, seconds: float) -> bool:
-        due = time.monotonic() - self._shown_at >= seconds
-        self._shown_at = time.monotonic() if due else self._shown_at
-        return due
+    def say(self, text: str) -> None:
+        """Prints a line that concerns all of them."""
+        print(text, file=self._stream, flush=True)
 
     def _summary(self, jobs: Sequence[Job]) -> str:
         done = sum(job.outcome is Outcome.DONE for job in jobs)
@@ -207,7 +177,6 @@ class Jobs:
             display.update(self.jobs)
         finally:
             self._leave_nothing_behind()
-            display.close()
             for number, handler in before.items():
                 signal.signal(number, handler)
 
@@ -237,8 +206,6 @@ class Jobs:
         assert job.process is not None
         code, job.state = job.process.poll(), job.run.read_state()
         if code is None:
-            if job.state.note == EVALUATING and (words := job.process.last_words()).startswith(EVALUATING):
-                job.state = replace(job.state, note=words)
             return
         job.seconds += time.monotonic() - job.started
         following = self._next_command(job)

@@ -58,7 +58,7 @@ class PlannedRun:
 
     @property
     def name(self) -> str:
-        """`arm/seed0`."""
+        """`baseline/seed0`: condition and seed."""
         return self.record.folder.as_posix()
 
     @property
@@ -101,14 +101,16 @@ def make_plan(experiment: LoadedExperiment, selection: Selection) -> Plan:
             raise SpecError.of(f"--only {name}", what, did_you_mean(name, experiment.conditions))
     folder = selection.out or selection.default_folder(experiment.name)
     columns, records, problems = list[list[PlannedRun]](), list[RunRecord](), list[Problem]()
-    for arm in experiment.conditions.values():
-        overrides = (*arm.overrides, *selection.overrides)
-        trial = load_trial(arm.task.document.file, arm.method.document.file, overrides, selection.scale)
-        is_chosen = not selection.only or arm.name in selection.only
-        asked = (selection.seeds or arm.seeds) if is_chosen else ()
-        own = {seed: _record(arm, trial, seed) for seed in dict.fromkeys((*arm.seeds, *asked))}
+    for condition in experiment.conditions.values():
+        overrides = (*condition.overrides, *selection.overrides)
+        trial = load_trial(
+            condition.task.document.file, condition.method.document.file, overrides, selection.scale
+        )
+        is_chosen = not selection.only or condition.name in selection.only
+        asked = (selection.seeds or condition.seeds) if is_chosen else ()
+        own = {seed: _record(condition, trial, seed) for seed in dict.fromkeys((*condition.seeds, *asked))}
         records += own.values()
-        columns.append([_planned(experiment, selection, arm, folder, own[seed]) for seed in asked])
+        columns.append([_planned(experiment, selection, condition, folder, own[seed]) for seed in asked])
         for run in columns[-1]:
             problems += _differences(run.directory, trial, run.record.seed, selection.scale)
     if problems:
@@ -124,28 +126,28 @@ def _in_turn(columns: list[list[PlannedRun]]) -> Iterator[PlannedRun]:
         yield from (column[index] for column in columns if index < len(column))
 
 
-def _record(arm: Condition, trial: Trial, seed: int) -> RunRecord:
+def _record(condition: Condition, trial: Trial, seed: int) -> RunRecord:
     return RunRecord(
-        arm=arm.name,
+        arm=condition.name,
         seed=seed,
         task=trial.task.name,
         method=trial.method.name,
         iterations=trial.method.spec.algorithm.iterations,
         episodes=trial.task.spec.evaluation.episodes,
-        also=tuple(arm.transfer),
+        also=tuple(condition.transfer),
     )
 
 
 def _planned(
-    experiment: LoadedExperiment, selection: Selection, arm: Condition, folder: Path, record: RunRecord
+    experiment: LoadedExperiment, selection: Selection, condition: Condition, folder: Path, record: RunRecord
 ) -> PlannedRun:
-    files = [shown(loaded.document.file) for loaded in (arm.task, arm.method)]
+    files = [shown(loaded.document.file) for loaded in (condition.task, condition.method)]
     options = [("--seed", str(record.seed))]
-    options += [("--set", text) for text in (*arm.overrides, *selection.overrides)]
+    options += [("--set", text) for text in (*condition.overrides, *selection.overrides)]
     options += [] if selection.scale is None else [("--scale", f"{selection.scale!r}")]
     options += [("--experiment", shown(experiment.document.file)), ("--out", str(folder / record.folder))]
     arguments = (*files, *(part for option in options for part in option))
-    also = {name: task.document.file for name, task in arm.transfer.items()}
+    also = {name: task.document.file for name, task in condition.transfer.items()}
     return PlannedRun(record, RunDirectory(folder / record.folder), arguments, also)
 
 

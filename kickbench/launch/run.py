@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import torch
 from rsl_rl.models import MLPModel
@@ -274,28 +275,18 @@ def train(
     task: Path | str,
     method: Path | str,
     *,
-    seed: int = 0,
-    out: Path | str | None = None,
     overrides: Sequence[str] = (),
-    iterations: int | None = None,
-    num_envs: int | None = None,
-    device: str = "cpu",
-    force: bool = False,
-    resume: bool = False,
+    out: Path | str | None = None,
+    **options: Any,
 ) -> Run:
     """Trains and evaluates a run, as `kickbench run` does, and loads it.
 
     Args:
         task: Path or name of a task: `mini_home_field`.
         method: Path or name of a method: `mini/equivariant`.
-        seed: Seed of networks, exploration and initial states.
-        out: Run directory; default: `runs/<task>/<method>/seed<k>`.
         overrides: `key.path=value` texts.
-        iterations: Iterations; default: the method's.
-        num_envs: Parallel environments; default: the method's.
-        device: Where to train.
-        force: Overwrite a run that is there.
-        resume: Go on with a run that is there; begin it if there is none.
+        out: Run directory; default: `runs/<task>/<method>/seed<k>`.
+        options: `seed`, `iterations`, `num_envs`, `device`, `resume` and the others of `RunRequest`.
 
     Raises:
         SpecError: A specification is wrong; nothing has been written.
@@ -304,26 +295,27 @@ def train(
     """
     task = find(task, "task")
     method = find_method(method, task, overrides)
-    flags = {"--seed": seed, "--iterations": iterations, "--num-envs": num_envs}
-    settings = [(flag, str(value)) for flag, value in flags.items() if value is not None]
-    settings += [("--set", override) for override in overrides]
     request = RunRequest(
-        task=task,
-        method=method,
-        seed=seed,
-        overrides=overrides,
-        iterations=iterations,
-        num_envs=num_envs,
-        out=None if out is None else Path(out),
-        device=device,
-        force=force,
-        resume=resume,
-        command=["kickbench", "run", str(task), str(method), *(text for pair in settings for text in pair)],
+        task=task, method=method, overrides=overrides, out=None if out is None else Path(out), **options
     )
-    outcome = run(request)
+    outcome = run(replace(request, command=_command_line(request)))
     if outcome.training is not None and outcome.training.interrupted:
         raise KeyboardInterrupt
     return load_run(outcome.directory.path)
+
+
+def _command_line(request: RunRequest) -> list[str]:
+    """The `kickbench run` that makes the same run."""
+    settings = {"--seed": request.seed, "--iterations": request.iterations, "--num-envs": request.num_envs}
+    pairs = [(flag, str(value)) for flag, value in settings.items() if value is not None]
+    pairs += [("--set", override) for override in request.overrides]
+    return [
+        "kickbench",
+        "run",
+        str(request.task),
+        str(request.method),
+        *(text for pair in pairs for text in pair),
+    ]
 
 
 def evaluate(

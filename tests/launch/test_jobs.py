@@ -204,11 +204,6 @@ def test_an_error_of_the_display_leaves_no_process_behind(runs, played):
     assert played.alive == 0
 
 
-class Terminal(io.StringIO):
-    def isatty(self) -> bool:
-        return True
-
-
 def test_a_long_run_is_seen_to_be_alive(runs, played, monkeypatch):
     now = [0.0]
     monkeypatch.setattr(module.time, "monotonic", lambda: now[0])
@@ -220,16 +215,6 @@ def test_a_long_run_is_seen_to_be_alive(runs, played, monkeypatch):
     Jobs(runs[:2], 1, 1).carry_out(Display(1, out), sleep)
     assert "0 of 2 runs done; time left: unknown until the first iterations have been timed" in out.getvalue()
     assert "1 of 2 runs done; time left: about " in out.getvalue()
-
-
-def test_a_terminal_shows_one_line_a_run(runs, played):
-    played.codes = {"seed1": 2}
-    jobs, out = Jobs(runs, 2, 1), Terminal()
-    jobs.carry_out(Display(2, out), no_sleep)
-    last = out.getvalue().rpartition("steps/s")[2]  # the last header; what comes before is overdrawn
-    assert [last.count(f"a/seed{k}") for k in range(4)] == [1, 1, 1, 1]
-    assert "3 of 4 runs done" in last
-    assert "failed" in last
 
 
 STARTER = """
