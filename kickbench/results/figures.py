@@ -145,7 +145,8 @@ def correlation(first: Curve, second: Curve) -> float | None:
     """Pearson's correlation over iterations (thesis Fig. 4.1)."""
     both = np.stack([first, second])
     both = both[:, np.isfinite(both).all(axis=0)]
-    return float(np.asarray(np.corrcoef(both))[0, 1]) if both.shape[1] > 2 and both.std(axis=1).all() else None
+    is_defined = both.shape[1] > 2 and both.std(axis=1).all()
+    return float(np.asarray(np.corrcoef(both))[0, 1]) if is_defined else None
 
 
 def mean_per_step(sums: Curve, steps: Curve) -> float | None:

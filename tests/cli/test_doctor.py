@@ -14,7 +14,7 @@ from kickbench.errors import KickbenchError
 @pytest.fixture
 def printed(monkeypatch, capsys):
     """Runs `kickbench doctor` on a machine with two cores; its exit code and its rows by name, the verdict last."""
-    monkeypatch.setattr("kickbench.sim.cpu.usable_cores", lambda: 2)
+    monkeypatch.setattr("kickbench.sim.engine.usable_cores", lambda: 2)
     monkeypatch.setattr(check, "_drawing", lambda: "egl")
 
     def printed() -> tuple[int, dict[str, str], str]:
