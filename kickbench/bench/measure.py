@@ -44,7 +44,7 @@ _ROWS = 40
 
 
 class Iterations:
-    """A training that goes on by one iteration a call, and keeps nothing."""
+    """A training that advances by one iteration per call, and saves nothing."""
 
     def __init__(self, trial: Trial, device: str, threads: int, *, graph: bool = True) -> None:
         """Builds environments and networks.

@@ -75,7 +75,7 @@ def render(
     check_mujoco()
     suffix = out.suffix.lower() if out else ".png"
     if suffix == ".png":
-        _refuse("a .png shows starts", policy=policy, episodes=episodes, mirrored=mirrored)
+        _refuse("a .png shows initial states", policy=policy, episodes=episodes, mirrored=mirrored)
     elif suffix in (".webp", ".mp4"):
         _refuse(f"a {suffix} shows episodes", starts=starts)
     else:

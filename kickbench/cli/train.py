@@ -205,7 +205,7 @@ def sentence(runs: pd.DataFrame) -> str:
     """What the policies of one seed lose on the side that they have never seen, in words.
 
     Args:
-        runs: Evaluated runs, one a method, as `load_runs` reads them.
+        runs: Evaluated runs, one per method, as `load_runs` reads them.
     """
     rates = {(run.method, run.side): float(run.success_rate) for _, run in runs.iterrows()}
     parts = [

@@ -1,1 +1,1 @@
-"""Fixed-seed evaluation of policies, on the task's starts and on their exact mirror images."""
+"""Fixed-seed evaluation of policies, on the task's initial states and on their exact mirror images."""

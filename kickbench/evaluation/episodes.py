@@ -1,8 +1,8 @@
 """Runs exactly the episodes asked for, none counted twice, none preferred for being short.
 
-All starts are drawn before the first step, and every one of them is run to its end. (Recording the first N
-episodes to *finish* would prefer short ones.) An env that finishes an episode begins the next start that no env has
-begun. What happens in an episode does not depend on when or where it runs.
+All initial states are drawn before the first step, and every episode is run to its end. (Recording the first
+N episodes to *finish* would prefer short ones.) An env that finishes an episode takes the next initial state
+that no env has taken. An episode does not depend on when it runs, or in which env.
 """
 
 from __future__ import annotations
@@ -33,44 +33,47 @@ Policy = Callable[[TensorDict], Tensor]
 """Observations {group: [B, width]} -> actions [B, nu]."""
 
 _BUSY_SHARE, _FEWEST_ENVS = 0.75, 8
-"""Share of envs with an episode below which the others are dropped, and how few envs are not worth that."""
+"""Share of busy envs below which the idle ones are dropped, and number of envs that are always kept."""
 
 
 def draw_starts(task: CompiledTask, episodes: int, seed: int) -> InitialStates:
-    """Draws the starts of an evaluation; the same seed gives the same starts on every machine."""
+    """Draws the initial states of an evaluation; the same seed gives the same ones on every machine."""
     generator = torch.Generator().manual_seed(seed)
     return InitialStateSampler(task, generator).sample(episodes)
 
 
-def mirror_starts(task: CompiledTask, starts: InitialStates) -> InitialStates:
-    """The exact mirror images of the given starts."""
-    return starts.mirrored(*(Mirror(representation) for representation in state_symmetry(task)))
+def mirror_starts(task: CompiledTask, initial_states: InitialStates) -> InitialStates:
+    """The exact mirror images of the given initial states."""
+    return initial_states.mirrored(*(Mirror(representation) for representation in state_symmetry(task)))
 
 
 class _Schedule:
-    """Which episode every env runs: one that is finished gets the next that has not begun.
+    """Which episode every env runs; an env whose episode has ended gets the next one that has not begun.
 
     Attributes:
         running: Episode of every env, -1: none is left for it [B].
         draws: Random numbers of the running episodes.
     """
 
-    def __init__(self, starts: InitialStates, seed: int, num_envs: int, begun: int = 0) -> None:
-        self.starts, self._seed, self._begun = starts, seed, begun
+    def __init__(self, initial_states: InitialStates, seed: int, num_envs: int, begun: int = 0) -> None:
+        self.initial_states, self._seed, self._begun = initial_states, seed, begun
         self.running = torch.full((num_envs,), -1)
         self.draws = EpisodeDraws(num_envs)
 
     def __call__(self, mask: Tensor) -> InitialStates:
-        """Hands the next starts to the envs in `mask`; one that gets none repeats some start, uncounted."""
+        """Gives the next initial states to the envs in `mask`.
+
+        Once there are none left, an env repeats an earlier one, and its episode does not count.
+        """
         envs = mask.nonzero().squeeze(1)
         given = torch.arange(self._begun, self._begun + len(envs))
-        given[given >= len(self.starts)] = -1
-        self._begun = min(self._begun + len(envs), len(self.starts))
+        given[given >= len(self.initial_states)] = -1
+        self._begun = min(self._begun + len(envs), len(self.initial_states))
         self.running = self.running.index_put((envs,), given)
         for env, episode in zip(envs.tolist(), given.tolist(), strict=True):
             if episode >= 0:
                 self.draws.begin(env, (self._seed, episode))
-        return self.starts.take(self.running.clamp(min=0))
+        return self.initial_states.take(self.running.clamp(min=0))
 
     @property
     def finished(self) -> bool:
@@ -86,13 +89,18 @@ class _Schedule:
 
 
 class _Evaluation:
-    """Running episodes: envs, their schedule and records, and the observations they wait with."""
+    """Running episodes: envs, their schedule and records, and the observations of the next step."""
 
     def __init__(
-        self, task: CompiledTask, starts: InitialStates, seed: int, num_envs: int, num_threads: int | None
+        self,
+        task: CompiledTask,
+        initial_states: InitialStates,
+        seed: int,
+        num_envs: int,
+        num_threads: int | None,
     ) -> None:
-        self.task, self.starts, self.seed, self.num_threads = task, starts, seed, num_threads
-        self.schedule = _Schedule(self.starts, self.seed, num_envs)
+        self.task, self.initial_states, self.seed, self.num_threads = task, initial_states, seed, num_threads
+        self.schedule = _Schedule(self.initial_states, self.seed, num_envs)
         self.env, self.kick = self._make_env(self.schedule), KickRecord.empty(num_envs)
         self.observations = self.env.get_observations()
 
@@ -109,11 +117,12 @@ class _Evaluation:
         rows = self.schedule.busy()
         if rows is None:
             return
-        old, schedule = self.schedule, _Schedule(self.starts, self.seed, len(rows), begun=len(self.starts))
+        old, count = self.schedule, len(self.initial_states)
+        schedule = _Schedule(self.initial_states, self.seed, len(rows), begun=count)
         smaller = self._make_env(schedule)
         smaller.restore(self.env.snapshot().take(rows))
         self.env.engine.close()
-        # Last: making and restoring the envs has drawn numbers and asked for starts.
+        # Last: making and restoring the envs has drawn numbers and asked for initial states.
         schedule.running = old.running[rows]
         schedule.draws.streams[:] = [old.draws.streams[row] for row in rows.tolist()]
         self.env, self.schedule, self.kick = smaller, schedule, self.kick.take(rows)
@@ -135,22 +144,23 @@ class _Evaluation:
 def run_episodes(
     task: CompiledTask,
     policy: Policy,
-    starts: InitialStates,
+    initial_states: InitialStates,
     seed: int,
     num_envs: int = 512,
     num_threads: int | None = None,
     probe: EquivarianceProbe | None = None,
     note: Callable[[int], None] | None = None,
 ) -> EpisodeTable:
-    """Runs one episode from each start with a deterministic policy, on the CPU.
+    """Runs one episode from each initial state with a deterministic policy, on the CPU.
 
-    An episode depends on its start, the seed and its number alone, not on `num_envs` or `num_threads`; but a policy
-    may answer up to three observations at a time with other last bits than more (BLAS).
+    An episode depends on its initial state, the seed and its number alone, not on `num_envs` or
+    `num_threads`. One exception: for batches of up to three observations, the last bits of a policy's actions
+    may differ from those for larger batches (BLAS).
 
     Args:
         task: Compiled task.
         policy: Maps observations to actions, row by row; called without gradients.
-        starts: Initial states, one an episode.
+        initial_states: One per episode.
         seed: Seed of observation noise, delays and pushes, where the task's evaluation has any.
         num_envs: Envs at most.
         num_threads: Physics threads.
@@ -158,11 +168,11 @@ def run_episodes(
         note: Called after every step with the number of episodes that it has ended.
 
     Returns:
-        Row i is the episode from start i.
+        Row i is the episode from initial state i.
     """
     ended: list[dict[str, np.ndarray]] = []
     with torch.inference_mode(), torch_threads(1):
-        running = _Evaluation(task, starts, seed, min(num_envs, len(starts)), num_threads)
+        running = _Evaluation(task, initial_states, seed, min(num_envs, len(initial_states)), num_threads)
         while not running.schedule.finished:
             running.shrink()
             actions = policy(running.observations)
@@ -171,7 +181,7 @@ def run_episodes(
             ended.append(running.step(actions))
             if note is not None:
                 note(len(ended[-1]["running"]))
-    return _table(task, starts, ended)
+    return _table(task, initial_states, ended)
 
 
 def run_sides(
@@ -183,7 +193,7 @@ def run_sides(
     seed: int | None = None,
     num_threads: int | None = None,
 ) -> tuple[EpisodeSides, EquivarianceError | None]:
-    """Runs the episodes of a task's protocol, on the mirrored side too where it asks for it.
+    """Runs the episodes of a task's protocol, and those of the mirrored side if it has one.
 
     Args:
         task: Compiled task.
@@ -191,33 +201,33 @@ def run_sides(
         symmetry: The reflection by which the policy's equivariance error is measured at the states that it
             visits; None: it is not measured.
         episodes: Episodes a side; default: the task's.
-        seed: Seed of the starts; default: the task's.
+        seed: Seed of the initial states; default: the task's.
         num_threads: Physics threads.
     """
     protocol, probe = task.spec.evaluation, None
     seed = protocol.seed if seed is None else seed
-    starts = draw_starts(task, episodes or protocol.episodes, seed)
+    initial_states = draw_starts(task, episodes or protocol.episodes, seed)
     if symmetry is not None:
         tables = {name: table.representation for name, table in symmetry.groups.items()}
         probe = EquivarianceProbe(policy, tables, symmetry.actions)
 
-    with Steps(EVALUATING, "episodes", len(starts) * (1 + protocol.mirrored)) as steps:
+    with Steps(EVALUATING, "episodes", len(initial_states) * (1 + protocol.mirrored)) as steps:
 
-        def episodes_from(starts: InitialStates) -> EpisodeTable:
+        def episodes_from(initial_states: InitialStates) -> EpisodeTable:
             return run_episodes(
-                task, policy, starts, seed, num_threads=num_threads, probe=probe, note=steps.advance
+                task, policy, initial_states, seed, num_threads=num_threads, probe=probe, note=steps.advance
             )
 
-        home = episodes_from(starts)
-        mirrored = episodes_from(mirror_starts(task, starts)) if protocol.mirrored else None
+        home = episodes_from(initial_states)
+        mirrored = episodes_from(mirror_starts(task, initial_states)) if protocol.mirrored else None
     return EpisodeSides(home, mirrored), probe.result() if probe else None
 
 
 def success_by_side(task: CompiledTask, policy: Policy, num_threads: int | None = None) -> dict[str, float]:
     """Success by side of a policy in the first `every_episodes` episodes of the task's evaluation."""
     protocol = task.spec.evaluation
-    starts = draw_starts(task, max(protocol.episodes, protocol.every_episodes), protocol.seed)
-    home = starts.take(torch.arange(protocol.every_episodes))
+    initial_states = draw_starts(task, max(protocol.episodes, protocol.every_episodes), protocol.seed)
+    home = initial_states.take(torch.arange(protocol.every_episodes))
     sides = {SIDES[0]: home} | ({SIDES[1]: mirror_starts(task, home)} if protocol.mirrored else {})
     return {
         side: float(run_episodes(task, policy, of, protocol.seed, num_threads=num_threads).success.mean())
@@ -231,7 +241,7 @@ def _ended(env: KickEnv, running: Tensor, before: Tensor, kick: dict[str, Tensor
     Args:
         env: The environments.
         running: Episode that each env ran in that step, -1: none [B].
-        before: Ball positions before the step [B, 2], kept for envs whose state is not finite.
+        before: Ball positions before the step [B, 2], kept for envs whose state has NaN or infinite numbers.
         kick: Columns of the kick.
     """
     outcome = env.outcome
@@ -256,14 +266,18 @@ def _ended(env: KickEnv, running: Tensor, before: Tensor, kick: dict[str, Tensor
     return {name: column[envs].numpy() for name, column in columns.items()}
 
 
-def _table(task: CompiledTask, starts: InitialStates, ended: list[dict[str, np.ndarray]]) -> EpisodeTable:
-    """Episodes in the order of their starts; terminations and feet by name."""
+def _table(
+    task: CompiledTask, initial_states: InitialStates, ended: list[dict[str, np.ndarray]]
+) -> EpisodeTable:
+    """Episodes in the order of their initial states; terminations and feet by name."""
     merged = {name: np.concatenate([chunk[name] for chunk in ended]) for name in ended[0]}
     order = np.argsort(merged["running"])
     rows = {name: column[order] for name, column in merged.items()}
-    assert (rows.pop("running") == np.arange(len(starts))).all(), "every episode is counted exactly once"
+    assert (rows.pop("running") == np.arange(len(initial_states))).all(), (
+        "every episode is counted exactly once"
+    )
     place = task.scene.layout.ball_qpos
-    start_ball, target = starts.qpos[:, place : place + 2].numpy(), starts.target.numpy()
+    start_ball, target = initial_states.qpos[:, place : place + 2].numpy(), initial_states.target.numpy()
     endings = np.array([*(bound.name for bound in task.terminations), NON_FINITE])
     final = np.stack([rows["final_ball_x"], rows["final_ball_y"]], axis=1).astype(np.float64)
     names = {

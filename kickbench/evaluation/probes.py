@@ -20,7 +20,7 @@ LAUNCH_WINDOW = 0.2
 """Time from the beginning of the first touch within which the ball is launched, s. A kick takes a few control
 steps; a ball that the foot overtakes and hits again is still the same kick."""
 EVERY = 5
-"""Control steps of an episode between two states that are looked at: neighbours say nearly the same."""
+"""Control steps between two states that are evaluated: neighbouring states give nearly the same error."""
 
 
 @dataclass
@@ -34,10 +34,10 @@ class KickRecord:
             Contacts are latched over the substeps.
         walked_after_touch: Sum of :math:`\max(0, (p_t - p_{t-1}) \cdot u_{t-1})` over the control steps after
             that of the first touch, where u is the unit vector from p to b [B], m.
-        launch_speed: Largest :math:`|v_t|` within `LAUNCH_WINDOW` from the first touch [B], m/s; 0 without one.
-            The episode's `peak_ball_speed` has no such limit.
+        launch_speed: Largest :math:`|v_t|` within `LAUNCH_WINDOW` from the first touch [B], m/s; 0 without
+            one. The episode's `peak_ball_speed` has no such limit.
         launch: Dot and cross product of the vector from b to the target with v in the control step of that
-            largest speed [B, 2]; the angle from the one to the other is the direction error, positive to the left.
+            largest speed [B, 2]; the direction error is the angle from the first to v, positive left.
     """
 
     touches: Tensor
@@ -52,12 +52,12 @@ class KickRecord:
         return KickRecord(zeros.long(), zeros, zeros, torch.zeros(num_envs, 2))
 
     def note(self, before: State, state: State, failed: Tensor, control_interval: float) -> None:
-        """Takes account of one control step.
+        """Records one control step.
 
         Args:
             before: The state that it began in.
             state: The state that it has led to; the touch counters of the episodes include the step.
-            failed: Envs whose state is not finite [B] bool; their records stay as they are.
+            failed: Envs whose state has NaN or infinite numbers [B] bool; their records stay as they are.
             control_interval: Length of the step, s.
         """
         since = torch.where(failed, 0, state.episode.contact_count)
@@ -104,8 +104,9 @@ class KickRecord:
 class EquivarianceProbe:
     r"""Accumulates :math:`\pi(\rho o) - \rho\pi(o)` over visited observations o.
 
-    Only sums are kept, whatever the number of states. Which states count depends on each episode's own step alone:
-    the same episodes give the same states on any number of envs. The error at o is that at :math:`\rho o` as well.
+    Only sums are kept, whatever the number of states. Which states count depends on each episode's own step
+    alone: the same episodes give the same states on any number of envs. The errors at o and at
+    :math:`\rho o` have the same norm.
 
     Args:
         policy: Deterministic policy.
@@ -126,9 +127,9 @@ class EquivarianceProbe:
         self._difference = self._size = self._largest = 0.0
 
     def __call__(self, observations: TensorDict, actions: Tensor, steps: Tensor, running: Tensor) -> None:
-        """Looks at the states of one control step.
+        """Adds the states of one control step.
 
-        Rows whose actions are not finite are left out: their episodes end as failed, and are counted there.
+        Rows whose actions are NaN or infinite are left out: their episodes end, and count, as failed.
 
         Args:
             observations: What the policy saw {group: [B, width]}.

@@ -1,1 +1,1 @@
-"""Pictures: starts of a task, episodes of a policy, sampling regions from above."""
+"""Pictures: initial states of a task, episodes of a policy, sampling regions from above."""

@@ -14,7 +14,7 @@ _HELP = "a machine without a screen needs OSMesa (apt-get install libosmesa6) or
 
 
 def check_mujoco() -> None:
-    """Checks that MuJoCo can be imported: it looks for MUJOCO_GL's libraries then, and fails in its own ways.
+    """Checks that MuJoCo can be imported: on import it loads the libraries that MUJOCO_GL names.
 
     Raises:
         KickbenchError: MUJOCO_GL names a platform that is not there.
@@ -28,7 +28,7 @@ def check_mujoco() -> None:
 def make_context(width: int, height: int) -> Any:
     """Makes an OpenGL context, current in this thread.
 
-    MUJOCO_GL decides, where it is set. It is read here rather than left to MuJoCo, which reads it once, on import.
+    If MUJOCO_GL is set, it decides. It is read here because MuJoCo reads it only once, on import.
 
     Args:
         width: Width of the largest picture, pixels.
@@ -41,7 +41,7 @@ def make_context(width: int, height: int) -> Any:
     try:
         context = import_module(f"mujoco.{platform}").GLContext(width, height)
         context.make_current()
-    except Exception as error:  # every platform has exceptions of its own
+    except Exception as error:  # every platform has its own exceptions
         raise _no_opengl(platform, error) from None
     return context
 

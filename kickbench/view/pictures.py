@@ -29,7 +29,7 @@ _GAP = 10
 _LARGEST = 100_000_000
 """Pixels of a sheet at most: more would fill the memory, and no viewer shows them."""
 _FRAME_TIME, _HOLD = 0.04, 0.8
-"""Wished time between frames, and how long the last one of an episode stays, s."""
+"""Desired time between frames, and how long the last one of an episode is shown, s."""
 _QUALITY = 30
 """Of a WebP, up to 100: at 30 two policies side by side, 320x240 each, take 250 kB an episode."""
 
@@ -49,7 +49,7 @@ def contact_sheet(task: CompiledTask, count: int, seed: int, width: int, height:
     """
     if count * width * height > _LARGEST:
         raise KickbenchError(
-            f"{count} starts of {width}x{height} pixels make a sheet of more than 100 megapixels"
+            f"{count} initial states of {width}x{height} pixels make a sheet of more than 100 megapixels"
         )
     columns = math.ceil(math.sqrt(count))
     size = max(height // 22, 11)
@@ -58,12 +58,14 @@ def contact_sheet(task: CompiledTask, count: int, seed: int, width: int, height:
     sheet = Image.new("RGB", sheet_size, _PAPER)
     draw = ImageDraw.Draw(sheet)
     draw.text((_GAP, _GAP), task.name, _INK, ImageFont.load_default(round(1.5 * size)))
-    words = f"{count} starts of seed {seed}; x points forward, y and angles to the left"
+    words = f"{count} initial states of seed {seed}; x points forward, y and angles to the left"
     draw.text((_GAP, _GAP + 1.9 * size), words, _PALE, ImageFont.load_default(size))
-    starts, place = evaluation_starts(task, count, seed), task.scene.layout.ball_qpos
+    initial, place = evaluation_starts(task, count, seed), task.scene.layout.ball_qpos
     small_map = SmallMap(task.spec.sampling, height // 4)
     with Stage(task, width, height) as stage:
-        for index, (qpos, target) in enumerate(zip(starts.qpos.numpy(), starts.target.numpy(), strict=True)):
+        for index, (qpos, target) in enumerate(
+            zip(initial.qpos.numpy(), initial.target.numpy(), strict=True)
+        ):
             row, column = divmod(index, columns)
             left, top = _GAP + column * cell[0], head + row * cell[1]
             ball, pixels = qpos[place : place + 2], stage.picture(qpos, target, stage.camera(qpos, target))
@@ -118,7 +120,7 @@ class SmallMap:
         return [(float(middle - y), float(middle - x)) for x, y in offset]
 
     def stamped(self, image: Image.Image, ball: np.ndarray, target: np.ndarray) -> Image.Image:
-        """Draws the map with ball and target [2], m, into the upper left corner of a picture, and returns that."""
+        """The picture with the map in its upper left corner, with ball and target [2], m."""
         fine, radius = self._map.copy(), self._side / 30.0
         draw = ImageDraw.Draw(fine)
         places = self.place(np.stack([target, ball]))
@@ -175,7 +177,7 @@ def frame_stride(task: CompiledTask) -> int:
 
 
 def frame_time(task: CompiledTask) -> float:
-    """Time between two frames, s: films run at the speed of the world."""
+    """Time between two frames, s: films run in real time."""
     return frame_stride(task) * task.spec.simulation.control_interval
 
 
@@ -286,7 +288,7 @@ def write_mp4(path: Path, frames: Iterable[Image.Image], seconds: float) -> None
     """
     ffmpeg, frames = require("imageio_ffmpeg", "an .mp4"), iter(frames)
     first = next(frames)
-    # The file has no telling suffix yet.
+    # The suffix of the temporary file does not give the format.
     options = {
         "codec": "libx264",
         "quality": 7,

@@ -19,9 +19,9 @@ from kickbench.view.session import Session
 from kickbench.view.stage import dress
 
 _HOLD = 1.0
-"""How long the end of an episode stays, s."""
+"""How long the end of an episode is shown, s."""
 _LAG = 0.25
-"""Simulated time at most that is made up for at once, s: a slow machine shows slow motion."""
+"""Largest simulated time per frame, s: a slow machine shows slow motion."""
 
 
 class Player:
@@ -32,7 +32,7 @@ class Player:
         paused: Whether time stands still.
         speed: Simulated over real time.
         repeat: Whether an episode is followed by one from the same initial state instead of the next.
-        tallies: Successes and episodes that have ended, from initial states as drawn and from their mirror images.
+        tallies: Successes and ended episodes, from initial states as drawn and from their mirror images.
     """
 
     def __init__(self, session: Session) -> None:
@@ -44,7 +44,7 @@ class Player:
         self._credit, self._hold = 0.0, 0
 
     def elapse(self, seconds: float) -> None:
-        """Lets so much real time pass, s."""
+        """Advances by an amount of real time, s."""
         if self.paused:
             return
         interval = self.session.interval
@@ -68,7 +68,7 @@ class Player:
             tally[:] = tally[0] + int(session.outcome.success[0]), tally[1] + 1
 
     def lines(self) -> list[str]:
-        """What is to be said of the episode."""
+        """Lines of text about the episode."""
         session, out = self.session, self.session.outcome
         steps, foot = (int(out.steps[0]), FOOT_NAMES[int(out.record.kick_foot[0])]) if out else (0, "none")
         distance = float(np.linalg.norm(session.ball - session.start.target[0].numpy()))
@@ -158,7 +158,10 @@ class Player:
 
 
 def slider_limits(task: CompiledTask) -> np.ndarray:
-    """Lowest and highest ball x, y, target x, y on the sliders [4, 2], m: the regions, their images and a margin."""
+    """Lowest and highest ball x, y, target x, y on the sliders [4, 2], m.
+
+    They cover the regions, their mirror images and a margin.
+    """
     corners = [np.concatenate([region, region * [1.0, -1.0]]) for region in outlines(task.spec.sampling)]
     limits = np.concatenate([np.stack([c.min(axis=0), c.max(axis=0)], axis=1) for c in corners])
     margin = np.maximum(0.25 * np.ptp(limits, axis=1), 0.1)
@@ -184,7 +187,7 @@ def play(
         seed: Seed of the initial states.
         host: Interface to bind.
         port: Port; if it is taken, one of the next.
-        browser: Whether to open a browser; None: where there is one.
+        browser: Whether to open a browser; None: if there is one.
 
     Raises:
         KickbenchError: MuJoCo has no viewer that can be guarded, or `studio.show` fails.

@@ -70,7 +70,7 @@ def draw_regions(task: CompiledTask, seed: int) -> Any:
     feet = obstacles[:, [0, 2, 1, 3]].reshape(-1, 2)
     near = [outline for label, outline, *_ in shapes if label.startswith("ball")]
     windows = [_window([outline for _, outline, *_ in shapes]), _window([feet, *near])]
-    # Panels of equal height: their widths are as their windows' shapes.
+    # Panels of equal height; their widths follow from the shapes of their windows.
     widths = [float(np.divide(*(high - low)[::-1])) for low, high in windows]
     figure = make_figure(figsize=(_WIDTH, 1.6 + 0.9 * _WIDTH / sum(widths)), layout="compressed")
     figure.suptitle(f"{task.name}: where ball and target start", fontsize=14, color=_INK)
@@ -93,9 +93,9 @@ def draw_regions(task: CompiledTask, seed: int) -> Any:
 
 
 def _shapes(task: CompiledTask, seed: int) -> Iterator[tuple[str, np.ndarray, np.ndarray, str]]:
-    """Label, outline, sampled points and colour of every region, mirrored ones where the evaluation has them."""
-    starts, place = draw_starts(task, _STARTS, seed), task.scene.layout.ball_qpos
-    balls, targets = starts.qpos[:, place : place + 2].numpy(), starts.target.numpy()
+    """Label, outline, sampled points and colour of every region, and of mirrored ones that are evaluated."""
+    initial, place = draw_starts(task, _STARTS, seed), task.scene.layout.ball_qpos
+    balls, targets = initial.qpos[:, place : place + 2].numpy(), initial.target.numpy()
     ball, target = outlines(task.spec.sampling)
     for side, sign, dark, light in _TWO_SIDES if task.spec.evaluation.mirrored else _ONE_SIDE:
         flip = np.array([1.0, sign])
@@ -104,7 +104,7 @@ def _shapes(task: CompiledTask, seed: int) -> Iterator[tuple[str, np.ndarray, np
 
 
 def _window(shown: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Lower and upper corner [2] of what shows all outlines and the origin."""
+    """Lower and upper corner [2] of a window that shows all outlines and the origin."""
     points = np.concatenate([*shown, np.zeros((1, 2))])
     low, high = points.min(axis=0), points.max(axis=0)
     gap = 0.06 * float((high - low).max())
@@ -120,7 +120,7 @@ def _draw_shape(axes: Any, label: str, outline: np.ndarray, points: np.ndarray, 
 
 
 def _draw_robot(axes: Any, obstacles: np.ndarray) -> None:
-    """The footprint: what a ball on the floor could touch; and an arrow in the direction that the robot faces."""
+    """The footprint, which a ball on the floor could touch, and an arrow in the direction the robot faces."""
     for number, (x0, x1, y0, y1) in enumerate(obstacles):
         label = "robot (parts as low as the ball)" if number == 0 else None
         axes.fill([y0, y1, y1, y0], [x0, x0, x1, x1], facecolor=_INK, zorder=4, linewidth=0, label=label)

@@ -23,14 +23,14 @@ from kickbench.trials.trial import state_symmetry
 
 
 def evaluation_starts(task: CompiledTask, count: int, seed: int) -> InitialStates:
-    """The first initial states of the task's evaluation with that seed: number k is row k of `episodes.csv`."""
-    # All of them are drawn: the generator's numbers are shared out by their count.
-    starts = draw_starts(task, max(count, task.spec.evaluation.episodes), seed)
-    return starts.take(torch.arange(count))
+    """The first initial states of the task's evaluation with a seed; state k is row k of `episodes.csv`."""
+    # All of them are drawn: which numbers of the generator one gets depends on their count.
+    initial = draw_starts(task, max(count, task.spec.evaluation.episodes), seed)
+    return initial.take(torch.arange(count))
 
 
 class Session:
-    """One env, stepped through the episodes of an evaluation; noise, delays and pushes are the evaluation's too.
+    """One env, stepped through the episodes of an evaluation, with its noise, delays and pushes.
 
     Attributes:
         env: The env.
@@ -53,7 +53,7 @@ class Session:
         Args:
             task: Compiled task.
             policy: Deterministic policy; None: zero action.
-            seed: Seed of the initial states, and of noise, delays and pushes where the task's evaluation has any.
+            seed: Seed of the initial states, and of the evaluation's noise, delays and pushes.
             episodes: Number of initial states.
             title: What is written over the pictures.
         """
@@ -111,7 +111,7 @@ class Session:
         return self.qpos[self._ball : self._ball + 2]
 
     def place(self, places: np.ndarray) -> bool:
-        """Begins an episode with ball and target elsewhere, the robot as it was; returns whether the ball has room.
+        """Begins an episode with ball and target elsewhere; returns whether the ball has room.
 
         Args:
             places: Ball and target as in `places` [4], m.

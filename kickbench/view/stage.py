@@ -1,4 +1,4 @@
-"""A task's scene as pictures show it: its look, which training never sees, the camera, and a moment as pixels."""
+"""A task's scene as pictures show it: its look (for pictures only), the camera, and a state as pixels."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from kickbench.view.backend import make_context
 _FIELD_OF_VIEW = 40.0
 """Vertical field of view, degrees."""
 _ELEVATION, _ASIDE = -18.0, 25.0
-"""The camera looks down by so much, and stands so far beside the line from robot to target, degrees."""
+"""Angle by which the camera looks down, and its angle to the line from robot to target, degrees."""
 _MARGIN = 0.07
 """Share of a picture that stays free on every side."""
 _SHADOW_REACH = 2.5
@@ -75,7 +75,7 @@ class Stage:
         return fit_camera(np.array(points), heading, _ELEVATION, self.width / self.height)
 
     def picture(self, qpos: np.ndarray, target: np.ndarray, camera: mujoco.MjvCamera) -> np.ndarray:
-        """Renders a moment.
+        """Renders a state.
 
         Args:
             qpos: Generalised positions [nq].
@@ -103,11 +103,11 @@ class Stage:
 
 
 def fit_camera(points: np.ndarray, azimuth: float, elevation: float, aspect: float) -> mujoco.MjvCamera:
-    """The nearest camera of a given direction that has all points in the picture, and as central as they can be.
+    """The nearest camera of a given direction that has all points in the picture, well centred.
 
-    A point at (r, u, d) in the camera's axes is inside if |r - r0| <= s (d - d0): of all points the largest of
-    r - s d and of -r - s d decide, so the least retreat is half their sum. The same holds for u; the direction that
-    needs more retreat is filled, the other has its points centred.
+    A point at (r, u, d) in the camera's axes is inside if |r - r0| <= s (d - d0): of all points the largest
+    of r - s d and of -r - s d decide, so the least retreat is half their sum. The same holds for u; the
+    direction that needs more retreat is filled, the other has its points centred.
 
     Args:
         points: What must be seen [N, 3], m.
@@ -173,7 +173,7 @@ def _paint(scene: mujoco.MjSpec) -> None:
     material.textures[int(mujoco.mjtTextureRole.mjTEXROLE_RGB)] = "kickbench_ball"
     floor, ball, target = (scene.geom(name) for name in ("floor", "ball", "target"))
     ball.material, ball.rgba, target.rgba = "kickbench_ball", [1.0] * 4, [0.98, 0.82, 0.12, 0.55]
-    # Flat things shade nothing but themselves, in specks where the map's depth is too coarse.
+    # Flat things only cast shadows on themselves: specks, where the resolution of the map's depth is too low.
     floor.castshadow = target.castshadow = False
 
 

@@ -1,7 +1,8 @@
 """MuJoCo Studio's web viewer, bound to one address and closed to the pages of other sites.
 
-Studio binds every interface and answers every Host and Origin, and has no option for either: three of its functions
-are replaced (Dear ImGui allows one viewer a process). If another version lacks one of them, nothing is served.
+Studio binds every interface and answers every Host and Origin, and has no option for either: three of its
+functions are replaced (Dear ImGui allows one viewer a process). If another version lacks one of them, nothing
+is served.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from kickbench.errors import KickbenchError
 from kickbench.view.play import Player
 
 _PORTS = 20
-"""Ports that are tried, from the wished one on."""
+"""Number of ports that are tried, from the requested one on."""
 _PATIENCE = 30.0
 """How long Studio may take to begin to serve, s."""
 _REPLACED = ((web_server, "serve"), (web_server, "bind_public_socket"), (web_viewer, "_print_url_banner"))
@@ -46,7 +47,7 @@ def show(
         title: Title of the page.
         host: Interface to bind.
         port: Port; if it is taken, one of the next.
-        browser: Whether to open a browser; None: where there is one.
+        browser: Whether to open a browser; None: if there is one.
 
     Raises:
         KickbenchError: There is no port, no browser though one is asked for, or Studio cannot be guarded.
@@ -103,10 +104,10 @@ def listen(host: str, port: int) -> socket.socket:
 
     Args:
         host: Name or address of an interface.
-        port: The wished port; 0: any.
+        port: The requested port; 0: any.
 
     Raises:
-        KickbenchError: The host is none of this machine's, or none of 20 ports is free.
+        KickbenchError: The host is not an address of this machine, or none of 20 ports is free.
     """
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     for candidate in range(port, min(port + _PORTS, 2**16)):
@@ -119,14 +120,15 @@ def listen(host: str, port: int) -> socket.socket:
 
 
 def refusal(headers: Any, names: Collection[str] | None) -> str | None:
-    """Why a request is refused; None: it is not.
+    """Why a request is refused; None: it is accepted.
 
-    A page of another site can make a browser send requests here: under a name of its own that it has pointed at this
-    machine (DNS rebinding: the Host is foreign), or across sites (the Origin is foreign).
+    A page of another site can make a browser send requests here: under a name of its own that it has pointed
+    at this machine (DNS rebinding: the Host is foreign), or across sites (the Origin is foreign).
 
     Args:
         headers: Headers of the request, with `get_all(name)`.
-        names: Hosts besides addresses that may be asked for; None: only this machine's loopback names and addresses.
+        names: Host names that are accepted besides addresses; None: only this machine's loopback names
+            and addresses.
     """
     hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
     if len(hosts) != 1 or not _is_own(hosts[0], names):
@@ -148,7 +150,7 @@ def _is_own(host: str, names: Collection[str] | None) -> bool:
 
 
 def _guard(server: socket.socket, names: Collection[str] | None) -> threading.Event:
-    """Lets Studio serve on this socket alone, and refuses what is foreign before it sees it; set once it serves."""
+    """Makes Studio serve on this socket only and refuse foreign requests; the event is set once it serves."""
     serve, serving = web_server.serve, threading.Event()
 
     def guarded(handler: Any, *, process_request: Any, **options: Any) -> Any:
@@ -175,7 +177,7 @@ def _url(address: str, port: int) -> str:
 
 
 def _find_browser(*, required: bool) -> webbrowser.BaseBrowser | None:
-    """A browser with a window; None: there is none."""
+    """A browser with a window, or None."""
     if sys.platform != "linux" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
         try:
             return webbrowser.get()
@@ -186,9 +188,11 @@ def _find_browser(*, required: bool) -> webbrowser.BaseBrowser | None:
     return None
 
 
-def _announce(url: str, wished: int, port: int, local: bool, browser: webbrowser.BaseBrowser | None) -> None:
-    if wished and port != wished:
-        print(f"port {wished} is taken: {port} is used")
+def _announce(
+    url: str, requested: int, port: int, local: bool, browser: webbrowser.BaseBrowser | None
+) -> None:
+    if requested and port != requested:
+        print(f"port {requested} is taken: {port} is used")
     if not local:
         print(
             f"warning: everyone who reaches port {port} of this machine sees this page and controls it",

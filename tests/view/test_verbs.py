@@ -59,8 +59,8 @@ ERRORS = {
         ["render", TASK, "--out", "a.jpg"],
         "a.jpg: pictures are .png, .webp or .mp4",
     ),
-    "policy for a sheet": (["render", TASK, "--policy", "runs/x"], "--policy: a .png shows starts"),
-    "episodes for a sheet": (["render", TASK, "--episodes", "2"], "--episodes: a .png shows starts"),
+    "policy for a sheet": (["render", TASK, "--policy", "runs/x"], "--policy: a .png shows initial states"),
+    "episodes for a sheet": (["render", TASK, "--episodes", "2"], "--episodes: a .png shows initial states"),
     "starts for a film": (
         ["render", TASK, "--out", "a.webp", "--starts", "2"],
         "--starts: a .webp shows episodes",
@@ -76,7 +76,7 @@ ERRORS = {
     "no such task": (["render", "x.yaml"], "x.yaml: no such file: 'x.yaml'"),
     "sheet that fills the memory": (
         ["render", TASK, "--starts", "1000", "--size", "1000x1000"],
-        "1000 starts of 1000x1000 pixels make a sheet of more than 100 megapixels",
+        "1000 initial states of 1000x1000 pixels make a sheet of more than 100 megapixels",
     ),
     "plot of a method": (
         ["show", str(ROOT / "methods/mini/baseline.yaml"), "--plot", "a.png"],
