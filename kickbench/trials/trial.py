@@ -80,8 +80,8 @@ def load_trial(
         loaded_method = loaded_method.changed({"algorithm.iterations": max(1, round(scale * iterations))})
     compiled = compile_task(loaded_task)
     table = completed_table(compiled, loaded_method.representations)
-    method = replace(loaded_method, representations=table)
-    return Trial(loaded_task, method, compiled, symmetry_of(compiled, table))
+    loaded_method = replace(loaded_method, representations=table)
+    return Trial(loaded_task, loaded_method, compiled, symmetry_of(compiled, table))
 
 
 def load_both(
