@@ -21,7 +21,7 @@ from pydantic import (
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticCustomError
 
-from kickbench.config.yamlio import why_unreadable
+from kickbench.config.yamlio import check_regular, unreadable
 from kickbench.config.yamltree import Located
 
 
@@ -155,9 +155,12 @@ def _readable(name: Any) -> Any:
     if not isinstance(name, Located):  # of another type, or read back from a spec
         return name
     file = resolved(name, name.origin)
-    if reason := why_unreadable(file):
-        message, hint = reason
-        raise PydanticCustomError("file", "{message}", {"message": message, "hint": hint})
+    try:
+        check_regular(file)
+        file.open("rb").close()
+    except (OSError, ValueError) as error:
+        message, hint = unreadable(file, error)
+        raise PydanticCustomError("file", "{message}", {"message": message, "hint": hint}) from None
     return file.as_posix()
 
 

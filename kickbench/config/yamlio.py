@@ -7,6 +7,7 @@ last, by the same rules.
 
 from __future__ import annotations
 
+import errno
 import os
 import stat
 import sys
@@ -16,7 +17,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from kickbench.config.yamltree import Tree, describe, dump_yaml, flow_yaml, parse
+from kickbench.config.yamltree import MAX_DEPTH, Tree, describe, dump_yaml, flow_yaml, parse
 from kickbench.errors import KeyPath, Mark, Problem, SpecError, collected, did_you_mean, dotted, shown
 
 __all__ = ["Document", "describe", "dump_yaml", "flow_yaml", "load_document"]
@@ -124,9 +125,13 @@ def _read(
     file: Path, named: Mark, chain: tuple[Path, ...], sources: list[Path], problems: list[Problem]
 ) -> Tree:
     """Reads a file, named at a mark and reached through a chain of others, and what it extends."""
-    if reason := why_unreadable(file):
-        raise SpecError([Problem(named, (EXTENDS,) if chain else (), *reason)])
-    data = file.read_bytes()
+    try:
+        check_regular(file)
+        if file.stat().st_size > _LARGEST_FILE:
+            raise OSError(errno.EFBIG, f"larger than {_LARGEST_FILE // 2**20} MiB")
+        data = file.read_bytes()
+    except (OSError, ValueError) as error:  # ValueError: a null byte in the path
+        raise SpecError([Problem(named, (EXTENDS,) if chain else (), *unreadable(file, error))]) from None
     sources.append(file)
     child, found = _parsed(data, file)
     problems += found
@@ -158,7 +163,7 @@ def _parsed(data: bytes, file: Path) -> tuple[Tree, tuple[Problem, ...]]:
 
 
 def _base(extends: Tree, file: Path, chain: tuple[Path, ...]) -> Path:
-    if not isinstance(extends.value, str) or not extends.value:
+    if not isinstance(extends.value, str) or not extends.value or "\0" in extends.value:
         raise ValueError(f"expected the path of a file, found {describe(extends.plain())}")
     base = Path(os.path.abspath(file.parent / extends.value))
     if os.path.realpath(base) in map(os.path.realpath, chain):
@@ -178,6 +183,8 @@ def _overridden(tree: Tree, text: str) -> Tree:
     if keys[0] == EXTENDS:
         what = f"`{EXTENDS}` cannot be set: it is read from files only"
         raise SpecError([Problem(mark, tuple(keys), what)])
+    if len(keys) > MAX_DEPTH:
+        raise SpecError.of(name, "nested too deeply")
     for index in range(len(keys)):
         keys[index] = _new_name(tuple(keys[: index + 1]), mark)
     value, problems = parse(right, name, None, tuple(keys))
@@ -187,21 +194,25 @@ def _overridden(tree: Tree, text: str) -> Tree:
     return _put(tree, keys, value, mark)
 
 
-def why_unreadable(file: Path) -> tuple[str, str | None] | None:
-    """Why a file cannot be read, and the nearest name that exists as a hint; None: it can."""
-    name = f"'{shown(file)}'"
-    try:
-        found = file.stat()
-        if stat.S_ISDIR(found.st_mode):
-            return f"{name} is a directory, not a file", None
-        if not stat.S_ISREG(found.st_mode) or found.st_size > _LARGEST_FILE:  # a pipe might never end
-            return f"{name} is no regular file, or larger than {_LARGEST_FILE // 2**20} MiB", None
-        file.open("rb").close()
-    except (FileNotFoundError, NotADirectoryError):
-        return f"no such file: {name}", _near_file(file)
-    except (OSError, ValueError) as error:  # ValueError: a null byte in the path
-        return f"{name} cannot be read: {getattr(error, 'strerror', error)}", None
-    return None
+def check_regular(file: Path) -> None:
+    """Raises an `OSError` for a folder, and for what might never end: a pipe, a socket, a device."""
+    mode = file.stat().st_mode
+    if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
+        raise OSError(errno.EINVAL, "it is no regular file, but a pipe, socket or device")
+
+
+def unreadable(file: Path, error: Exception) -> tuple[str, str | None]:
+    """Says why a file cannot be read, with the nearest name that exists as a hint.
+
+    Returns:
+        Message and hint.
+    """
+    if isinstance(error, IsADirectoryError):
+        return f"'{shown(file)}' is a directory, not a file", None
+    if isinstance(error, FileNotFoundError | NotADirectoryError):
+        return f"no such file: '{shown(file)}'", _near_file(file)
+    reason = error.strerror if isinstance(error, OSError) else str(error)
+    return f"'{shown(file)}' cannot be read: {reason}", None
 
 
 def _near_file(file: Path) -> str | None:
@@ -249,11 +260,12 @@ def _put(tree: Tree, keys: list[str], value: Tree, mark: Mark, done: KeyPath = (
         return merge(tree, Tree(value.value, value.mark, mark, None))
     entries = {} if tree.value is None else tree.value
     if isinstance(entries, list):
-        if keys[0] not in map(str, range(len(entries))):
+        # Python refuses to read integers of thousands of digits; no list is so long.
+        index = int(keys[0]) if keys[0].isdecimal() and len(keys[0]) < 10 else len(entries)
+        if index >= len(entries):
             expected = f"expected an index below {len(entries)}, found '{keys[0]}'"
             what = f"'{dotted(done)}' is a list of {len(entries)}; {expected}"
             raise SpecError([Problem(mark, (*done, *keys), what)])
-        index = int(keys[0])
         put = _put(entries[index], keys[1:], value, mark, (*done, index))
         return replace(tree, value=[*entries[:index], put, *entries[index + 1 :]])
     if not isinstance(entries, dict):

@@ -24,10 +24,8 @@ Scalar = str | int | float | bool | None
 _MAX_VALUES = 50_000
 """Nested aliases grow exponentially; no honest file comes near this many values."""
 
-_MAX_DEPTH = 100
+MAX_DEPTH = 100
 """Nor near this depth, and Python has a limit of its own."""
-
-_TOO_LARGE = "nested too deeply, or an alias that contains itself or many others"
 
 _MAX_DIGITS = 100
 
@@ -127,7 +125,7 @@ def parse(
     except yaml.YAMLError as error:
         return None, [builder.syntax_problem(error, text, path)]
     except RecursionError:
-        return None, [Problem(builder.mark(1, 1), (), _TOO_LARGE)]
+        return None, [Problem(builder.mark(1, 1), path, "nested too deeply")]
     return (builder.build(node, path, None) if node else None), builder.problems
 
 
@@ -141,17 +139,23 @@ class _Loader(yaml.SafeLoader):
 
     def compose_scalar_node(self, anchor: Any) -> ScalarNode:
         node = super().compose_scalar_node(anchor)
-        node.value.encode()
+        try:
+            node.value.encode()
+        except UnicodeEncodeError:  # half of a pair of UTF-16, which an escape can write
+            raise yaml.MarkedYAMLError(problem=_NO_CHARACTER, problem_mark=node.start_mark) from None
         return node
+
+
+_NO_CHARACTER = "the escape stands for no character"
 
 
 def _compose(text: str) -> Node | None:
     loader = _Loader(text)
     try:
         return loader.get_single_node()
-    except (ValueError, OverflowError):  # half of a pair of UTF-16, or a number beyond Unicode
-        what = "the escape stands for no character"
-        raise yaml.MarkedYAMLError(problem=what, problem_mark=loader.get_mark()) from None
+    except (ValueError, OverflowError):
+        # From `chr`: PyYAML does not look whether an escape is in the range of Unicode.
+        raise yaml.MarkedYAMLError(problem=_NO_CHARACTER, problem_mark=loader.get_mark()) from None
     finally:
         loader.dispose()
 
@@ -169,17 +173,17 @@ class _Builder:
     origin: Path | None
     problems: list[Problem] = field(default_factory=list)
     _count: int = 0
-    _is_too_large: bool = False
 
     def build(self, node: Node, path: KeyPath, key: Mark | None) -> Tree:
         """Builds the tree of the node at a path; `key` is the mark of its key, None for list items and the top."""
         mark = self._mark(node)
         here = key or mark
         self._count += 1
-        if self._count > _MAX_VALUES or len(path) >= _MAX_DEPTH:
-            if not self._is_too_large:
-                self._report(here, (), _TOO_LARGE)
-            self._count, self._is_too_large = _MAX_VALUES, True
+        if self._count == _MAX_VALUES:
+            self._report(here, (), f"aliases expand to more than {_MAX_VALUES} values")
+        elif len(path) == MAX_DEPTH and self._count < _MAX_VALUES:
+            self._report(here, (), "nested too deeply, or an alias that contains itself")
+        if self._count >= _MAX_VALUES or len(path) >= MAX_DEPTH:
             return Tree(None, mark, here, self.origin)
         return Tree(self._value(node, path, mark), mark, here, self.origin)
 
@@ -227,14 +231,14 @@ class _Builder:
     def _scalar(self, kind: str, text: str, path: KeyPath, mark: Mark) -> Scalar:
         if kind != "str" and not _CORE[kind].fullmatch(text):
             self._report(mark, path, f"'{text}' is not a value of the tag '!!{kind}'")
-            return None
-        if kind == "int" and len(text) > _MAX_DIGITS:
+        elif kind == "int" and len(text) > _MAX_DIGITS:
             self._report(mark, path, f"a number of {len(text)} digits is too long")
-            return None
-        value = _READ[kind](text)
-        if kind in ("int", "float"):
-            self._check_number(value, text, path, mark)
-        return value
+        else:
+            value = _READ[kind](text)
+            if kind in ("int", "float"):
+                self._check_number(value, text, path, mark)
+            return value
+        return None
 
     def _check_number(self, value: Any, text: str, path: KeyPath, mark: Mark) -> None:
         if not math.isfinite(value):
@@ -255,8 +259,9 @@ class _Builder:
         before = text[:position]
         where = self.mark(before.count("\n") + 1, position - before.rfind("\n"))
         character = text[position : position + 1]
-        # A byte that is not UTF-8 has become half of a character.
-        what = f"not valid YAML, or not UTF-8: the character {character!r}"
+        what = f"not valid YAML: the character {character!r} is not allowed"
+        if "\udc80" <= character <= "\udcff":  # decoded with `surrogateescape`
+            what = f"not UTF-8: the byte 0x{ord(character) - 0xDC00:02x}"
         return Problem(where, path, what)
 
     def _mark(self, node: Node) -> Mark:
