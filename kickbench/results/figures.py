@@ -101,8 +101,9 @@ class Quantity:
     def figure(self, run: pd.Series) -> Figure | None:
         """The figure of a run with its interval; None if the run does not have it."""
         value = known(run, self.column)
-        ends = [known(run, f"{self.ends}_{end}") for end in ("low", "high")] if self.ends else [None]
-        return None if value is None else Figure(value, None if None in ends else Interval(*ends))
+        low = known(run, f"{self.ends}_low") if self.ends else None
+        interval = None if low is None else Interval(low, run[f"{self.ends}_high"])
+        return None if value is None else Figure(value, interval)
 
     def of_run(self, run: pd.Series | None, missing: str = "not measured") -> str:
         """The figure of a run with its interval, as text without the unit."""

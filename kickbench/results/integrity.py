@@ -283,8 +283,9 @@ def _unequal(metrics: Metrics, sides: EpisodeSides) -> Iterator[str]:
         if (figures is None) != (recorded[part] is None):
             yield part
         else:
-            unequal = (name for name in figures or () if not _same(figures[name], recorded[part][name]))
-            yield from (f"{part}.{name}" for name in unequal)
+            for name, value in (figures or {}).items():
+                if not _same(value, recorded[part][name]):
+                    yield f"{part}.{name}"
 
 
 def _figures(table: EpisodeTable) -> dict[str, Any]:

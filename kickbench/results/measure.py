@@ -93,11 +93,12 @@ def summarise_sides(
         control_interval: as for `summarise`.
         equivariance: the policy's equivariance error over the states visited in these episodes, if measured.
     """
-    of_side = {
-        side: None if table is None else summarise(table, success_radius, control_interval)
-        for side, table in sides._asdict().items()
-    }
-    return Evaluation(**of_side, asymmetry=measure_asymmetry(sides, equivariance))
+    home, mirrored = sides
+    return Evaluation(
+        in_distribution=summarise(home, success_radius, control_interval),
+        mirrored=None if mirrored is None else summarise(mirrored, success_radius, control_interval),
+        asymmetry=measure_asymmetry(sides, equivariance),
+    )
 
 
 def _check_success(episodes: EpisodeTable, success_radius: float) -> None:
