@@ -10,8 +10,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from kickbench.report.measures import Measure
 from kickbench.report.style import INK, LEFT_FOOT, MUTED, OTHER, RIGHT_FOOT, Look, subplots
+from kickbench.results.figures import Quantity
 from kickbench.results.statistics import wilson
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ QUANTITIES = {
 """Columns of `progress.csv` that the thesis shows, in its order (Figs. 4.5 to 4.7); and evaluations."""
 
 
-def dots(found: Mapping[Measure, pd.DataFrame], runs: pd.DataFrame, looks: Looks, width: float) -> Figure:
+def dots(found: Mapping[Quantity, pd.DataFrame], runs: pd.DataFrame, looks: Looks, width: float) -> Figure:
     """A row per condition and side: seeds with their intervals, their mean, and in black what was reported.
 
     Args:
@@ -53,21 +53,21 @@ def dots(found: Mapping[Measure, pd.DataFrame], runs: pd.DataFrame, looks: Looks
     """
     count = max(map(len, found.values()))
     figure, (panels,) = subplots(width, 60 + 30 * count, 1, len(found), sharey=True)
-    for axes, (measure, estimates) in zip(panels, found.items(), strict=True):
+    for axes, (quantity, estimates) in zip(panels, found.items(), strict=True):
         for y, (_, row) in enumerate(estimates.iterrows()):
-            _draw_seeds(axes, y, runs[runs.label == row.label], measure, looks[row.condition])
-            _draw_mean(axes, y, row, measure, looks[row.condition])
-        axes.set_xlabel(f"{measure.title.lower()}, {measure.unit}")
-        axes.set_xlim((-2, 102) if measure.unit == "%" else (0, None))
+            _draw_seeds(axes, y, runs[runs.label == row.label], quantity, looks[row.condition])
+            _draw_mean(axes, y, row, quantity, looks[row.condition])
+        axes.set_xlabel(f"{quantity.title.lower()}, {quantity.unit.name}")
+        axes.set_xlim((-2, 102) if quantity.unit.name == "%" else (0, None))
         _name_rows(axes, estimates.label)
     return figure
 
 
-def _draw_seeds(axes: Any, y: float, runs: pd.DataFrame, measure: Measure, look: Look) -> None:
+def _draw_seeds(axes: Any, y: float, runs: pd.DataFrame, quantity: Quantity, look: Look) -> None:
     """Seeds one below the other within a row, hollow on the mirrored side."""
-    runs = runs[runs[measure.column].notna()]
-    names = (measure.column, f"{measure.ends}_low", f"{measure.ends}_high")
-    value, low, high = (measure.scale * runs[name] for name in names)
+    runs = runs[runs[quantity.column].notna()]
+    names = (quantity.column, f"{quantity.ends}_low", f"{quantity.ends}_high")
+    value, low, high = (quantity.unit.factor * runs[name] for name in names)
     places = y + (np.linspace(-0.22, 0.22, len(runs)) if len(runs) > 1 else np.zeros(len(runs)))
     face = "white" if (runs.side == "mirrored").any() else look.colour
     errors = [value - low, high - value]
@@ -76,12 +76,14 @@ def _draw_seeds(axes: Any, y: float, runs: pd.DataFrame, measure: Measure, look:
     )
 
 
-def _draw_mean(axes: Any, y: float, row: pd.Series, measure: Measure, look: Look) -> None:
+def _draw_mean(axes: Any, y: float, row: pd.Series, quantity: Quantity, look: Look) -> None:
     if row.seeds > 1:
-        axes.vlines(measure.scale * row["mean"], y - 0.3, y + 0.3, color=look.colour)
+        axes.vlines(quantity.unit.factor * row["mean"], y - 0.3, y + 0.3, color=look.colour)
     if pd.notna(row.reported):
-        std = None if pd.isna(row.reported_std) else measure.scale * row.reported_std
-        axes.errorbar(measure.scale * row.reported, y, xerr=std, fmt="|", color=INK, ms=18, elinewidth=1)
+        std = None if pd.isna(row.reported_std) else quantity.unit.factor * row.reported_std
+        axes.errorbar(
+            quantity.unit.factor * row.reported, y, xerr=std, fmt="|", color=INK, ms=18, elinewidth=1
+        )
 
 
 def _name_rows(axes: Any, names: Sequence[str] | pd.Index | pd.Series) -> None:

@@ -15,11 +15,11 @@ import pandas as pd
 
 from kickbench.errors import KickbenchError
 from kickbench.report import figures, tables
-from kickbench.report.measures import DISTANCE, SUCCESS, Measure
 from kickbench.report.remarks import evidence, verdict_words, warnings
 from kickbench.report.study import Study, studies
 from kickbench.report.style import Picture, looks_of, style
 from kickbench.results.atomic import atomic_write_text
+from kickbench.results.figures import DISTANCE, SUCCESS, Quantity
 from kickbench.results.frame import HOME, SIDES
 from kickbench.results.verdicts import Verdict
 from kickbench.trials.experiment import load_experiment
@@ -112,9 +112,9 @@ def pictures(results: Sequence[Study]) -> dict[str, Picture]:
     }
 
 
-def _means(estimates: pd.DataFrame, measure: Measure) -> str:
-    texts = [measure.of_seeds(row) for _, row in estimates.iterrows()]
-    return tables.words(pd.DataFrame({measure.heading: texts}, estimates.label))
+def _means(estimates: pd.DataFrame, quantity: Quantity) -> str:
+    texts = [quantity.of_seeds(row) for _, row in estimates.iterrows()]
+    return tables.words(pd.DataFrame({quantity.heading: texts}, estimates.label))
 
 
 def summary(results: Sequence[Study], drawn: dict[str, Picture]) -> str:
@@ -122,9 +122,9 @@ def summary(results: Sequence[Study], drawn: dict[str, Picture]) -> str:
     rows = []
     for study in (study for study in results if study.plans):
         means = {
-            (measure.title, row.condition, row.side): measure.text(row["mean"], row["std"])
-            for measure in (SUCCESS, DISTANCE)
-            for _, row in study.estimates(measure).iterrows()
+            (quantity.title, row.condition, row.side): quantity.spread(row["mean"], row["std"])
+            for quantity in (SUCCESS, DISTANCE)
+            for _, row in study.estimates(quantity).iterrows()
             if row.seeds > 0
         }
         for condition in study.conditions:

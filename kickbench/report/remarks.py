@@ -6,11 +6,10 @@ from typing import Any, get_args
 
 import pandas as pd
 
-from kickbench.report.measures import SUCCESS
 from kickbench.report.study import SIDE_WORDS, Study
+from kickbench.results.figures import SUCCESS, non_finite_note
 from kickbench.results.frame import known
 from kickbench.results.notes import unfinished_words
-from kickbench.results.tables import non_finite_note
 from kickbench.results.verdicts import Outcome, Verdict
 
 

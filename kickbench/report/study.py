@@ -12,8 +12,8 @@ import pandas as pd
 
 from kickbench.config.experiment import Side
 from kickbench.errors import KickbenchError
-from kickbench.report.measures import Measure, over_seeds
 from kickbench.results.episodes import read_episodes
+from kickbench.results.figures import Quantity, over_seeds
 from kickbench.results.frame import SIDES, load_runs, runs_of
 from kickbench.results.notes import (
     group_lines,
@@ -22,7 +22,6 @@ from kickbench.results.notes import (
     repeat_lines,
     setting_lines,
     unplanned_lines,
-    with_groups,
 )
 from kickbench.results.progress import read_progress
 from kickbench.results.store import RunDirectory
@@ -82,7 +81,7 @@ class Study:
         """A row per run of a condition that counts."""
         return self.runs[self.runs.counted & (self.runs.condition == condition)]
 
-    def estimates(self, measure: Measure) -> pd.DataFrame:
+    def estimates(self, quantity: Quantity) -> pd.DataFrame:
         """A figure of every condition, on every side that was measured or reported for any of them.
 
         Returns:
@@ -90,9 +89,9 @@ class Study:
             there is nothing.
         """
         keys = pd.MultiIndex.from_tuples(product(self.conditions, SIDES), names=["condition", "side"])
-        found = over_seeds(self.measured, measure).reindex(keys)
+        found = over_seeds(self.measured, quantity).reindex(keys)
         reported = [self._reported(*key) for key in keys]
-        for name, column in (("reported", measure.column), ("reported_std", f"{measure.column}_std")):
+        for name, column in (("reported", quantity.column), ("reported_std", f"{quantity.column}_std")):
             found[name] = pd.Series([getattr(of, column, None) for of in reported], keys, dtype=float)
         known = (found["mean"].notna() | found.reported.notna()).groupby("side").transform("any")
         return self._labelled(found[known].reset_index())
@@ -123,10 +122,8 @@ def studies(root: Path, experiment: LoadedExperiment | None = None) -> list[Stud
         return [_planned_study(root, frame, experiment)]
     if frame.empty:
         raise KickbenchError(f"{root}: no run in it, finished or not")
-    finished = with_groups(frame)
-    frame["condition"] = finished.group.reindex(frame.index).fillna(frame.method)
-    settings = finished.setting_name.reindex(frame.index).fillna(frame.task)
-    found = []
+    frame["condition"] = frame.group.fillna(frame.method)
+    settings, finished, found = frame.setting_name.fillna(frame.task), frame[frame.state == "finished"], []
     for name in dict.fromkeys(settings):
         own, rows = finished[finished.setting_name == name], frame[settings == name]
         problems = [*setting_lines(finished[finished.task.isin(own.task)]), *group_lines(own)]

@@ -4,37 +4,37 @@ from __future__ import annotations
 
 import pandas as pd
 
-from kickbench.report.measures import DISTANCE, NOT_MEASURED, SUCCESS, Measure
 from kickbench.report.remarks import remarks
 from kickbench.report.study import SIDE_WORDS, Study
+from kickbench.results.figures import DISTANCE, SUCCESS, Quantity
 from kickbench.results.frame import HOME, known
 from kickbench.results.provenance import Provenance
 
 
 def comparison(study: Study) -> pd.DataFrame:
     """Reported beside measured, a row per condition and side; what was reported only if something was."""
-    found = {measure: study.estimates(measure) for measure in (SUCCESS, DISTANCE)}
+    found = {quantity: study.estimates(quantity) for quantity in (SUCCESS, DISTANCE)}
     rows = found[SUCCESS]
     table = pd.DataFrame({"Method": rows.condition, "Episodes": rows.side.map(SIDE_WORDS)})
     told = any(of.reported.notna().any() for of in found.values())
-    for measure, estimates in found.items():
+    for quantity, estimates in found.items():
         own = rows[["condition", "side"]].merge(estimates, "left")
         if told:
-            table[f"{measure.heading}, reported"] = [
-                _reported(study, row, measure) for _, row in own.iterrows()
+            table[f"{quantity.heading}, reported"] = [
+                _reported(study, row, quantity) for _, row in own.iterrows()
             ]
-        name = f"{measure.heading}, measured" if told else measure.heading
-        table[name] = [measure.of_seeds(row) for _, row in own.iterrows()]
+        name = f"{quantity.heading}, measured" if told else quantity.heading
+        table[name] = [quantity.of_seeds(row) for _, row in own.iterrows()]
     return table
 
 
-def _reported(study: Study, estimate: pd.Series, measure: Measure) -> str:
+def _reported(study: Study, estimate: pd.Series, quantity: Quantity) -> str:
     """A reported figure with its section."""
     if pd.isna(estimate.reported):
         return "not reported"
     reported = study.plans[estimate.condition].reported
     section = reported.section if reported else ""
-    return f"{measure.text(estimate.reported, estimate.reported_std)}{f' ({section})' if section else ''}"
+    return f"{quantity.spread(estimate.reported, estimate.reported_std)}{f' ({section})' if section else ''}"
 
 
 def iterations_text(study: Study, run: pd.Series) -> str:
@@ -82,12 +82,12 @@ def _sides(run: pd.Series, sides: pd.DataFrame) -> dict[str, str]:
     }
 
 
-def by_run(study: Study, measures: tuple[Measure, ...]) -> pd.DataFrame:
+def by_run(study: Study, quantities: tuple[Quantity, ...]) -> pd.DataFrame:
     """Figures of finished runs; empty if no run has any of them."""
     runs = study.runs[study.runs.state == "finished"]
-    table = pd.DataFrame({of.heading: [of.of_run(run) for _, run in runs.iterrows()] for of in measures})
+    table = pd.DataFrame({of.heading: [of.of_run(run) for _, run in runs.iterrows()] for of in quantities})
     table.insert(0, "Run", [run_name(run) for _, run in runs.iterrows()])
-    return table[(table[[of.heading for of in measures]] != NOT_MEASURED).any(axis=1)]
+    return table[(table[[of.heading for of in quantities]] != "not measured").any(axis=1)]
 
 
 def provenance(study: Study) -> pd.DataFrame:

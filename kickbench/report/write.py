@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 from kickbench import __version__
 from kickbench.errors import printable, require
 from kickbench.report import figures, tables
-from kickbench.report.measures import ASYMMETRY, DISTANCE, KICK, SUCCESS
 from kickbench.report.remarks import evidence, listed, outcome, verdict_words, warnings
 from kickbench.report.study import Study, studies
 from kickbench.report.style import Picture, looks_of, style
 from kickbench.results.atomic import atomic_write_text
+from kickbench.results.figures import ASYMMETRY, DISTANCE, KICK, SUCCESS
 from kickbench.results.provenance import code_state
 from kickbench.trials.experiment import LoadedExperiment
 

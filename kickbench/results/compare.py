@@ -26,7 +26,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from kickbench.config.experiment import Side
 from kickbench.results.episodes import EpisodeSides, EpisodeTable, read_episodes
-from kickbench.results.notes import differing_lines, left_out_lines, repeat_lines, with_groups
+from kickbench.results.figures import DISTANCE, PERCENT, SUCCESS, Quantity, Unit, non_finite_note
+from kickbench.results.frame import HOME
+from kickbench.results.notes import remark_lines
 from kickbench.results.statistics import (
     Estimate,
     Interval,
@@ -45,7 +47,6 @@ from kickbench.results.tables import (
     NOTHING,
     Row,
     mean_and_spread,
-    non_finite_note,
     pairs_of,
     probability,
     render_block,
@@ -163,26 +164,30 @@ class Score:
     Attributes:
         name: What it is, with its unit.
         column: Its column in `pairs_of`.
-        scale: From the unit of the table of runs to the one shown.
-        decimals: How many are shown.
+        unit: How it is written.
         lower_is_better: Which values are the good ones.
         episodes: Side and column of the episodes whose mean it is; None: it is no mean.
     """
 
     name: str
     column: str
-    scale: float
-    decimals: int
+    unit: Unit
     lower_is_better: bool
     episodes: tuple[Side, str] | None
 
 
+def _scores(words: str, quantity: Quantity, episodes: str, lower_is_better: bool) -> list[Score]:
+    """A quantity on both sides."""
+    name, column, unit = f"{words} {{}} [{quantity.unit.name}]", quantity.column, quantity.unit
+    home = Score(name.format("in distribution"), column, unit, lower_is_better, (HOME, episodes))
+    away = Score(name.format("mirrored"), f"mirrored/{column}", unit, lower_is_better, ("mirrored", episodes))
+    return [home, away]
+
+
 SCORES = (
-    Score("success in distribution [%]", "success_rate", 100, 1, False, ("in_distribution", "success")),
-    Score("success mirrored [%]", "mirrored/success_rate", 100, 1, False, ("mirrored", "success")),
-    Score("|success in distribution - mirrored| [points]", "lost", 100, 1, True, None),
-    Score("mean distance in distribution [m]", "mean_distance", 1, 3, True, ("in_distribution", "distance")),
-    Score("mean distance mirrored [m]", "mirrored/mean_distance", 1, 3, True, ("mirrored", "distance")),
+    *_scores("success", SUCCESS, "success", False),
+    Score("|success in distribution - mirrored| [points]", "lost", PERCENT, True, None),
+    *_scores("mean distance", DISTANCE, "distance", True),
 )
 
 Groups = Mapping[str, pd.DataFrame]
@@ -199,12 +204,9 @@ def render_comparison(frame: pd.DataFrame) -> str:
     Raises:
         KickbenchError: A table of episodes cannot be read.
     """
-    finished = with_groups(frame[frame.evaluated_on == frame.task])
-    counted = finished[finished.counted]
-    settings = counted.groupby("setting_name", sort=False)
+    settings = frame[frame.counted & (frame.evaluated_on == frame.task)].groupby("setting_name", sort=False)
     blocks = [block for name, rows in settings for block in _setting_blocks(str(name), rows)]
-    lines = [*differing_lines(counted), *repeat_lines(frame), *left_out_lines(frame)]
-    notes = ["\n".join(lines)] if lines else []
+    notes = ["\n".join(lines)] if (lines := remark_lines(frame)) else []
     if not blocks:
         return "\n\n".join(["no two methods of one task to compare", *notes])
     paired = any(block.startswith(_STARTS_HEADER[0]) for block in blocks)
@@ -247,8 +249,8 @@ def _score_blocks(name: str, groups: Groups, score: Score, episodes: Episodes) -
     having = {label: runs for label, runs in groups.items() if runs[score.column].notna().all()}
     if len(having) < 2:
         return []
-    scores = {label: (score.scale * runs[score.column]).tolist() for label, runs in having.items()}
-    rows = [_method_row(label, groups[label], scores[label], score.decimals) for label in scores]
+    scores = {label: (score.unit.factor * runs[score.column]).tolist() for label, runs in having.items()}
+    rows = [_method_row(label, groups[label], scores[label], score.unit.decimals) for label in scores]
     lines = [render_block(f"task: {name}: {score.name}", _METHOD_HEADER, [rows], groups=None)]
     lines += [
         f"{label}: left out, it has runs without this figure" for label in groups if label not in scores
@@ -258,10 +260,10 @@ def _score_blocks(name: str, groups: Groups, score: Score, episodes: Episodes) -
     def over_seeds(first: Sequence[float], second: Sequence[float]) -> SeedComparison | str:
         return compare_seeds(first, second, lower_is_better=score.lower_is_better)
 
-    blocks = ["\n".join(lines), _pair_block(_SEEDS_HEADER, scores, over_seeds, score.decimals)]
+    blocks = ["\n".join(lines), _pair_block(_SEEDS_HEADER, scores, over_seeds, score.unit.decimals)]
     if score.episodes is not None and episodes:
         outcomes = {label: _outcomes(runs.path, score, episodes) for label, runs in having.items()}
-        blocks.append(_pair_block(_STARTS_HEADER, outcomes, compare_on_starts, score.decimals))
+        blocks.append(_pair_block(_STARTS_HEADER, outcomes, compare_on_starts, score.unit.decimals))
     return blocks
 
 
@@ -290,7 +292,7 @@ def _outcomes(paths: pd.Series, score: Score, episodes: Episodes) -> NDArray[np.
     assert score.episodes is not None
     side, column = score.episodes
     tables = [getattr(episodes[path], side) for path in paths]
-    return score.scale * np.stack([getattr(table, column).astype(float) for table in tables])
+    return score.unit.factor * np.stack([getattr(table, column).astype(float) for table in tables])
 
 
 def _pair_block(

@@ -19,20 +19,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from kickbench.config.experiment import (
-    AnyClaim,
-    AtLeast,
-    AtMost,
-    DifferenceAtLeast,
-    DifferenceAtMost,
-    DifferenceWithin,
-    GreaterThan,
-    LessThan,
-    NearReported,
-    Operand,
-    RatioAtLeast,
-    RatioAtMost,
-)
+from kickbench.config.experiment import AnyClaim, Operand
 from kickbench.results.figures import Figure, figure_of, pair_correlation, row_of
 from kickbench.results.statistics import Interval, student, welch
 
@@ -70,6 +57,11 @@ class Contrast:
         return min(value - self.low, self.high - value)
 
 
+_ABOVE = ("at_least", "greater_than", "difference_at_least", "ratio_at_least")
+_WITHIN = ("difference_within", "near_reported")
+"""Kinds of claims by where their figure is to lie; of all others it is to lie below the bound."""
+
+
 def contrast_of(claim: AnyClaim, reported: float | None = None) -> Contrast:
     """The contrast that a claim is about.
 
@@ -77,29 +69,16 @@ def contrast_of(claim: AnyClaim, reported: float | None = None) -> Contrast:
         claim: The claim.
         reported: The reported figure, which `near_reported` compares with.
     """
-    value = (1.0, claim.value)
-    match claim:
-        case AtLeast():
-            return Contrast((value,), low=claim.bound)
-        case AtMost():
-            return Contrast((value,), high=claim.bound)
-        case GreaterThan():
-            return Contrast((value, (-1.0, claim.than)), low=0.0, open=True)
-        case LessThan():
-            return Contrast((value, (-1.0, claim.than)), high=0.0, open=True)
-        case DifferenceAtLeast():
-            return Contrast((value, (-1.0, claim.minus)), low=claim.bound)
-        case DifferenceAtMost():
-            return Contrast((value, (-1.0, claim.minus)), high=claim.bound)
-        case DifferenceWithin():
-            return Contrast((value, (-1.0, claim.minus)), -claim.bound, claim.bound)
-        case RatioAtMost():
-            return Contrast((value, (-claim.bound, claim.over)), high=0.0)
-        case RatioAtLeast():
-            return Contrast((value, (-claim.bound, claim.over)), low=0.0)
-        case NearReported():
-            assert reported is not None, "the loader has checked that there is a reported figure"
-            return Contrast((value,), reported - claim.bound, reported + claim.bound)
+    value, *others = claim.operands().values()
+    bound, is_ratio = getattr(claim, "bound", 0.0), claim.kind.startswith("ratio")
+    end = 0.0 if is_ratio else bound
+    low, high = (end, inf) if claim.kind in _ABOVE else (-inf, end)
+    if claim.kind in _WITHIN:
+        middle = reported or 0.0 if claim.kind == "near_reported" else 0.0
+        low, high = middle - bound, middle + bound
+    terms = ((1.0, value), *((-bound if is_ratio else -1.0, other) for other in others))
+    is_open = claim.kind in ("greater_than", "less_than")
+    return Contrast(terms, low, high, is_open)
 
 
 class Term(NamedTuple):

@@ -6,7 +6,7 @@ import csv
 import gzip
 import io
 import zlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -156,41 +156,38 @@ def read_episodes(path: Path) -> EpisodeSides:
     try:
         data = read_regular(path)
         text = (gzip.decompress(data) if path.suffix == ".gz" else data).decode("utf-8")
-        reader = csv.DictReader(io.StringIO(text, newline=""))
-        header, rows = reader.fieldnames or [], list(reader)
-    except (OSError, EOFError, zlib.error, UnicodeDecodeError, csv.Error) as error:
+        header, *rows = csv.reader(io.StringIO(text, newline=""))
+    except (OSError, EOFError, zlib.error, ValueError, csv.Error) as error:
         raise KickbenchError(f"{path}: cannot read the episode table: {error}") from error
     _check_rows(path, header, rows)
+    cells = dict(zip(header, np.array(rows, dtype=str).reshape(-1, len(header)).T, strict=True))
     try:
-        home, mirrored = (_parsed([row for row in rows if row["side"] == side], header) for side in _SIDES)
+        home, mirrored = (_parsed(cells, cells["side"] == side) for side in _SIDES)
     except (ValueError, OverflowError) as error:
         raise KickbenchError(f"{path}: {error}") from error
     return EpisodeSides(home, mirrored if len(mirrored) else None)
 
 
-def _check_rows(path: Path, header: Sequence[str], rows: list[dict[str | None, Any]]) -> None:
-    known = ["side", *_KINDS]
-    missing = set(known) - set(KICK_COLUMNS) - set(header)
-    unknown = set(header) - set(known) - set(_FORMER_COLUMNS)
-    if missing or unknown or len(set(header)) < len(header):
-        raise KickbenchError(f"{path}:1: expected the columns {', '.join(known)}")
+def _check_rows(path: Path, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    needed, known = {"side", *_KINDS} - set(KICK_COLUMNS), {"side", *_KINDS, *_FORMER_COLUMNS}
+    if not needed <= set(header) <= known or len(set(header)) < len(header):
+        raise KickbenchError(f"{path}:1: expected the columns {', '.join(['side', *_KINDS])}")
+    column = header.index("side")
     for line, row in enumerate(rows, start=2):
-        if None in row or None in row.values():
-            found = len(header) + len(row.get(None, ())) - list(row.values()).count(None)
-            raise KickbenchError(f"{path}:{line}: expected {len(header)} values, found {found}")
-        if row["side"] not in _SIDES:
-            raise KickbenchError(
-                f"{path}:{line}: side: expected {' or '.join(_SIDES)}, found {row['side']!r}"
-            )
+        if len(row) != len(header):
+            raise KickbenchError(f"{path}:{line}: expected {len(header)} values, found {len(row)}")
+        if row[column] not in _SIDES:
+            expected = f"side: expected {' or '.join(_SIDES)}"
+            raise KickbenchError(f"{path}:{line}: {expected}, found {row[column]!r}")
 
 
-def _parsed(rows: Sequence[dict[str | None, Any]], header: Sequence[str]) -> EpisodeTable:
+def _parsed(cells: Mapping[str, NDArray[np.str_]], rows: NDArray[np.bool_]) -> EpisodeTable:
     columns = {}
     for name, kind in _KINDS.items():
-        if name in header:
+        if name in cells:
             number = np.int64 if kind is np.bool_ else kind
             try:
-                columns[name] = np.array([row[name] for row in rows], dtype=number).astype(kind)
+                columns[name] = cells[name][rows].astype(number).astype(kind)
             except ValueError as error:
                 raise ValueError(f"{name}: {error}") from error
     return EpisodeTable(**columns)

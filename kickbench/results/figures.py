@@ -1,4 +1,7 @@
-"""How each metric that a claim may be about (`kickbench.config.experiment.Metric`) follows from one run, and its unit.
+"""What is measured of a run: how each figure is written, how it follows from the run, and its mean over seeds.
+
+A *quantity* is a figure in a column of the table of runs, a *metric* what a claim may be about
+(`kickbench.config.experiment.Metric`); some metrics follow from several columns, or from the learning curves.
 
 Learning curves are those of exploration, from `progress.csv`, smoothed by a moving mean over 2 % of the training.
 """
@@ -7,22 +10,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from math import inf, pi
 from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
+from scipy import stats
 
-from kickbench.config.experiment import (
-    AnyClaim,
-    AtLeast,
-    AtMost,
-    Metric,
-    NearReported,
-    Operand,
-    RatioAtLeast,
-    RatioAtMost,
-)
+from kickbench.config.experiment import AnyClaim, Metric, Operand
 from kickbench.errors import KickbenchError
 from kickbench.results.frame import known
 from kickbench.results.notes import lack, unfinished_words
@@ -72,12 +68,114 @@ class Unit:
     is_share: bool = False
 
     def write(self, value: float, interval: Interval | None = None) -> str:
-        """A figure with its unit, and its interval if there is one."""
-        ends = f" [{self._number(interval.low)}, {self._number(interval.high)}]" if interval else ""
-        return f"{self._number(value)}{ends} {self.name}".rstrip()
+        """A figure with its interval, if there is one, and its unit."""
+        return f"{self.text(value, interval)} {self.name}".rstrip()
 
-    def _number(self, value: float) -> str:
-        return f"{self.factor * value:z.{self.decimals}f}"
+    def text(self, value: float, interval: Interval | None = None) -> str:
+        """A figure with its interval, if there is one: `42.1 [41.0, 43.2]`."""
+        ends = f" [{self.text(interval.low)}, {self.text(interval.high)}]" if interval else ""
+        return f"{self.factor * value:z.{self.decimals}f}{ends}"
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A figure that every run may have, and the only place that says how it is written.
+
+    Attributes:
+        column: Its column in the table of runs.
+        title: What it is.
+        unit: Its unit.
+        ends: Prefix of the columns of its 95 % interval; empty if it has none.
+    """
+
+    column: str
+    title: str
+    unit: Unit
+    ends: str = ""
+
+    @property
+    def heading(self) -> str:
+        """Title and unit."""
+        return f"{self.title} [{self.unit.name}]" if self.unit.name else self.title
+
+    def figure(self, run: pd.Series) -> Figure | None:
+        """The figure of a run with its interval; None if the run does not have it."""
+        value = known(run, self.column)
+        low = known(run, f"{self.ends}_low") if self.ends else None
+        interval = None if low is None else Interval(low, run[f"{self.ends}_high"])
+        return None if value is None else Figure(value, interval)
+
+    def of_run(self, run: pd.Series | None, missing: str = "not measured") -> str:
+        """The figure of a run with its interval, as text without the unit."""
+        figure = None if run is None else self.figure(run)
+        return missing if figure is None else self.unit.text(*figure)
+
+    def spread(self, value: float, std: float | None) -> str:
+        """A mean with the standard deviation over seeds, if there is one, as text without the unit."""
+        return self.unit.text(value) + ("" if std is None or np.isnan(std) else f" ± {self.unit.text(std)}")
+
+    def of_seeds(self, mean: pd.Series) -> str:
+        """A row of `over_seeds`: mean, standard deviation, interval and number of seeds."""
+        if not mean.seeds > 0:
+            return "not measured"
+        seeds = "1 seed" if mean.seeds == 1 else f"{mean.seeds:.0f} seeds"
+        interval = f"[{self.unit.text(mean.low)}, {self.unit.text(mean.high)}]"
+        note = f"95 % {interval}, {seeds}{non_finite_note(mean.non_finite)}"
+        return f"{self.spread(mean['mean'], mean['std'])} ({note})"
+
+
+PERCENT, METRES, _MILLIONS = Unit("%", 100.0, 1, is_share=True), Unit("m", 1.0, 3), Unit("M steps", 1e-6, 2)
+_DEGREES, _SECONDS, _SHORT_METRES = Unit("deg", 180 / pi, 1), Unit("s", 1.0, 2), Unit("m", 1.0, 2)
+SUCCESS = Quantity("success_rate", "Success", PERCENT, "success")
+DISTANCE = Quantity("mean_distance", "Distance", METRES, "mean_distance")
+ASYMMETRY = (
+    Quantity("equivariance/relative", "Equivariance error", Unit("%", 100.0, 2)),
+    Quantity("legs/same_side_share", "Kicks with the foot on the ball's side", PERCENT, "legs/same_side"),
+    Quantity("legs/left_foot_share", "Kicks with the left foot", PERCENT, "legs/left_foot"),
+    Quantity("success/left_rate", "Success, ball left", PERCENT),
+    Quantity("success/right_rate", "Success, ball right", PERCENT),
+    Quantity("pairs/agreement", "Mirrored pairs with equal ending", PERCENT, "pairs/agreement"),
+)
+KICK = (
+    Quantity("kick/mean_launch_speed", "Launch", Unit("m/s", 1.0, 2), "kick/mean_launch_speed"),
+    Quantity("kick/mean_direction_error", "Direction error", _DEGREES),
+    Quantity("kick/median_direction_error", "Its median", _DEGREES),
+    Quantity("kick/direction_bias", "Its bias", _DEGREES),
+    Quantity("kick/mean_time_to_touch", "First touch after", _SECONDS),
+    Quantity("kick/mean_touches", "Touches", Unit("", 1.0, 2)),
+    Quantity("kick/mean_walked_after_touch", "Walked after it", _SHORT_METRES),
+    Quantity("kick/falls", "Falls", PERCENT),
+    Quantity("kick/non_finite", "Not finite", PERCENT),
+)
+
+
+def over_seeds(rows: pd.DataFrame, quantity: Quantity) -> pd.DataFrame:
+    """Means over seeds, a row per condition and side.
+
+    Args:
+        rows: A row per run and side; all of them count.
+        quantity: The figure; a run without it is no seed.
+
+    Returns:
+        Columns seeds, mean, std (of a sample; NaN of one seed), low, high, non_finite. The 95 % interval is
+        Student's of the mean, clipped to what is possible; of one seed that of its episodes.
+    """
+    groups = rows[rows[quantity.column].notna()].groupby(["condition", "side"], sort=False)
+    found = pd.DataFrame(groups[quantity.column].agg(seeds="count", mean="mean", std="std"))
+    found["non_finite"] = groups.non_finite.mean()
+    half = stats.t.ppf(0.975, found.seeds - 1) * found["std"] / np.sqrt(found.seeds)
+    most = 1.0 if quantity.unit.is_share else inf
+    ends = groups[[f"{quantity.ends}_low", f"{quantity.ends}_high"]].first()
+    found["low"] = (found["mean"] - half).clip(lower=0.0).fillna(ends.iloc[:, 0])
+    found["high"] = (found["mean"] + half).clip(upper=most).fillna(ends.iloc[:, 1])
+    return found
+
+
+def non_finite_note(share: float) -> str:
+    """What stands behind a figure of which some episodes became non-finite: ` (2.5 % non-finite)`; else nothing."""
+    if not share > 0:
+        return ""
+    return f" ({'<0.1' if share < 0.001 else f'{100 * share:.1f}'} % non-finite)"
 
 
 Measure = Callable[[pd.Series, AnyClaim], Figure | None]
@@ -85,14 +183,9 @@ Measure = Callable[[pd.Series, AnyClaim], Figure | None]
 
 
 def _column(name: str, ends: str = "") -> Measure:
-    """A column of the table of runs, with the interval in the columns `<ends>_low` and `<ends>_high`."""
-
-    def measure(row: pd.Series, _: AnyClaim) -> Figure | None:
-        value = known(row, name)
-        interval = Interval(row[f"{ends}_low"], row[f"{ends}_high"]) if ends else None
-        return None if value is None else Figure(value, interval)
-
-    return measure
+    """A column of the table of runs."""
+    quantity = Quantity(name, "", METRES, ends)
+    return lambda row, _: quantity.figure(row)
 
 
 def _share(count: float, total: float) -> Figure:
@@ -196,20 +289,19 @@ def return_trough(returns: Curve, _: Curve) -> float | None:
     return float((np.maximum.accumulate(curve) - curve).max()) / spread if spread else None
 
 
-_PERCENT, _METRES, _MILLIONS = Unit("%", 100.0, 1, is_share=True), Unit("m", 1.0, 3), Unit("M steps", 1e-6, 2)
 METRICS: Mapping[Metric, tuple[Measure, Unit]] = {
-    "success_rate": (_column("success_rate", "success"), _PERCENT),
-    "mean_distance": (_column("mean_distance", "mean_distance"), _METRES),
-    "median_distance": (_column("median_distance", "median_distance"), _METRES),
-    "kicked_fraction": (_kicked, _PERCENT),
+    "success_rate": (_column("success_rate", "success"), PERCENT),
+    "mean_distance": (_column("mean_distance", "mean_distance"), METRES),
+    "median_distance": (_column("median_distance", "median_distance"), METRES),
+    "kicked_fraction": (_kicked, PERCENT),
     "mean_episode_steps": (_column("mean_episode_steps"), Unit("steps", 1.0, 1)),
-    "termination_share": (_terminations, _PERCENT),
-    "same_side_share": (_column("kicks/same_side_share", "kicks/same_side"), _PERCENT),
-    "favourite_foot_share": (_favourite_foot, _PERCENT),
+    "termination_share": (_terminations, PERCENT),
+    "same_side_share": (_column("kicks/same_side_share", "kicks/same_side"), PERCENT),
+    "favourite_foot_share": (_favourite_foot, PERCENT),
     "touches": (_column("kick/mean_touches"), Unit("touches", 1.0, 2)),
-    "walked_after_touch": (_column("kick/mean_walked_after_touch"), _METRES),
+    "walked_after_touch": (_column("kick/mean_walked_after_touch"), METRES),
     "equivariance_error": (_equivariance, Unit("%", 100.0, 2)),
-    "pair_agreement": (_column("pairs/agreement", "pairs/agreement"), _PERCENT),
+    "pair_agreement": (_column("pairs/agreement", "pairs/agreement"), PERCENT),
     "return_length_correlation": (
         _of_curves(correlation, "mean_return", "mean_episode_steps"),
         Unit("", 1.0, 3),
@@ -217,7 +309,7 @@ METRICS: Mapping[Metric, tuple[Measure, Unit]] = {
     "raw_reward": (_of_curves(mean_per_step, "reward_raw/", "mean_episode_steps"), Unit("a step", 1.0, 4)),
     "steps_to_kick": (_of_curves(steps_to_kick, "success_rate", "env_steps"), _MILLIONS),
     "steps_to_half_success": (_of_curves(steps_to_half_success, "success_rate", "env_steps"), _MILLIONS),
-    "success_area": (_of_curves(success_area, "success_rate", "env_steps"), _PERCENT),
+    "success_area": (_of_curves(success_area, "success_rate", "env_steps"), PERCENT),
     "return_trough": (_of_curves(return_trough, "mean_return", "env_steps"), Unit("", 1.0, 2)),
 }
 """Of each metric, how it follows from a run, and its unit."""
@@ -226,11 +318,10 @@ _POINTS, _RATIO = Unit("points", 100.0, 1), Unit("", 1.0, 2)
 
 def unit_of(claim: AnyClaim) -> Unit:
     """The unit of what a claim compares with its bound."""
-    if isinstance(claim, RatioAtMost | RatioAtLeast):
+    if claim.kind.startswith("ratio"):
         return _RATIO
     unit = METRICS[claim.metric][1]
-    single = isinstance(claim, AtLeast | AtMost | NearReported)
-    return unit if single or not unit.is_share else _POINTS
+    return _POINTS if unit.is_share and len(claim.operands()) > 1 else unit
 
 
 def figure_of(run: pd.DataFrame, claim: AnyClaim, operand: Operand) -> Figure | None:

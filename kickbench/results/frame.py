@@ -11,11 +11,16 @@ has one row without figures, so that nothing is left out in silence; so has a da
 | `iterations`, `iterations_planned`, `scale` | training iterations done and wanted |
 | `state`, `damage`, `deviation` | finished, unfinished, running, missing or damaged; sentences or None |
 | `copy_of`, `contradicts` | path of another run of the same identity and seed, with the same or another result |
+| `setting_name`, `group` | what a finished run is compared within, and averaged within |
 | `counted` | whether the row belongs in a mean |
 | `success_rate`, `success_low`, ... | the figures of `EvaluationMetrics`; an interval is `_low` and `_high` |
 | `termination/<name>`, `non_finite`, `kicks/...` | shares of episodes, counts of kicks |
 | `equivariance/relative`, `pairs/agreement`, ... | the figures of `Asymmetry`, the same on both sides |
 | `env_steps`, `training_seconds`, ... `provenance` | of the run; `provenance` is a record |
+
+Runs are compared within a *setting*: one task, robot and model. Runs of a setting are averaged within a *group*: one
+identity, number of iterations and scale, whatever their files are called. Settings and groups that share a name are
+numbered, `baseline (1)` and `baseline (2)`.
 """
 
 from __future__ import annotations
@@ -86,7 +91,7 @@ def load_runs(root: Path | str | Sequence[Path], experiment: LoadedExperiment | 
     unplanned = {"deviation": f"not planned by {experiment.name}", "counted": False} if experiment else {}
     others = (run for path, run in found.items() if path not in planned)
     rows += [row | unplanned for run in others for row in _rows(run)]
-    return _with_repeats(_table(rows))
+    return _with_groups(_with_repeats(_table(rows)))
 
 
 def frame_of(results: Iterable[Metrics]) -> pd.DataFrame:
@@ -96,7 +101,7 @@ def frame_of(results: Iterable[Metrics]) -> pd.DataFrame:
         for metrics in results
         for row in _result_rows(metrics)
     ]
-    return _table(rows)
+    return _with_groups(_table(rows))
 
 
 def runs_of(frame: pd.DataFrame) -> pd.DataFrame:
@@ -323,3 +328,29 @@ def _with_repeats(frame: pd.DataFrame) -> pd.DataFrame:
         frame[column] = pd.Series([others.get(path) for path in frame.path], frame.index, dtype=object)
         frame["counted"] &= frame[column].isna()
     return frame
+
+
+def _with_groups(frame: pd.DataFrame) -> pd.DataFrame:
+    """Names the settings and groups of finished runs, without namesakes."""
+    finished = frame[frame.state == "finished"]
+    rows = [row for _, row in finished.iterrows()]
+    settings = [row.setting or row.task for row in rows]
+    groups = [
+        f"{row.identity or f'{row.task}/{row.method}'} {known(row, 'iterations')} {known(row, 'scale')}"
+        for row in rows
+    ]
+    names = {
+        "setting_name": _numbered(finished.task, settings, [""] * len(rows)),
+        "group": _numbered(finished.method, groups, settings),
+    }
+    return frame.assign(**{name: labels.reindex(frame.index) for name, labels in names.items()})
+
+
+def _numbered(names: pd.Series, keys: Sequence[str], wholes: Sequence[str]) -> pd.Series:
+    """The first name of each key, numbered where several keys of one whole share it."""
+    first = pd.DataFrame({"name": list(names), "key": keys, "whole": wholes}, dtype=object)
+    first = first.drop_duplicates("key").set_index("key")
+    namesakes = first.groupby(["whole", "name"])["name"]
+    numbers, counts = (namesakes.cumcount() + 1).astype(str), namesakes.transform("size")
+    labels = first["name"].where(counts == 1, first["name"] + " (" + numbers + ")")
+    return pd.Series([labels[key] for key in keys], names.index, dtype=object)

@@ -22,7 +22,7 @@ from kickbench.results import identity
 from kickbench.results.atomic import TEMPORARY_PREFIX, atomic_write_bytes, sync_folder
 from kickbench.results.episodes import EpisodeSides, EpisodeTable, episodes_file, read_episodes
 from kickbench.results.measure import figures_of, mirrored_pairs
-from kickbench.results.metrics import EvaluationMetrics, Metrics, load_metrics
+from kickbench.results.metrics import Metrics, load_metrics
 from kickbench.results.progress import checked_rows
 
 FILE = "SHA256SUMS"
@@ -93,7 +93,7 @@ def find_damage(directory: os.PathLike[str] | str) -> Damage | None:
     path = Path(directory)
     signature = _signature(path)
     newest = max((changed for _, _, changed in signature), default=0) / 1e9
-    find = _find if time.time() - newest > _SETTLED else _find.__wrapped__
+    find = _worst if time.time() - newest > _SETTLED else _worst.__wrapped__
     return find(path, signature)
 
 
@@ -208,119 +208,97 @@ def _signature(path: Path) -> Signature:
 
 
 @lru_cache(maxsize=4096)
-def _find(path: Path, _: Signature) -> Damage | None:
-    if not os.path.lexists(path / "metrics.json"):
-        return _unfinished_damage(path) if (path / identity.FILE).is_file() else None
-    if irregular := next((name for name in (*FIXED, FILE) if _is_irregular(path / name)), None):
-        return Damage(path, irregular, "expected a regular file")
-    found = None
-    if (path / FILE).exists() or (path / identity.FILE).exists():
-        found = _sum_damage(path)
-        found = found if found and not found.can_be_mended else _identity_damage(path) or found
-    return found or _figure_damage(path)
+def _worst(path: Path, _: Signature) -> Damage | None:
+    return min(_damages(path), key=lambda found: found.can_be_mended, default=None)
 
 
-def _unfinished_damage(path: Path) -> Damage | None:
-    """Damage of what a run needs to go on, its checkpoints aside."""
-    sums = _sum_damage(path, _of_specs) if (path / FILE).exists() else None
-    found = _identity_damage(path) or sums
+def _damages(path: Path) -> Iterator[Damage]:
+    finished, has_identity = os.path.lexists(path / "metrics.json"), (path / identity.FILE).exists()
+    has_sums = (path / FILE).exists()
+    if has_identity or (finished and has_sums):
+        if has_sums or finished:
+            yield from _sum_damages(path, finished)
+        yield from _only_damage(_read(path, identity.FILE, lambda _: identity.read_identity(path)))
+    if finished:
+        yield from _figure_damages(path)
     # What is no regular file is reported by what reads it.
-    readable = (path / "progress.csv").is_file()
-    return found or (_unreadable(path, "progress.csv", checked_rows) if readable else None)
+    elif has_identity and (path / "progress.csv").is_file():
+        yield from _only_damage(_read(path, "progress.csv", checked_rows))
 
 
-def _of_specs(name: str) -> bool:
-    return name in SPECS or name.startswith(MODEL_FOLDER) or name == identity.FILE
-
-
-def _is_irregular(file: Path) -> bool:
-    return os.path.lexists(file) and not file.is_file()
-
-
-def _unreadable(path: Path, name: str, read: Callable[[Path], Any]) -> Damage | None:
-    """What reading a file of a run says is wrong with it."""
-    try:
-        read(path / name)
-    except KickbenchError as error:
-        return Damage(path, name, _reason(error, path / name))
-    return None
-
-
-def _reason(error: Exception, file: Path) -> str:
-    """What an error says beside the name of the file."""
-    return str(error).removeprefix(f"{file}: ").removeprefix(f"{shown(file)}: ")
-
-
-def _identity_damage(path: Path) -> Damage | None:
-    return _unreadable(path, identity.FILE, lambda _: identity.read_identity(path))
-
-
-def _sum_damage(path: Path, counts: Callable[[str], bool] | None = None) -> Damage | None:
-    """The worst difference between files and sums; without `counts` of all files, which are then to be complete."""
-    try:
-        sums = read_sums(path)
-    except KickbenchError as error:
-        return Damage(path, FILE, _reason(error, path / FILE))
-    problems = []
-    if counts is None:
-        also = [f"{ALSO_FOLDER}{file.name}" for file in path.glob("also/*.json")]
-        unlisted = (name for name in (*FIXED, *also) if name not in sums and (path / name).exists())
-        problems = [Damage(path, name, f"not in {FILE}") for name in unlisted]
-    for name, expected in sums.items():
-        if counts is None or counts(name):
-            problems += _line_damage(path, name, expected)
-    return min(problems, key=lambda found: found.can_be_mended, default=None)
-
-
-def _line_damage(path: Path, name: str, expected: str) -> Iterator[Damage]:
+def _read(path: Path, name: str, read: Callable[[Path], Any]) -> Any:
+    """What a file of a run holds, or the `Damage` that keeps it from being read."""
     file = path / name
-    if not file.is_file():
-        if not name.startswith(ALSO_FOLDER) or os.path.lexists(file):
-            yield Damage(path, name, f"missing, although it is in {FILE}")
-    elif _sha256_of(file) != expected:
-        yield Damage(path, name, f"damaged: its SHA-256 is not that in {FILE}")
-
-
-def _figure_damage(path: Path) -> Damage | None:
-    """Whether the result can be read and agrees with its episodes."""
-    file, table = path / "metrics.json", episodes_file(path)
     try:
-        metrics = load_metrics(file)
-        file = table
-        figure = _disagreement(metrics, read_episodes(table)) if table.is_file() else None
+        return read(file)
     except (KickbenchError, ValueError) as error:
-        return Damage(path, file.name, _reason(error, file))
-    return Damage(path, "metrics.json", f"{figure} does not agree with {table.name}") if figure else None
+        return Damage(path, name, str(error).removeprefix(f"{file}: ").removeprefix(f"{shown(file)}: "))
 
 
-def _disagreement(metrics: Metrics, sides: EpisodeSides) -> str | None:
-    """A figure of a result that its episodes do not give."""
-    evaluation = metrics.evaluation
-    for side, table in zip(("in_distribution", "mirrored"), sides, strict=True):
-        recorded = getattr(evaluation, side)
-        if (recorded is None) != (table is None):
-            return side
-        if table is not None and (figure := _other_figure(recorded, table)):
-            return f"{side}.{figure}"
-    asymmetry = evaluation.asymmetry
-    if asymmetry is None or asymmetry.pairs is None or sides.mirrored is None:
-        return None
-    pairs = mirrored_pairs(sides.in_distribution, sides.mirrored)
-    return None if _same(pairs.model_dump(), asymmetry.pairs.model_dump()) else "asymmetry.pairs"
+def _only_damage(*found: Any) -> list[Damage]:
+    return [of for of in found if isinstance(of, Damage)]
 
 
-def _other_figure(recorded: EvaluationMetrics, table: EpisodeTable) -> str | None:
-    given, old = figures_of(table), recorded.model_dump()
-    if (np.abs(table.start_ball_y) < _TOLERANCE).any():
-        del given["kicks"]  # a ball on the robot's axis may have been rounded to the other side
-    else:
-        given["kicks"] = given["kicks"].model_dump()
-    return next((name for name, value in given.items() if not _same(value, old[name])), None)
+def _sum_damages(path: Path, finished: bool) -> Iterator[Damage]:
+    """Differences between files and sums: of a finished run of all files, else of what it needs to go on."""
+    sums = _read(path, FILE, lambda _: read_sums(path))
+    if isinstance(sums, Damage):
+        yield sums
+        return
+    if finished:
+        names = (*FIXED, *(f"{ALSO_FOLDER}{file.name}" for file in path.glob("also/*.json")))
+        unlisted = (name for name in names if name not in sums and (path / name).exists())
+        yield from (Damage(path, name, f"not in {FILE}") for name in unlisted)
+    for name, expected in sums.items():
+        file = path / name
+        if not finished and not name.startswith(MODEL_FOLDER) and name not in (*SPECS, identity.FILE):
+            continue
+        if file.is_file():
+            if _sha256_of(file) != expected:
+                yield Damage(path, name, f"damaged: its SHA-256 is not that in {FILE}")
+        elif not name.startswith(ALSO_FOLDER) or os.path.lexists(file):
+            yield Damage(path, name, f"missing, although it is in {FILE}")
+
+
+def _figure_damages(path: Path) -> Iterator[Damage]:
+    """Whether the result can be read and agrees with its episodes."""
+    table = episodes_file(path)
+    metrics = _read(path, "metrics.json", load_metrics)
+    sides = _read(path, table.name, read_episodes) if table.is_file() else None
+    yield from (wrong := _only_damage(metrics, sides))
+    if sides and not wrong:
+        unequal = _read(path, table.name, lambda _: next(_unequal(metrics, sides), None))
+        if unequal is not None:
+            words = f"{unequal} does not agree with {table.name}"
+            yield unequal if isinstance(unequal, Damage) else Damage(path, "metrics.json", words)
+
+
+def _unequal(metrics: Metrics, sides: EpisodeSides) -> Iterator[str]:
+    """The figures of a result that its episodes do not give."""
+    recorded = metrics.evaluation.model_dump()
+    given = {side: None if of is None else _figures(of) for side, of in sides._asdict().items()}
+    if sides.mirrored and (recorded["asymmetry"] or {}).get("pairs"):
+        given["asymmetry"] = {"pairs": mirrored_pairs(sides.in_distribution, sides.mirrored).model_dump()}
+    for part, figures in given.items():
+        if (figures is None) != (recorded[part] is None):
+            yield part
+        else:
+            for name, value in (figures or {}).items():
+                if not _same(value, recorded[part][name]):
+                    yield f"{part}.{name}"
+
+
+def _figures(table: EpisodeTable) -> dict[str, Any]:
+    given = figures_of(table)
+    kicks = given.pop("kicks")
+    # A ball on the robot's axis may have been rounded to the other side.
+    on_axis = (np.abs(table.start_ball_y) < _TOLERANCE).any()
+    return given if on_axis else {**given, "kicks": kicks.model_dump()}
 
 
 def _same(value: Any, other: Any) -> bool:
     """Whether figures are equal, but for what six decimals or the last bits of a double can change."""
-    if isinstance(value, Mapping) and isinstance(other, Mapping):
+    if isinstance(value, dict):
         return value.keys() == other.keys() and all(_same(value[name], other[name]) for name in value)
     if isinstance(value, tuple) and isinstance(other, tuple):
         return all(map(_same, value, other))

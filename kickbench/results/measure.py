@@ -35,6 +35,7 @@ FALLS = ("fell_down", "fell_over")
 _DISTANCE_SEED, _LEG_SEED, _KICK_SEED = 0, 1, 2
 # What six decimals in episodes.csv and float32 can move a position or distance of metres by.
 _TOLERANCE = 2e-6
+_FEET = {"left_foot": "left", "right_foot": "right", "other": "other", "none": "none"}
 _MIRRORED_FOOT = {"left": "right", "right": "left", "other": "other", "none": "none"}
 
 
@@ -92,13 +93,10 @@ def summarise_sides(
         control_interval: as for `summarise`.
         equivariance: the policy's equivariance error over the states visited in these episodes, if measured.
     """
-
-    def summary(side: EpisodeTable) -> EvaluationMetrics:
-        return summarise(side, success_radius, control_interval)
-
+    home, mirrored = sides
     return Evaluation(
-        in_distribution=summary(sides.in_distribution),
-        mirrored=None if sides.mirrored is None else summary(sides.mirrored),
+        in_distribution=summarise(home, success_radius, control_interval),
+        mirrored=None if mirrored is None else summarise(mirrored, success_radius, control_interval),
         asymmetry=measure_asymmetry(sides, equivariance),
     )
 
@@ -121,8 +119,10 @@ def _shares(names: NDArray[np.str_]) -> dict[str, float]:
 
 def _kicks(episodes: EpisodeTable) -> Kicks:
     ball_left = episodes.start_ball_y >= 0
-    left = _foot_counts(episodes.kick_foot[ball_left])
-    right = _foot_counts(episodes.kick_foot[~ball_left])
+    left, right = (
+        FootCounts(**{name: int((feet == foot).sum()) for name, foot in _FEET.items()})
+        for feet in (episodes.kick_foot[ball_left], episodes.kick_foot[~ball_left])
+    )
     same_side = left.left_foot + right.right_foot
     by_foot = same_side + left.right_foot + right.left_foot
     return Kicks(
@@ -130,15 +130,6 @@ def _kicks(episodes: EpisodeTable) -> Kicks:
         ball_right=right,
         same_side_share=same_side / by_foot if by_foot else None,
         same_side_ci=wilson(same_side, by_foot) if by_foot else None,
-    )
-
-
-def _foot_counts(kick_foot: NDArray[np.str_]) -> FootCounts:
-    def count(name: str) -> int:
-        return int((kick_foot == name).sum())
-
-    return FootCounts(
-        left_foot=count("left"), right_foot=count("right"), other=count("other"), none=count("none")
     )
 
 
@@ -154,22 +145,26 @@ def measure_kick(episodes: EpisodeTable, control_interval: float) -> KickFigures
     if touches is None or walked is None or speed is None or error is None:
         return None
     touched, error = touches > 0, error[~np.isnan(error)]
-    rng = np.random.default_rng(_KICK_SEED)
-    some, launched = bool(touched.any()), bool(error.size)
-    return KickFigures(
-        mean_launch_speed=float(speed[touched].mean()) if some else None,
-        mean_launch_speed_ci=bootstrap([speed[touched]], lambda drawn: drawn.mean(axis=1), rng)
-        if some
-        else None,
-        mean_direction_error=float(np.abs(error).mean()) if launched else None,
-        median_direction_error=float(np.median(np.abs(error))) if launched else None,
-        direction_bias=float(np.arctan2(np.sin(error).mean(), np.cos(error).mean())) if launched else None,
-        mean_time_to_touch=control_interval * float(episodes.kick_step[touched].mean()) if some else None,
-        mean_touches=float(touches[touched].mean()) if some else None,
-        mean_walked_after_touch=float(walked[touched].mean()) if some else None,
-        falls=float(np.isin(episodes.termination, FALLS).mean()),
-        non_finite=float((episodes.termination == NON_FINITE).mean()),
-    )
+    figures: dict[str, Any] = {
+        "falls": np.isin(episodes.termination, FALLS).mean(),
+        "non_finite": (episodes.termination == NON_FINITE).mean(),
+    }
+    if touched.any():
+        rng = np.random.default_rng(_KICK_SEED)
+        figures |= {
+            "mean_launch_speed": speed[touched].mean(),
+            "mean_launch_speed_ci": bootstrap([speed[touched]], lambda drawn: drawn.mean(axis=1), rng),
+            "mean_time_to_touch": control_interval * float(episodes.kick_step[touched].mean()),
+            "mean_touches": touches[touched].mean(),
+            "mean_walked_after_touch": walked[touched].mean(),
+        }
+    if error.size:
+        figures |= {
+            "mean_direction_error": np.abs(error).mean(),
+            "median_direction_error": np.median(np.abs(error)),
+            "direction_bias": np.arctan2(np.sin(error).mean(), np.cos(error).mean()),
+        }
+    return KickFigures(**figures)
 
 
 def measure_asymmetry(sides: EpisodeSides, equivariance: EquivarianceError | None = None) -> Asymmetry:
@@ -206,37 +201,24 @@ def _check_mirrored(home: EpisodeTable, mirrored: EpisodeTable) -> None:
 def _legs(home: EpisodeTable, mirrored: EpisodeTable | None) -> LegPreference:
     """One cluster an episode, or a mirrored pair; clusters without a kick by foot say nothing and are left out."""
     tables = (home,) if mirrored is None else (home, mirrored)
-    kicked = np.sum([_by_foot(table) for table in tables], axis=0)
-    informative = kicked > 0
-    kicks = int(kicked.sum())
-    if not kicks:
-        return LegPreference(kicks=0, same_side_share=None, left_foot_share=None)
-    same_side = np.sum([_by_same_side(table) for table in tables], axis=0)
-    left = np.sum([table.kick_foot == "left" for table in tables], axis=0)
-    rng = np.random.default_rng(_LEG_SEED)
-    pairs = (np.stack([count, kicked], axis=1)[informative] for count in (same_side, left))
-    same_side_ci, left_ci = (bootstrap([of], _share_of_sums, rng) for of in pairs)
-    return LegPreference(
-        kicks=kicks,
-        same_side_share=int(same_side.sum()) / kicks,
-        same_side_ci=same_side_ci,
-        left_foot_share=int(left.sum()) / kicks,
-        left_foot_ci=left_ci,
-    )
+    kicked = np.sum([np.isin(table.kick_foot, ("left", "right")) for table in tables], axis=0)
+    near = (table.kick_foot == np.where(table.start_ball_y >= 0, "left", "right") for table in tables)
+    counts = {
+        "same_side": np.sum(list(near), axis=0),
+        "left_foot": np.sum([table.kick_foot == "left" for table in tables], axis=0),
+    }
+    figures, kicks, rng = dict[str, Any](), int(kicked.sum()), np.random.default_rng(_LEG_SEED)
+    for name, count in counts.items() if kicks else ():
+        pairs = np.stack([count, kicked], axis=1)[kicked > 0]
+        figures[f"{name}_share"] = int(count.sum()) / kicks
+        figures[f"{name}_ci"] = bootstrap([pairs], _share_of_sums, rng)
+    return LegPreference(kicks=kicks, **figures)
 
 
 def _share_of_sums(drawn: NDArray[np.int64]) -> NDArray[np.float64]:
     """Of counts and totals [r, n, 2] the share [r]."""
     sums = drawn.sum(axis=1)
     return sums[:, 0] / sums[:, 1]
-
-
-def _by_foot(table: EpisodeTable) -> NDArray[np.bool_]:
-    return np.isin(table.kick_foot, ("left", "right"))
-
-
-def _by_same_side(table: EpisodeTable) -> NDArray[np.bool_]:
-    return table.kick_foot == np.where(table.start_ball_y >= 0, "left", "right")
 
 
 def _side_success(home: EpisodeTable, mirrored: EpisodeTable | None) -> SideSuccess | None:

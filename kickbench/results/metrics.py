@@ -51,21 +51,21 @@ class KickFigures(Record):
     The figures of single episodes, and their formulas, are those of `episodes.csv`.
     """
 
-    mean_launch_speed: NonNegativeFloat | None
+    mean_launch_speed: NonNegativeFloat | None = None
     """Horizontal ball speed at the kick [m/s]."""
-    mean_launch_speed_ci: Interval | None
+    mean_launch_speed_ci: Interval | None = None
     """Its bootstrap interval [m/s]."""
-    mean_direction_error: Angle | None
+    mean_direction_error: Angle | None = None
     """Mean angle between the ball's launch and the target, without its sign, over launched balls [rad]."""
-    median_direction_error: Angle | None
+    median_direction_error: Angle | None = None
     """Median of the same angle [rad]."""
-    direction_bias: Annotated[float, Field(ge=-np.pi, le=np.pi)] | None
+    direction_bias: Annotated[float, Field(ge=-np.pi, le=np.pi)] | None = None
     """Circular mean of the signed angle, positive to the left of the target [rad]."""
-    mean_time_to_touch: NonNegativeFloat | None
+    mean_time_to_touch: NonNegativeFloat | None = None
     """From the start to the first touch [s]."""
-    mean_touches: NonNegativeFloat | None
+    mean_touches: NonNegativeFloat | None = None
     """Separate touches of the ball in an episode."""
-    mean_walked_after_touch: NonNegativeFloat | None
+    mean_walked_after_touch: NonNegativeFloat | None = None
     """Path of the base towards the ball after the first touch [m]."""
     falls: Fraction
     """Share of all episodes that a fall of the robot ended."""
@@ -118,10 +118,10 @@ class LegPreference(Record):
 
     kicks: NonNegativeInt
     """Episodes in which a foot was the first to touch the ball."""
-    same_side_share: Fraction | None
+    same_side_share: Fraction | None = None
     """Share of those kicks made with the foot on the side where the ball starts; null without any."""
     same_side_ci: Interval | None = None
-    left_foot_share: Fraction | None
+    left_foot_share: Fraction | None = None
     """Share of those kicks made with the left foot: 0 or 1 for a policy with one kicking leg, 1/2 for a
     symmetric one if starts are as many on the left as on the right."""
     left_foot_ci: Interval | None = None

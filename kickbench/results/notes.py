@@ -1,9 +1,4 @@
-"""What the table of runs says in words, and which of its runs belong together.
-
-Runs are compared within a *setting*: one task, robot and model. Runs of a setting are averaged within a *group*: one
-identity, number of iterations and scale, whatever their files are called. Settings and groups that share a name are
-numbered, `baseline (1)` and `baseline (2)`, and `differing_lines` says in what they differ.
-"""
+"""What the table of runs says in words: in what runs differ, which repeat others, and which do not count and why."""
 
 from __future__ import annotations
 
@@ -20,40 +15,11 @@ Shown = Callable[[Path], str]
 """How a path is written."""
 
 
-def with_groups(frame: pd.DataFrame) -> pd.DataFrame:
-    """The rows of finished runs, with two more columns: `setting_name` and `group`, both without namesakes."""
-    finished = frame[frame.state == "finished"].copy()
-    rows = [row for _, row in finished.iterrows()]
-    settings = [row.setting or row.task for row in rows]
-    groups = [
-        f"{row.identity or f'{row.task}/{row.method}'} {known(row, 'iterations')} {known(row, 'scale')}"
-        for row in rows
-    ]
-    finished["setting_name"] = _numbered(finished.task, settings, [""] * len(rows))
-    finished["group"] = _numbered(finished.method, groups, settings)
-    return finished
-
-
-def _numbered(names: pd.Series, keys: Sequence[str], wholes: Sequence[str]) -> pd.Series:
-    """The first name of each key, numbered where several keys of one whole share it."""
-    first = pd.DataFrame({"name": list(names), "key": keys, "whole": wholes}, dtype=object)
-    first = first.drop_duplicates("key")
-    namesakes = first.groupby(["whole", "name"])
-    numbers, counts = namesakes.cumcount() + 1, namesakes["key"].transform("size")
-    labels = {
-        key: f"{name} ({number})" if count > 1 else name
-        for key, name, number, count in zip(first["key"], first["name"], numbers, counts, strict=True)
-    }
-    return pd.Series([labels[key] for key in keys], names.index, dtype=object)
-
-
-def differing_lines(finished: pd.DataFrame) -> list[str]:
-    """For settings of one task's name, and groups of one method's name, in what they differ.
-
-    Args:
-        finished: What `with_groups` has returned.
-    """
-    return [*setting_lines(finished), *group_lines(finished)]
+def remark_lines(frame: pd.DataFrame) -> list[str]:
+    """Below a table of runs: in what runs of one name differ, which runs repeat others, and which have no result."""
+    finished = frame[(frame.state == "finished") & (frame.evaluated_on == frame.task)]
+    lines = [*setting_lines(finished), *group_lines(finished)]
+    return [*lines, *repeat_lines(frame), *left_out_lines(frame)]
 
 
 def setting_lines(finished: pd.DataFrame) -> list[str]:

@@ -107,49 +107,34 @@ class Moment(NamedTuple):
 
 def collect_provenance(
     *,
-    seed: int,
-    env_steps: int,
     started: Moment,
-    num_threads: int,
-    num_processes: int = 1,
     device: str = "cpu",
     argv: Sequence[str] = (),
     code: tuple[str | None, bool | None] | None = None,
-    experiment: ExperimentRef | None = None,
-    initial: InitialRef | None = None,
+    **fields: Any,
 ) -> Provenance:
     """Looks at this process and its machine as of now.
 
     Args:
-        seed: seed of the run.
-        env_steps: control steps of training, summed over envs.
         started: start of the run.
-        num_threads: threads that stepped the physics, of each process.
-        num_processes: processes that trained together.
         device: torch device, `cpu` or `cuda[:k]`.
         argv: the command as `sys.argv` has it, program first.
         code: what `code_state` returned when the code was loaded; now if left out.
-        experiment: the experiment that the run was begun for.
-        initial: the run whose policy it began with.
+        fields: the other fields of `Provenance`: seed, env_steps, num_threads, ...
     """
     finished = Moment.now()
     commit, dirty = code or code_state()
     return Provenance(
         versions=package_versions(),
         device=device_name(device),
-        num_threads=num_threads,
-        num_processes=num_processes,
         platform=f"{platform.system()} {platform.release()} {platform.machine()}",
-        seed=seed,
         commit=commit,
         dirty=dirty,
         started=started.utc.astimezone(UTC).isoformat(timespec="seconds"),
         finished=finished.utc.astimezone(UTC).isoformat(timespec="seconds"),
         seconds=round(finished.seconds - started.seconds, 3),
-        env_steps=env_steps,
         command=portable_command(argv),
-        experiment=experiment,
-        initial=initial,
+        **fields,
     )
 
 

@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import pandas as pd
 
 from kickbench.errors import printable
+from kickbench.results.figures import (
+    ASYMMETRY,
+    DISTANCE,
+    KICK,
+    PERCENT,
+    SUCCESS,
+    Quantity,
+    non_finite_note,
+)
 from kickbench.results.frame import HOME, known
-from kickbench.results.notes import differing_lines, left_out_lines, repeat_lines, with_groups
+from kickbench.results.notes import remark_lines
 from kickbench.results.statistics import mean_std_over_seeds
 
 NOTHING = "-"
@@ -76,98 +84,76 @@ def probability(p: float) -> str:
     return "<0.001" if p < 0.001 else f"{p:.3f}"
 
 
-def non_finite_note(share: float) -> str:
-    """What stands behind a figure of which some episodes became non-finite: ` (2.5 % non-finite)`; else nothing."""
-    if not share > 0:
-        return ""
-    return f" ({'<0.1' if share < 0.001 else f'{100 * share:.1f}'} % non-finite)"
-
-
 @dataclass(frozen=True)
 class Column:
     """A column of a table of runs.
 
     Attributes:
         title: Its heading.
-        name: The column of `pairs_of` that it shows.
-        factor: From the unit of that column to the one shown.
-        decimals: Digits shown.
+        of: The column of `pairs_of` that it shows, and how; of a p-value or a count just the column.
         group: Heading of a group of columns that begins here.
-        ends: Prefix of the columns of its interval.
         non_finite: The column of the share of its episodes that became non-finite.
-        kind: A figure has a mean and a spread over seeds, a p-value neither, of a count the common value is shown.
     """
 
     title: str
-    name: str
-    factor: float = 100.0
-    decimals: int = 1
+    of: Quantity | str
     group: str = ""
-    ends: str = ""
     non_finite: str = ""
-    kind: Literal["figure", "p", "count"] = "figure"
 
     def cell(self, run: pd.Series) -> str:
         """The figure of a run as text."""
-        value, low = known(run, self.name), known(run, f"{self.ends}_low")
+        if isinstance(self.of, Quantity):
+            return self.of.of_run(run, NOTHING) + non_finite_note(run.get(self.non_finite, 0.0))
+        value = known(run, self.of)
         if value is None:
-            text = NOTHING
-        elif self.kind != "figure":
-            text = probability(value) if self.kind == "p" else f"{value:,.0f}"
-        else:
-            text = self._number(value)
-            text += (
-                f" [{self._number(low)}, {self._number(run[f'{self.ends}_high'])}]" if low is not None else ""
-            )
-        return text + non_finite_note(run.get(self.non_finite, 0.0))
-
-    def _number(self, value: float) -> str:
-        return f"{self.factor * value:z.{self.decimals}f}"
+            return NOTHING
+        return probability(value) if self.title == "p" else f"{value:,.0f}"
 
     def summary(self, runs: pd.DataFrame) -> tuple[str, str]:
-        """Mean and standard deviation over seeds as text."""
-        values = runs[self.name]
-        if self.kind == "count":
+        """Mean and standard deviation over seeds as text; of a count the common value, of a p-value nothing."""
+        if isinstance(self.of, str):
+            values = runs[self.of]
+            if self.title == "p":
+                return NOTHING, NOTHING
             return f"{values.iloc[0]:,.0f}" if values.nunique() == 1 else NOTHING, ""
+        values, unit = runs[self.of.column], self.of.unit
         # A mean over some of the seeds would not belong beside a mean over all of them.
-        whole = values.notna().all() and self.kind != "p"
-        mean, spread = mean_and_spread(list(self.factor * values) if whole else [], self.decimals)
+        whole = list(unit.factor * values) if values.notna().all() else []
+        mean, spread = mean_and_spread(whole, unit.decimals)
         return mean + (non_finite_note(runs[self.non_finite].mean()) if self.non_finite else ""), spread
 
 
+def _mirrored(quantity: Quantity) -> Quantity:
+    return replace(quantity, column=f"mirrored/{quantity.column}", ends="")
+
+
 _SUCCESS = (
-    Column(
-        "in-dist. [95 % CI]", "success_rate", group="success [%]", ends="success", non_finite="non_finite"
-    ),
-    Column("mirrored", "mirrored/success_rate", non_finite="mirrored/non_finite"),
-    Column("gap [pts]", "gap"),
-    Column("in-dist.", "mean_distance", 1, 3, "mean distance [m]"),
-    Column("mirrored", "mirrored/mean_distance", 1, 3),
-    Column("iter.", "iterations", kind="count"),
-    Column("env steps", "env_steps", kind="count"),
+    Column("in-dist. [95 % CI]", SUCCESS, "success [%]", "non_finite"),
+    Column("mirrored", _mirrored(SUCCESS), non_finite="mirrored/non_finite"),
+    Column("gap [pts]", Quantity("gap", "Gap", PERCENT)),
+    Column("in-dist.", replace(DISTANCE, ends=""), "mean distance [m]"),
+    Column("mirrored", _mirrored(DISTANCE)),
+    Column("iter.", "iterations"),
+    Column("env steps", "env_steps"),
 )
+_ERROR, _SAME_SIDE, _LEFT_FOOT, _LEFT, _RIGHT, _PAIRS = ASYMMETRY
 _ASYMMETRY = (
-    Column("err. [%]", "equivariance/relative", decimals=2, group="equiv."),
-    Column("ball's side [95 % CI]", "legs/same_side_share", group="kicks by foot [%]", ends="legs/same_side"),
-    Column("left foot [95 % CI]", "legs/left_foot_share", ends="legs/left_foot"),
-    Column("left", "success/left_rate", group="success [%], ball"),
-    Column("right", "success/right_rate"),
-    Column("p", "success/p_value", kind="p"),
-    Column("alike [%]", "pairs/agreement", group="pairs"),
+    Column("err. [%]", _ERROR, "equiv."),
+    Column("ball's side [95 % CI]", _SAME_SIDE, "kicks by foot [%]"),
+    Column("left foot [95 % CI]", _LEFT_FOOT),
+    Column("left", _LEFT, "success [%], ball"),
+    Column("right", _RIGHT),
+    Column("p", "success/p_value"),
+    Column("alike [%]", replace(_PAIRS, ends=""), "pairs"),
 )
 """The equivariance error is relative to the size of the actions, over visited states. p is the two-proportion test's
 for success with the ball on the left against on the right. Pairs start from mirrored states and end the same way."""
-_DEGREES = 180.0 / math.pi
-_KICK = (
-    Column("launch [m/s]", "kick/mean_launch_speed", 1, 2),
-    Column("aim error [deg]", "kick/mean_direction_error", _DEGREES),
-    Column("median", "kick/median_direction_error", _DEGREES),
-    Column("bias", "kick/direction_bias", _DEGREES),
-    Column("touch [s]", "kick/mean_time_to_touch", 1, 2),
-    Column("touches", "kick/mean_touches", 1, 2),
-    Column("walked [m]", "kick/mean_walked_after_touch", 1, 2),
-    Column("falls [%]", "kick/falls"),
-    Column("non-finite [%]", "kick/non_finite"),
+_KICK_TITLES = (
+    *("launch [m/s]", "aim error [deg]", "median", "bias", "touch [s]", "touches", "walked [m]"),
+    *("falls [%]", "non-finite [%]"),
+)
+_KICK = tuple(
+    Column(title, replace(quantity, ends="")) for title, quantity in zip(_KICK_TITLES, KICK, strict=True)
 )
 
 
@@ -182,7 +168,7 @@ def render_table(frame: pd.DataFrame, columns: Literal["success", "kick"] = "suc
         frame: runs; tasks and methods keep the order in which they first appear.
         columns: success, and where runs have it how differently their policies treat left and right; or the kick.
     """
-    finished = with_groups(frame[frame.evaluated_on == frame.task])
+    finished = frame[(frame.state == "finished") & (frame.evaluated_on == frame.task)]
     blocks = []
     for name, rows in finished[finished.copy_of.isna()].groupby("setting_name", sort=False):
         methods = [pairs_of(group) for _, group in rows.groupby("group", sort=False)]
@@ -192,8 +178,10 @@ def render_table(frame: pd.DataFrame, columns: Literal["success", "kick"] = "suc
             blocks.append(_block(f"task: {name}", _SUCCESS, methods))
             measured = [runs[runs["legs/kicks"].notna()] for runs in methods]
             blocks.append(_block(f"asymmetry: {name}", _ASYMMETRY, [runs for runs in measured if len(runs)]))
-    lines = [*differing_lines(finished), *repeat_lines(frame), *left_out_lines(frame)]
-    return "\n\n".join(block for block in (*blocks, "\n".join(lines)) if block) or "no finished runs"
+    return (
+        "\n\n".join(block for block in (*blocks, "\n".join(remark_lines(frame))) if block)
+        or "no finished runs"
+    )
 
 
 def pairs_of(rows: pd.DataFrame) -> pd.DataFrame:

@@ -14,7 +14,7 @@ from typing import Literal
 import pandas as pd
 from pydantic import Field, TypeAdapter, ValidationError
 
-from kickbench.config.experiment import AnyClaim, NearReported, Operand, RatioAtLeast, RatioAtMost
+from kickbench.config.experiment import AnyClaim, Operand, RatioAtLeast, RatioAtMost
 from kickbench.errors import KickbenchError
 from kickbench.results.atomic import Record, problems_of
 from kickbench.results.contrast import (
@@ -27,9 +27,9 @@ from kickbench.results.contrast import (
     over_episodes,
     run_terms,
 )
-from kickbench.results.figures import Unit, lack_of, non_finite_share, unit_of
+from kickbench.results.figures import Unit, lack_of, non_finite_note, non_finite_share, unit_of
 from kickbench.results.statistics import Interval
-from kickbench.results.tables import NOTHING, Row, non_finite_note, render_block
+from kickbench.results.tables import NOTHING, Row, render_block
 from kickbench.trials.experiment import LoadedExperiment
 
 Outcome = Literal["met", "not met", "holds", "does not hold", "not enough data"]
@@ -269,16 +269,3 @@ def _reported_figure(claim: AnyClaim, contrast: Contrast, experiment: LoadedExpe
         over = values[1][1]
         return values[0][1] / over if values[0][1] is not None and over else None
     return sum(known)
-
-
-def is_met_as_reported(verdict: Verdict) -> bool | None:
-    """Whether the reported figures themselves meet a claim; None if there are none, or it is about nearness to them."""
-    claim, figure = verdict.claim, verdict.reported
-    if figure is None or isinstance(claim, NearReported):
-        return None
-    contrast = contrast_of(claim)
-    if isinstance(claim, RatioAtMost):
-        return figure <= claim.bound
-    if isinstance(claim, RatioAtLeast):
-        return figure >= claim.bound
-    return contrast.holds(Interval(figure, figure))

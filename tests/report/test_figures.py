@@ -9,9 +9,9 @@ import pandas as pd
 import pytest
 
 from kickbench.report import figures, tables
-from kickbench.report.measures import DISTANCE, SUCCESS, over_seeds
 from kickbench.report.study import Study, studies
 from kickbench.report.style import Picture, looks_of, style, subplots
+from kickbench.results.figures import DISTANCE, SUCCESS, over_seeds
 
 SVG = "{http://www.w3.org/2000/svg}"
 HIT = "termination/target_hit"
@@ -66,7 +66,7 @@ def test_numbers_are_written_in_one_way():
     assert SUCCESS.of_seeds(found) == "50.0 ± 10.0 (95 % [25.2, 74.8], 3 seeds)"
     assert SUCCESS.of_run(runs(0.4).iloc[0]) == "40.0 [10.0, 90.0]"
     assert SUCCESS.of_run(runs(np.nan).iloc[0]) == SUCCESS.of_run(None) == "not measured"
-    assert DISTANCE.text(-1e-9) == "0.000"
+    assert DISTANCE.unit.text(-1e-9) == "0.000"
 
 
 def test_success_in_bins_counts_every_episode_once(study):

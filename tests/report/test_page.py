@@ -125,7 +125,7 @@ def test_figures_stand_beside_what_they_rest_on(whole):
     assert "The kick in figures" in page.text
     assert "1.75" in page.text
     assert "[1.75, 1.75]" in page.text
-    assert "-0.24" in page.text, "the bias: a third of the balls is launched 0.75 rad to the right"
+    assert "-14.0" in page.text, "the bias in degrees: a third of the balls is launched 0.75 rad to the right"
     assert "run by other code than this page's, commit 0123456789".lower() in page.text.lower()
 
 

@@ -454,7 +454,7 @@ def test_a_browser_sees_the_robot_move_may_come_back_and_ctrl_c_ends_it(tmp_path
             tab.close()
             assert process.poll() is None
         process.send_signal(signal.SIGINT)
-        out, err = process.communicate(timeout=60)
+        out, err = process.communicate(timeout=180)
     assert process.returncode == 0
     assert (out.splitlines()[-1], err) == ("stopped", "")
     assert not list(here.iterdir())
