@@ -9,19 +9,21 @@ From Python (names of tasks and methods are those of `tasks/` and `methods/`; pa
     figures = kickbench.evaluate(run, episodes=500)                  an `Evaluation`
     table = kickbench.load_runs("results/measured")                  a pandas.DataFrame, a row per run and side
 
-`import kickbench.envs.gym` registers every task with Gymnasium; `kickbench.deploy.runner.Policy` runs an exported
-policy.
-Nothing heavy is imported before a name is used. Wrong specifications and files raise `kickbench.KickbenchError`.
+`import kickbench.envs.gym` registers every task with Gymnasium; `kickbench.deploy.runner.Policy` runs an
+exported policy.
+Nothing heavy is imported before a name is used. Wrong specifications and files raise
+`kickbench.KickbenchError`.
 """
 
 import os
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-# Before torch loads libgomp, which reads it once. Threads that wait for work would otherwise spin on cores that
-# another process, or the physics, could use: beside three busy processes an update of the K1's networks then takes
-# several times as long. Passive waiting costs an idle machine 5 to 8 % of a K1 iteration; a bounded spin
-# (GOMP_SPINCOUNT=1000) costs it 1 %, but makes updates 1.4 times as long on a busy one. `kickbench doctor` prints it.
+# Before torch loads libgomp, which reads it once. Threads that wait for work would otherwise spin on cores
+# that another process, or the physics, could use: beside three busy processes an update of the K1's networks
+# then takes several times as long. Passive waiting costs an idle machine 5 to 8 % of a K1 iteration; a
+# bounded spin (GOMP_SPINCOUNT=1000) costs it 1 %, but makes updates 1.4 times as long on a busy one.
+# `kickbench doctor` prints it.
 if "GOMP_SPINCOUNT" not in os.environ:
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 

@@ -121,7 +121,8 @@ def dotted(path: KeyPath) -> str:
 
 
 _UNPRINTABLE = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
-"""Controls, marks that change the direction of text, and halves of characters (bytes of a name that are not UTF-8)."""
+"""Controls, marks that change the direction of text, and halves of characters (bytes of a name that are not
+UTF-8)."""
 
 
 def printable(text: str) -> str:

@@ -1,7 +1,7 @@
 """Experiments: what is trained and measured, what was reported of it, and claims in a form that a program can check.
 
-A claim compares one metric of one or two conditions with a bound. Rates are fractions (two percentage points are
-0.02), distances metres. It is about the mean over the conditions' seeds, or about each of them.
+A claim compares one metric of one or two conditions with a bound. Rates are fractions (two percentage points
+are 0.02), distances metres. It is about the mean over the conditions' seeds, or about each of them.
 """
 
 from __future__ import annotations
@@ -75,12 +75,13 @@ class _Claim(Spec):
     terminations: Annotated[NameList, distinct("termination")] = ()
     """Of `termination_share`: the terminations whose shares are added up."""
     reward: str | None = None
-    """Of `raw_reward`: the reward term whose mean value per control step in training, without its weight, is meant."""
+    """Of `raw_reward`: the reward term whose mean value per control step in training, without its weight, is
+    meant."""
     seeds: Literal["mean", "each"] = "mean"
     """Whether the mean over the seeds is meant, or every single one."""
     decidable: bool = True
-    """False: at the experiment's number of seeds even an exact replication would rarely meet it, or its opposite would
-    meet it too often; results/README.md has the rates."""
+    """False: at the experiment's number of seeds even an exact replication would rarely meet it, or its
+    opposite would meet it too often; results/README.md has the rates."""
     value: Operand
     """Whose figure is claimed to be so."""
 
@@ -287,8 +288,8 @@ class ExperimentSpec(Spec):
     evaluation: ReportedEvaluationSpec = ReportedEvaluationSpec()
     """How the trained policies are measured."""
     claims_of: tuple[FileRef, ...] = Field(default=(), strict=False)
-    """Paths of experiments whose claims are made of this one too, all of them but those that compare with what was
-    reported there (`near_reported`). A claim of this experiment replaces one of the same name."""
+    """Paths of experiments whose claims are made of this one too, all of them but those that compare with
+    what was reported there (`near_reported`). A claim of this experiment replaces one of the same name."""
     claims: dict[Name, Claim | None] = Field(default_factory=dict)
     """What is claimed of the figures, by name; null drops a claim of `claims_of`."""
 

@@ -1,8 +1,9 @@
 """Method specification: PPO hyperparameters, network, how symmetry is used; and field representation tables.
 
-A table (thesis Table 3.4) has an expression for each field: a name, a direct sum `trivial + sign + trivial`, or a
-tensor product `regular x (trivial + sign + trivial)`, which is a left and a right vector. `joints` and `actions` stand
-for the robot's own representations, which follow from its joint symmetry. Terms state expressions, too.
+A table (thesis Table 3.4) has an expression for each field: a name, a direct sum `trivial + sign + trivial`,
+or a tensor product `regular x (trivial + sign + trivial)`, which is a left and a right vector. `joints` and
+`actions` stand for the robot's own representations, which follow from its joint symmetry. Terms state
+expressions, too.
 """
 
 from __future__ import annotations
@@ -67,8 +68,8 @@ class AlgorithmSpec(Spec):
     max_gradient_norm: PositiveFloat = 1.0
     """Gradient clipping, for actor and critic each."""
     matmul: Literal["float32", "tf32"] = "float32"
-    """Precision of matrix products in updates. tf32, on a GPU only, rounds their factors to 11 significant bits and
-    adds in float32. Acting is in float32 always, so a policy is as equivariant either way."""
+    """Precision of matrix products in updates. tf32, on a GPU only, rounds their factors to 11 significant
+    bits and adds in float32. Acting is in float32 always, so a policy is as equivariant either way."""
 
     @model_validator(mode="after")
     def _divides(self) -> AlgorithmSpec:
@@ -91,8 +92,8 @@ class NetworkSpec(Spec):
     """Actor and critic."""
 
     type: Literal["mlp", "equivariant", "relaxed_equivariant"]
-    """mlp: plain. equivariant: tied weights, equivariant actor and invariant critic (thesis 3.3). relaxed_equivariant:
-    the same with a small free residual in every layer (thesis 5.1)."""
+    """mlp: plain. equivariant: tied weights, equivariant actor and invariant critic (thesis 3.3).
+    relaxed_equivariant: the same with a small free residual in every layer (thesis 5.1)."""
     residual_scale: PositiveFloat | None = None
     """Scale of the relaxed network's residual against its equivariant part; the residual starts at zero."""
     actor_hidden: tuple[PositiveInt, ...] = Field(min_length=1, strict=False)
@@ -132,8 +133,8 @@ class SymmetrySpec(Spec):
     augmentation: bool = False
     """Append the mirrored sample to every sample of a mini-batch (Mittal et al. 2024, thesis 3.2.4)."""
     mirror_loss_coefficient: NonNegativeFloat = 0.0
-    """Weight of the mirror loss, the mean squared difference between the actor's mean on mirrored observations and
-    the mirror image of its mean on the originals (Mittal et al. 2024); 0: off."""
+    """Weight of the mirror loss, the mean squared difference between the actor's mean on mirrored
+    observations and the mirror image of its mean on the originals (Mittal et al. 2024); 0: off."""
     symmetric_normalization: bool = False
     """Average observation statistics over the group; always on for the equivariant networks."""
     tied_std: bool = False

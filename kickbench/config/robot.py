@@ -28,9 +28,9 @@ class ActuatorSpec(Spec):
     effort: PositiveFloat
     """Largest torque or force, N m or N."""
     velocity_limit: PositiveFloat | None = None
-    """No-load speed of a position servo, rad/s or m/s: the largest torque falls linearly from `effort` at rest to 0
-    there, as a motor's does. Below it the servo's law is unchanged, save that its damping is at least
-    effort / velocity_limit. Without it, the largest torque does not depend on speed."""
+    """No-load speed of a position servo, rad/s or m/s: the largest torque falls linearly from `effort` at
+    rest to 0 there, as a motor's does. Below it the servo's law is unchanged, save that its damping is at
+    least effort / velocity_limit. Without it, the largest torque does not depend on speed."""
     friction_loss: NonNegativeFloat | None = None
     """Dry friction of the driven joint, N m (N on a slide); default: as in the MJCF."""
     scale: PositiveFloat
@@ -141,8 +141,8 @@ class RobotSpec(Spec):
     """A robot: an MJCF file and everything about it that is not geometry."""
 
     model: FileRef
-    """MJCF file. Of it the robot alone is used: floor, lights and cameras of its world, options, actuators, sensors and
-    keyframes are dropped, and contact priorities are the scene's."""
+    """MJCF file. Of it the robot alone is used: floor, lights and cameras of its world, options, actuators,
+    sensors and keyframes are dropped, and contact priorities are the scene's."""
     base: str
     """Body whose frame carries the observations (the trunk)."""
     initial: InitialSpec = InitialSpec()

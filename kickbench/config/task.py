@@ -38,8 +38,8 @@ class BallSpec(Spec):
     radius: PositiveFloat = Field(default=0.08, le=10)
     """Radius, m."""
     inertia: Literal["solid", "shell"]
-    """How the mass is spread. solid: throughout, 2/5 m r^2; shell: on the surface, 2/3 m r^2. A solid ball rolls
-    farther from the same kick: 8.6 against 7.6 m at 6.4 m/s."""
+    """How the mass is spread. solid: throughout, 2/5 m r^2; shell: on the surface, 2/3 m r^2. A solid ball
+    rolls farther from the same kick: 8.6 against 7.6 m at 6.4 m/s."""
     friction: Friction = (1.0, 0.5, 0.015)
     """Sliding, torsional (m) and rolling (m) friction."""
     condim: Literal[3, 4, 6] = 6
@@ -69,8 +69,8 @@ class SimulationSpec(Spec):
     cone: Literal["elliptic", "pyramidal"] = "elliptic"
     """Friction cone; the pyramidal one makes the ball's roll depend on its heading (not in the thesis)."""
     jacobian: Literal["dense", "sparse", "auto"] = "auto"
-    """How the constraint Jacobian is stored, which changes the speed and not the physics. auto: sparse from 32 degrees
-    of freedom on, dense below."""
+    """How the constraint Jacobian is stored, which changes the speed and not the physics. auto: sparse from
+    32 degrees of freedom on, dense below."""
     iterations: PositiveInt = 10
     """Newton iterations."""
     ls_iterations: PositiveInt = 20
@@ -78,7 +78,8 @@ class SimulationSpec(Spec):
     max_contacts: PositiveInt | None = None
     """Contacts that a GPU has room for, a world on average; default: measured. On a CPU there is no limit."""
     max_constraints: PositiveInt | None = None
-    """Constraint rows that a GPU has room for in every world; default: measured. On a CPU there is no limit."""
+    """Constraint rows that a GPU has room for in every world; default: measured. On a CPU there is no
+    limit."""
     allowed_overflow: Fraction = 0.001
     """Largest share of the control steps in which a GPU may lack that room; a run that exceeds it ends."""
 
@@ -189,8 +190,8 @@ class EvaluationSpec(Spec):
     pushes: bool = False
     """Apply the pushes of the task; starts and the action delay are always randomised as in training."""
     every: PositiveInt | None = None
-    """Iterations between two evaluations during the training, whose success is logged beside that of exploration;
-    default: none. They do not change the training."""
+    """Iterations between two evaluations during the training, whose success is logged beside that of
+    exploration; default: none. They do not change the training."""
     every_episodes: PositiveInt = 200
     """Episodes a side of such an evaluation: the first of the whole."""
 
@@ -205,8 +206,8 @@ class Ramp(Spec):
     """A value that moves to the task's own."""
 
     over: Share | Literal["competence"]
-    """Share of the training over which the value moves, linearly in the iterations; or `competence`: it moves a step
-    whenever the policy succeeds often enough in exploration."""
+    """Share of the training over which the value moves, linearly in the iterations; or `competence`: it moves
+    a step whenever the policy succeeds often enough in exploration."""
 
     @property
     def first(self) -> tuple[float, float]:

@@ -1,8 +1,8 @@
 """A task that grows during the training: values that move from a first one to the task's own.
 
-At level l in [0, 1] a value is (1 - l) first + l own, bound by bound. The level follows the share of the training that
-is done, or the policy's competence: it rises by a step whenever exploration succeeds often enough. Evaluation knows
-nothing of it. Not in the thesis.
+At level l in [0, 1] a value is (1 - l) first + l own, bound by bound. The level follows the share of the
+training that is done, or the policy's competence: it rises by a step whenever exploration succeeds often
+enough. Evaluation knows nothing of it. Not in the thesis.
 """
 
 from __future__ import annotations

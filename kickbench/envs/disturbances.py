@@ -123,9 +123,10 @@ class DelayLine:
 
     Every control step each env draws a lag L, uniform over the whole substeps in the range; with the hold
     probability it is one substep more. During that control step the servos see, in every substep, the newest
-    command that was issued at least L substeps earlier. The lag is that of the line, not of a command: one in flight
-    meets the lags of all control steps until it arrives, and a command is passed over where a newer one arrives with
-    it. A newer command is never replaced by an older one: where the lag has grown, the servos keep what they have.
+    command that was issued at least L substeps earlier. The lag is that of the line, not of a command: one in
+    flight meets the lags of all control steps until it arrives, and a command is passed over where a newer
+    one arrives with it. A newer command is never replaced by an older one: where the lag has grown, the
+    servos keep what they have.
 
     With 4 substeps a control step and L = 6 in all of them, the command issued at substep 0 takes effect at
     substep 6, so the servos see (command of step t - 2, t - 2, t - 1, t - 1) during control step t.
@@ -199,8 +200,8 @@ class PushMemory(Tensors):
     """Where the schedule of every env stands.
 
     Attributes:
-        wait: Control steps until the next push [B]; negative in the steps of a push but its last, which draws the
-            next interval.
+        wait: Control steps until the next push [B]; negative in the steps of a push but its last, which draws
+            the next interval.
         force: Force of the last push, world frame [B, 2], N.
         side: 1, or -1 in envs whose pushes are drawn as mirror images until their episode ends [B].
     """
@@ -213,9 +214,9 @@ class PushMemory(Tensors):
 class PushSchedule:
     """Per-env schedule of pushes (thesis 3.1).
 
-    After an interval drawn uniformly from the whole control steps in its range (the next longer one, where none lies
-    in it), a horizontal force of uniform magnitude and direction acts on the base's centre of mass for the given
-    duration, rounded to whole control steps, at least one; then the next interval is drawn.
+    After an interval drawn uniformly from the whole control steps in its range (the next longer one, where
+    none lies in it), a horizontal force of uniform magnitude and direction acts on the base's centre of mass
+    for the given duration, rounded to whole control steps, at least one; then the next interval is drawn.
 
     Attributes:
         memory: Its tensors.

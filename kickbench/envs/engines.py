@@ -37,8 +37,8 @@ def make_warp_engine(
 ) -> Engine:
     """Makes the mujoco_warp engine of a task, on warp's CPU device too.
 
-    Its room for contacts and constraints is the task's, or what a rehearsal with random actions needs and half as
-    much again.
+    Its room for contacts and constraints is the task's, or what a rehearsal with random actions needs and
+    half as much again.
 
     Args:
         task: The task.

@@ -37,7 +37,8 @@ class KickEnv(VecEnv):
     reset the envs that are done, observe. Observations and rewards are float32 on the engine's device.
 
     Attributes:
-        tensors: All that later steps depend on, but for the engine, the generator and initial states drawn ahead.
+        tensors: All that later steps depend on, but for the engine, the generator and initial states drawn
+            ahead.
         outcome: How the last step ended.
     """
 
@@ -62,9 +63,10 @@ class KickEnv(VecEnv):
             noise: Whether observation noise applies.
             pushes: Whether the task's pushes apply.
             initial_states: Where initial states come from; default: sampled from the task's regions.
-            draws: Where observation noise, delays and pushes come from; default: the generator of the initial states.
-            resident: Whether no step may wait for the host to read a number back; default: on all devices but the
-                CPU, where it costs nothing to look. Initial states are then drawn in another order.
+            draws: Where observation noise, delays and pushes come from; default: the generator of the initial
+                states.
+            resident: Whether no step may wait for the host to read a number back; default: on all devices but
+                the CPU, where it costs nothing to look. Initial states are then drawn in another order.
         """
         if task.spec.terms and not task.is_trusted:
             raise KickbenchError(f"{shown(task.spec.terms)}: code of a run; --trust-code lets it be imported")
@@ -129,8 +131,8 @@ class KickEnv(VecEnv):
     def grow(self, task: CompiledTask) -> None:
         """Goes on with other values of the same task: regions, reward weights, randomisation.
 
-        Running episodes go on from where they are; initial states that were drawn ahead are drawn anew. A step that
-        was recorded as a graph has the old values: record it again.
+        Running episodes go on from where they are; initial states that were drawn ahead are drawn anew. A
+        step that was recorded as a graph has the old values: record it again.
 
         Args:
             task: The env's task with other values, as `compile.grown` makes it.
@@ -162,9 +164,9 @@ class KickEnv(VecEnv):
     def snapshot(self) -> Tensors:
         """Everything that the running episodes are at this instant; nothing is shared with the environment.
 
-        It holds `qpos` [B, nq], `qvel` [B, nv], `touches` (contact channel -> counts latched over the last control
-        step [B, parts]), `forces` (contact channel -> mean forces, world frame [B, parts, 3], N), the parts of
-        `tensors` but for the observations, and the state of the `generator`.
+        It holds `qpos` [B, nq], `qvel` [B, nv], `touches` (contact channel -> counts latched over the last
+        control step [B, parts]), `forces` (contact channel -> mean forces, world frame [B, parts, 3], N), the
+        parts of `tensors` but for the observations, and the state of the `generator`.
         """
         engine, layout = self.engine, self.task.scene.layout
         touches = {name: engine.sensors[:, places] for name, places in layout.contacts.items()}
@@ -177,10 +179,10 @@ class KickEnv(VecEnv):
     def restore(self, snapshot: Tensors) -> TensorDict:
         """Puts every env into the state of a snapshot, and returns the observations of that state.
 
-        What follows is then what followed, or would have followed, the snapshot, random numbers included, until an
-        episode ends: the initial states of later episodes come from a pool that does not go back, and filling it
-        draws from the same numbers. Observation noise, which is no part of the state, is drawn anew for the returned
-        observations.
+        What follows is then what followed, or would have followed, the snapshot, random numbers included,
+        until an episode ends: the initial states of later episodes come from a pool that does not go back,
+        and filling it draws from the same numbers. Observation noise, which is no part of the state, is drawn
+        anew for the returned observations.
         """
         engine, layout = self.engine, self.task.scene.layout
         engine.reset(self._everywhere, snapshot.qpos, snapshot.qvel)
@@ -234,7 +236,8 @@ class KickEnv(VecEnv):
             self.engine.push(torch.nn.functional.pad(self._processes["push"](), (0, 1)))
         delay = self._processes.get("command")
         self.engine.step(targets if delay is None else delay(targets))
-        # A delay would hand numbers that are none to the physics later, and rewards would have read them before.
+        # A delay would hand numbers that are none to the physics later, and rewards would have read them
+        # before.
         self.engine.failed |= (actions * 0.0).sum(dim=1).isnan()
 
     def targets(self, actions: Tensor) -> Tensor:
@@ -317,7 +320,8 @@ class KickEnv(VecEnv):
         """Takes over what `state_dict` of an environment of the same task and size has returned.
 
         Raises:
-            ValueError: It is the state of another task, of another number of envs, or of another kind of device.
+            ValueError: It is the state of another task, of another number of envs, or of another kind of
+                device.
         """
         present = self.state_dict()
         if set(state) != set(present) or bool(state["initial_states"]) != bool(present["initial_states"]):

@@ -72,8 +72,8 @@ class Totals(Tensors):
 
     Attributes:
         steps: Their control steps.
-        endings: How many ended in each way [3 + T]: any, with success, because their numbers were not finite, by
-            each termination.
+        endings: How many ended in each way [3 + T]: any, with success, because their numbers were not finite,
+            by each termination.
         by_reward_raw: Unweighted sums of each reward term [R].
         weights: Weight of each reward term [R].
     """

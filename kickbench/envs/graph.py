@@ -1,12 +1,12 @@
 """The environment's step as one CUDA graph: recorded once, replayed with a single launch.
 
-A graph replays the very kernels it has recorded, on the very addresses. So whatever a step reads or writes must stay
-where it is: actions come in through one buffer, and a step changes the environment's tensors (`KickEnv.tensors`) in
-place. No kernel may depend on a number that the host would have to read; the environment is resident then (`KickEnv`),
-and initial states, resets and random numbers are masked.
+A graph replays the very kernels it has recorded, on the very addresses. So whatever a step reads or writes
+must stay where it is: actions come in through one buffer, and a step changes the environment's tensors
+(`KickEnv.tensors`) in place. No kernel may depend on a number that the host would have to read; the
+environment is resident then (`KickEnv`), and initial states, resets and random numbers are masked.
 
-No GPU has run this yet: what is tested is the same code without the recording, on the CPU (tests/test_graph.py). The
-tests that carry the marker `cuda` are what to run first on a GPU.
+No GPU has run this yet: what is tested is the same code without the recording, on the CPU
+(tests/envs/test_graph.py). The tests that carry the marker `cuda` are what to run first on a GPU.
 """
 
 from __future__ import annotations
@@ -29,10 +29,11 @@ StepResult = tuple[TensorDict, Tensor, Tensor, dict[str, Tensor]]
 
 
 _LEAST_DRIVER = (12, 4)
-"""CUDA of the first drivers with loops in graphs, by which mujoco_warp's solver ends when all envs have converged."""
+"""CUDA of the first drivers with loops in graphs, by which mujoco_warp's solver ends when all envs have
+converged."""
 _WARM_UP = 3
-"""Steps before the recording: libraries load kernels and make workspaces in their first calls, which a graph cannot
-hold."""
+"""Steps before the recording: libraries load kernels and make workspaces in their first calls, which a graph
+cannot hold."""
 
 
 def graph_obstacle(device: torch.device) -> str | None:
@@ -65,9 +66,9 @@ class WithoutGraphs(UserWarning):
 class CapturedStep:
     """Steps an environment by replaying a graph, where the device can; by the same code without one elsewhere.
 
-    Trajectories are those of `KickEnv.step`, random numbers included. What `step` and `get_observations` return is the
-    caller's to keep; `KickEnv.outcome` and the environment's state are valid until the next step. The environment
-    itself may be reset, restored or loaded between two steps.
+    Trajectories are those of `KickEnv.step`, random numbers included. What `step` and `get_observations`
+    return is the caller's to keep; `KickEnv.outcome` and the environment's state are valid until the next
+    step. The environment itself may be reset, restored or loaded between two steps.
     """
 
     def __init__(self, env: KickEnv, *, graph: bool = True) -> None:
@@ -136,9 +137,10 @@ def fastest_steps(env: KickEnv, *, graph: bool = True) -> KickEnv | CapturedStep
 def _recording(graph: torch.cuda.CUDAGraph, pool: torch.cuda.MemPool, engine: Engine) -> Iterator[None]:
     """Everything that is launched in the block becomes part of the graph, and runs when that is replayed.
 
-    The engine's own library learns of the recording as well. Where it records a loop whose length the device decides,
-    it ends torch's recording and resumes it under another identity, by which torch would no longer know what memory
-    belongs to the graph: so all memory of the block comes from a pool, which must live as long as the graph does.
+    The engine's own library learns of the recording as well. Where it records a loop whose length the device
+    decides, it ends torch's recording and resumes it under another identity, by which torch would no longer
+    know what memory belongs to the graph: so all memory of the block comes from a pool, which must live as
+        long as the graph does.
     """
     device = engine.device
     with (

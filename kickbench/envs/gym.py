@@ -22,10 +22,10 @@ from gymnasium.vector.utils import batch_space  # noqa: E402
 class KickVectorEnv(VectorEnv):
     """B envs of a task, numpy in and out: the actor's observations, rewards and endings of `KickEnv`.
 
-    Envs reset in the step that ends their episode (`AutoresetMode.SAME_STEP`): the observation is then the first of
-    the next episode; `infos["final_obs"]` has the last of the ended one, and `infos["final_info"]` whether it was a
-    `success` and the `distance` of ball and target, m. A time limit truncates; every other ending terminates, and so
-    does a state that is not finite, whose final observation is as it is.
+    Envs reset in the step that ends their episode (`AutoresetMode.SAME_STEP`): the observation is then the
+    first of the next episode; `infos["final_obs"]` has the last of the ended one, and `infos["final_info"]`
+    whether it was a `success` and the `distance` of ball and target, m. A time limit truncates; every other
+    ending terminates, and so does a state that is not finite, whose final observation is as it is.
     """
 
     metadata: dict[str, Any] = {"autoreset_mode": AutoresetMode.SAME_STEP, "render_modes": []}  # noqa: RUF012

@@ -23,7 +23,8 @@ Draw = Callable[..., Tensor]
 LEAST_FREE = 0.1
 """Share of a ball's region that must be clear of the robot."""
 _TRIES, _LEFT_OVER = 16, 1e-5
-"""Fewest candidates for a ball's place, and how often all of them may overlap: more are drawn in a blocked region."""
+"""Fewest candidates for a ball's place, and how often all of them may overlap: more are drawn in a blocked
+region."""
 _GRID = 64
 """Places a side on which a region is examined."""
 
@@ -37,8 +38,8 @@ class InitialStates:
         qvel: Generalised velocities [N, nv], float64.
         target: Target position on the floor [N, 2], m, float64.
         joints: Places of the observed joints in qpos.
-        by_side: What differs from the compiled model, by name of its randomisation: one column each for the left
-            and the right side, and where the term has it for the middle [N, 2 or 3], float64.
+        by_side: What differs from the compiled model, by name of its randomisation: one column each for the
+            left and the right side, and where the term has it for the middle [N, 2 or 3], float64.
     """
 
     qpos: Tensor
@@ -98,8 +99,9 @@ def free_share(region: BallSampling, obstacles: Tensor, radius: float) -> float:
 class InitialStateSampler:
     """Draws initial states: the robot in its default pose at the origin, ball and target from their regions.
 
-    It hands them out as well, one for every env in every step, needed or not: for devices that would have to wait for
-    the number that is needed. A few thousand cost a GPU less than the question. On a CPU see `InitialStatePool`.
+    It hands them out as well, one for every env in every step, needed or not: for devices that would have to
+    wait for the number that is needed. A few thousand cost a GPU less than the question. On a CPU see
+    `InitialStatePool`.
     """
 
     def __init__(self, task: CompiledTask, generator: torch.Generator) -> None:

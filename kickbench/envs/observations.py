@@ -131,8 +131,8 @@ def foot_contact_forces(state: State, params: ObservationParams) -> Tensor:
 class Observer:
     """Evaluates all observation groups of a task on a state.
 
-    Groups share most of their fields. Each is evaluated once, and a group whose fields another one begins with is a
-    slice of it; only noise and clipping are a group's own.
+    Groups share most of their fields. Each is evaluated once, and a group whose fields another one begins
+    with is a slice of it; only noise and clipping are a group's own.
     """
 
     def __init__(

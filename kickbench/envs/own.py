@@ -7,8 +7,8 @@
         """Height of the ball, at most `limit`, m."""
         return state.ball_pos[:, 2].clamp(max=limit)
 
-The file is read, not imported: decorators, parameters and defaults are literals, so that every verb can check a task
-and say what it is. It is imported when one of its terms is first called, which only environments do.
+The file is read, not imported: decorators, parameters and defaults are literals, so that every verb can check
+a task and say what it is. It is imported when one of its terms is first called, which only environments do.
 '''
 
 from __future__ import annotations
@@ -78,8 +78,8 @@ def observation(
     """Marks a function `(state, parameters...) -> Tensor[B, size]` as an observation.
 
     Args:
-        size: How it mirrors, such as "trivial + sign + trivial", which gives its length too; or its length alone: then
-            the method's representation table says how it mirrors.
+        size: How it mirrors, such as "trivial + sign + trivial", which gives its length too; or its length
+            alone: then the method's representation table says how it mirrors.
         units: Unit of what it returns.
         source: Where it comes from; default: its file.
         needs: Sensors that it reads.

@@ -74,7 +74,8 @@ class StateIndex:
         sensed = np.concatenate(list(layout.contacts.values()))
         first = int(sensed.min())
         self.counts = slice(first, int(sensed.max()) + 1)
-        """Columns of sensordata from the first to the last contact count; channels count from its beginning."""
+        """Columns of sensordata from the first to the last contact count; channels count from its
+        beginning."""
         self.contacts = {name: Columns(places - first, device) for name, places in layout.contacts.items()}
         self.foot_contacts = {
             what: FootContact(left - first, right - first, device)
@@ -146,7 +147,8 @@ class State:
     def __init__(self, engine: Engine, index: StateIndex, episode: EpisodeState, limits: EpisodeSpec) -> None:
         """Copies what the engine holds now; make a new one whenever the engine or the episode state has changed."""
         self._index = index
-        # An engine that computes in float32 would hand out its own memory, which a reset writes to within the step.
+        # An engine that computes in float32 would hand out its own memory, which a reset writes to within the
+        # step.
         self._qpos, self._qvel, self._sensors = (
             table.to(torch.float32, copy=True) for table in (engine.qpos, engine.qvel, engine.sensors)
         )

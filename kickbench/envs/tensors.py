@@ -19,8 +19,8 @@ _SWAPPED = {"left": "right", "right": "left"}
 class Tensors(dict[str, Any]):
     """Tensors, and dicts of tensors, by name: `env.tensors["episode"]["step"]`, or `env.tensors.episode.step`.
 
-    Assigning to an attribute copies into the tensor that is there. So no tensor of an env is ever replaced, and a CUDA
-    graph, which knows nothing but addresses, may read and write them.
+    Assigning to an attribute copies into the tensor that is there. So no tensor of an env is ever replaced,
+    and a CUDA graph, which knows nothing but addresses, may read and write them.
     """
 
     def __getattr__(self, name: str) -> Any:
@@ -68,8 +68,9 @@ class Tensors(dict[str, Any]):
     def mirrored(self, qpos: Mirror, qvel: Mirror, actions: Mirror) -> Tensors:
         """The reflection in the xz plane of every env in a snapshot (`KickEnv.snapshot`).
 
-        Random numbers that are yet to be drawn stay the same, but a push that follows from them is reflected, so that
-        an episode and its image remain images of each other until they end; observation noise is not reflected.
+        Random numbers that are yet to be drawn stay the same, but a push that follows from them is reflected,
+        so that an episode and its image remain images of each other until they end; observation noise is not
+        reflected.
 
         Args:
             qpos: The model's mirror map of positions.

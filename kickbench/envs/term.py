@@ -25,7 +25,8 @@ Kind = Literal["observation", "reward", "termination", "randomization"]
 Stage = Literal["initial", "command", "push"]
 """When a randomisation acts: on initial states, on the way to the servos, or as a force on the base."""
 Frame = Literal["base", "world"]
-"""Axes of a vector. base: those of the robot's base body, x forward, y left, z up; world: those of the scene."""
+"""Axes of a vector. base: those of the robot's base body, x forward, y left, z up; world: those of the
+scene."""
 
 COMMON: Mapping[Kind, type[TermParams]] = {
     "observation": ObservationParams,
@@ -44,14 +45,15 @@ class Term:
     Attributes:
         name: Name in YAML: the function's name.
         kind: Which table it belongs to.
-        function: `(state, params) -> Tensor[B, ...]`; a randomisation of initial states maps `(states, params, draw)`
-            to states, one of another stage maps `(setting, params)` to the process that acts during episodes.
+        function: `(state, params) -> Tensor[B, ...]`; a randomisation of initial states maps `(states,
+            params, draw)` to states, one of another stage maps `(setting, params)` to the process that acts
+            during episodes.
         params: Model of its parameters: the type of the function's `params`.
         units: Unit of the returned value.
         source: Section of the thesis, or paper.
         needs: Sensor groups it reads.
-        representation: How an observation field mirrors, as an expression (`config.method`), which gives its length
-            too; or its length alone.
+        representation: How an observation field mirrors, as an expression (`config.method`), which gives its
+            length too; or its length alone.
         frame: Frame of the vectors in an observation field; None: it has none.
         from_default: Whether an observation of joints is the offset from their default pose.
         truncates: For terminations: a time limit rather than an outcome, so PPO bootstraps the value.

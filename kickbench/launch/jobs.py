@@ -138,8 +138,8 @@ def next_command(run: PlannedRun, threads: int, device: str = "cpu") -> tuple[st
 class Jobs:
     """Carries out runs, at most so many at a time.
 
-    The first Ctrl-C or SIGTERM stops every run after its present iteration, the second kills them; either way, as
-    after a SIGKILL of this process, what is left can be gone on with.
+    The first Ctrl-C or SIGTERM stops every run after its present iteration, the second kills them; either
+    way, as after a SIGKILL of this process, what is left can be gone on with.
     """
 
     def __init__(self, runs: Sequence[PlannedRun], at_a_time: int, threads: int, device: str = "cpu") -> None:

@@ -92,8 +92,8 @@ def make_plan(experiment: LoadedExperiment, selection: Selection) -> Plan:
     """Plans the runs that are asked for, and checks what is there of them.
 
     Raises:
-        SpecError: A condition does not exist, an override does not fit, or a folder holds another run; all runs that
-            do are named with every key that differs. Nothing has been written.
+        SpecError: A condition does not exist, an override does not fit, or a folder holds another run; all
+            runs that do are named with every key that differs. Nothing has been written.
     """
     for name in selection.only:
         if name not in experiment.conditions:
@@ -154,7 +154,8 @@ def _planned(
 def _differences(directory: RunDirectory, trial: Trial, seed: int, scale: float | None) -> Iterable[Problem]:
     """In what a run that has been begun is another one. Its checkpoint is compared when it is taken up."""
     state = read_state(directory, trial.method.spec.algorithm.iterations).state
-    # What is new or damaged fails by itself, and keeps no other from running; a running one may just write its specs.
+    # What is new or damaged fails by itself, and keeps no other from running; a running one may just write
+    # its specs.
     if state in (State.NEW, State.DAMAGED, State.RUNNING):
         return []
     recorded = load_metrics(directory.metrics).model_dump() if directory.is_finished else None

@@ -1,7 +1,7 @@
 """A run's command in a process of its own: its output goes to the run's log, and it does not outlive its starter.
 
-If the starter is killed by SIGKILL, the kernel sends the process a SIGTERM: a training then ends after its present
-iteration, with a checkpoint, and its folder is free for whoever goes on.
+If the starter is killed by SIGKILL, the kernel sends the process a SIGTERM: a training then ends after its
+present iteration, with a checkpoint, and its folder is free for whoever goes on.
 """
 
 from __future__ import annotations

@@ -57,7 +57,8 @@ class RunRequest:
         command: The command line, for provenance.
         init_from: Run directory whose policy it begins with; None: random networks.
         init_std: Standard deviation of the actions to begin with instead of that policy's.
-        experiment: Path of the experiment that the run is begun for; its claims are recorded. None: it is for itself.
+        experiment: Path of the experiment that the run is begun for; its claims are recorded. None: it is for
+            itself.
     """
 
     task: Path
@@ -245,7 +246,8 @@ def _evaluate(
     trainer: Trainer, training: TrainingResult, made: RunDirectory, history: RunHistory, threads: int
 ) -> Metrics | None:
     """Evaluates a trained policy and writes the result; None if that is interrupted."""
-    # Wherever a policy was trained, the CPU's engine evaluates it: figures compare, and `eval` gives them again.
+    # Wherever a policy was trained, the CPU's engine evaluates it: figures compare, and `eval` gives them
+    # again.
     policy, trial = trainer.ppo.get_policy().eval().cpu(), trainer.trial
     save_policy(made.policy, policy)
     try:
@@ -329,8 +331,8 @@ def evaluate(
     """Evaluates a policy by a task's protocol, on the mirrored side too where it asks for it.
 
     Args:
-        policy: A run or its directory, which is left as it is; or a function from the observations of `make`'s envs
-            {"actor": [B, n], ...} to actions [B, nu].
+        policy: A run or its directory, which is left as it is; or a function from the observations of
+            `make`'s envs {"actor": [B, n], ...} to actions [B, nu].
         task: Path or name of a task; default: the one that the run was trained on.
         episodes: Episodes a side; default: the task's.
         seed: Seed of the initial states; default: the task's.

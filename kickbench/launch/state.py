@@ -179,8 +179,8 @@ def counts(states: Sequence[RunState]) -> str:
 def time_left(runs: Sequence[tuple[str, RunState]], at_a_time: int = 1) -> str:
     """How long the rest takes, in words: from the mean pace of each condition's own runs, and from nothing else.
 
-    A condition that has not been measured is given the mean of the others. How much runs slow each other down is not
-    foreseen.
+    A condition that has not been measured is given the mean of the others. How much runs slow each other down
+    is not foreseen.
 
     Args:
         runs: Condition and state of all runs, those that are finished among them.

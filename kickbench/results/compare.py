@@ -1,14 +1,14 @@
 """Methods compared: over their seeds, and policy by policy on the same initial states. `kickbench compare` prints it.
 
-A *score* is one figure of one trained policy; the seeds of a method are its sample. Percentile bootstrap intervals of
-few seeds are too narrow: three seeds of a normal score are covered by a nominal 95 % interval of their mean in about
-75 % of cases, and where all seeds of one method beat all of another's the interval of the probability of improvement is
-[1, 1]. The interval of a difference is therefore Welch's, and the test reports the smallest p-value that its number of
-seeds allows.
+A *score* is one figure of one trained policy; the seeds of a method are its sample. Percentile bootstrap
+intervals of few seeds are too narrow: three seeds of a normal score are covered by a nominal 95 % interval of
+their mean in about 75 % of cases, and where all seeds of one method beat all of another's the interval of the
+probability of improvement is [1, 1]. The interval of a difference is therefore Welch's, and the test reports
+the smallest p-value that its number of seeds allows.
 
-Every policy of a task is evaluated from the same initial states: the difference on one of them is one observation,
-whatever the number of seeds that enters it. What comes out holds for *these* policies over the task's initial states.
-It says nothing of a policy that the same method trains tomorrow: only seeds do.
+Every policy of a task is evaluated from the same initial states: the difference on one of them is one
+observation, whatever the number of seeds that enters it. What comes out holds for *these* policies over the
+task's initial states. It says nothing of a policy that the same method trains tomorrow: only seeds do.
 """
 
 from __future__ import annotations
@@ -122,7 +122,8 @@ def compare_seeds(
 
     Args:
         first: scores of the first method [n].
-        second: scores of the second [m]; seeds of the same number are not paired, they share nothing but the number.
+        second: scores of the second [m]; seeds of the same number are not paired, they share nothing but the
+            number.
         lower_is_better: which scores are the good ones; the difference is first minus second either way.
     """
     for name, scores in {"first": first, "second": second}.items():
@@ -139,9 +140,9 @@ def compare_seeds(
 def compare_on_starts(first: NDArray[np.float64], second: NDArray[np.float64]) -> StartComparison | str:
     """Two methods' policies compared on each initial state, or why they cannot be.
 
-    With d_i the difference of the means over policies on initial state i: mean(d) ± z std(d)/sqrt(n), and the test
-    statistic z = sum(d_i) / sqrt(sum(d_i^2)), which is what flipping the sign of every d_i at random has as its
-    standard score. For the successes of one policy each it is McNemar's, (b - c)/sqrt(b + c).
+    With d_i the difference of the means over policies on initial state i: mean(d) ± z std(d)/sqrt(n), and the
+    test statistic z = sum(d_i) / sqrt(sum(d_i^2)), which is what flipping the sign of every d_i at random has
+    as its standard score. For the successes of one policy each it is McNemar's, (b - c)/sqrt(b + c).
 
     Args:
         first: outcomes of the first method's policies [policies, starts]: success as 0 or 1, or a distance.

@@ -1,12 +1,13 @@
 """The number that a claim is about, with the interval that its seeds or its episodes leave.
 
-Every claim says that a sum of weighted figures lies in a range: `value - minus` in [bound, inf), `value - bound over`
-in (-inf, 0]. So one calculus serves them all.
+Every claim says that a sum of weighted figures lies in a range: `value - minus` in [bound, inf), `value -
+bound over` in (-inf, 0]. So one calculus serves them all.
 
-Two or more seeds an arm: Student's interval of the mean over seeds, and Welch's where two arms are compared. What the
-episodes of a seed leave open is part of the spread over seeds. With one seed an arm nothing is known of other
-trainings: the interval is then that of the episodes (square-and-add, Zou & Donner 2008), for *this* policy, and says
-so.
+Two or more seeds an arm: Student's interval of the mean over seeds, and Welch's where two arms are compared.
+What the episodes of a seed leave open is part of the spread over seeds. With one seed an arm nothing is known
+of other
+trainings: the interval is then that of the episodes (square-and-add, Zou & Donner 2008), for *this* policy,
+and says so.
 """
 
 from __future__ import annotations
@@ -151,7 +152,8 @@ def estimate(parts: Parts) -> Estimated:
     samples = [[run.value for run in runs] for runs in parts.values()]
     seeds = min(len(sample) for sample in samples)
     value = sum(float(np.mean(sample)) for sample in samples)
-    # Seeds that all give the same, such as no fall at all, do not show how seeds vary: their episodes must do.
+    # Seeds that all give the same, such as no fall at all, do not show how seeds vary: their episodes must
+    # do.
     if seeds == 1 or all(max(sample) == min(sample) for sample in samples):
         interval = over_episodes(list(parts.values()))
         return Estimated(value, interval, f"episodes of {'one seed' if seeds == 1 else f'{seeds} seeds'}")
@@ -163,10 +165,10 @@ def estimate(parts: Parts) -> Estimated:
 def over_episodes(arms: Sequence[Sequence[RunTerms]]) -> Interval | None:
     """The interval of a contrast of given policies, by square-and-add of the intervals of its figures.
 
-    With l_i and u_i the distances from a figure to the ends of its interval, taken the other way round where its weight
-    w_i is negative: the lower end lies sqrt(sum w_i^2 l_i^2 + 2 rho w_1 w_2 l_1 l_2) below the value, the upper end
-    likewise above it, with rho the correlation of a run's two sides. Newcombe's interval is the special case
-    of a difference of two proportions.
+    With l_i and u_i the distances from a figure to the ends of its interval, taken the other way round where
+    its weight w_i is negative: the lower end lies sqrt(sum w_i^2 l_i^2 + 2 rho w_1 w_2 l_1 l_2) below the
+    value, the upper end likewise above it, with rho the correlation of a run's two sides. Newcombe's interval
+    is the special case of a difference of two proportions.
 
     Args:
         arms: What the runs of each arm give.
@@ -174,7 +176,8 @@ def over_episodes(arms: Sequence[Sequence[RunTerms]]) -> Interval | None:
     Returns:
         The interval; None if that of a figure is not known.
 
-    Source: G. Y. Zou and A. Donner, "Construction of confidence limits about effect measures: a general approach",
+    Source: G. Y. Zou and A. Donner, "Construction of confidence limits about effect measures: a general
+        approach",
     2008.
     """
     value, below, above = 0.0, 0.0, 0.0

@@ -34,8 +34,8 @@ class EpisodeTable:
     """One row an episode; every column is an array [episodes].
 
     Positions are horizontal, in metres, in the robot's frame at the start of the episode: x forward, y left.
-    Floats must be finite but for those of the launch: an episode whose state diverged is given its last finite ball
-    position. Row i of an evaluation is the episode from its start i.
+    Floats must be finite but for those of the launch: an episode whose state diverged is given its last
+    finite ball position. Row i of an evaluation is the episode from its start i.
 
     Attributes:
         start_ball_x: ball at the start [m].
@@ -52,12 +52,12 @@ class EpisodeTable:
         kick_foot: what touched the ball first: left, right, other (not a foot) or none.
         kick_step: control step of that first touch, -1 if none.
         peak_ball_speed: highest horizontal speed of the ball [m/s].
-        touches: separate touches of the ball: control steps with contact after one without. As all that follow,
-            defined in `kickbench.evaluation.kick`, and None in tables of older versions.
+        touches: separate touches of the ball: control steps with contact after one without. As all that
+            follow, defined in `kickbench.evaluation.kick`, and None in tables of older versions.
         walked_after_touch: how far the robot's base moved towards the ball after its first touch [m].
         launch_speed: horizontal speed of the ball as it was first kicked [m/s]; NaN if it was never touched.
-        direction_error: angle from the direction of the target to the ball's velocity at the launch, positive to the
-            left [rad]; NaN if the ball never moved faster than the task's stop speed then.
+        direction_error: angle from the direction of the target to the ball's velocity at the launch, positive
+            to the left [rad]; NaN if the ball never moved faster than the task's stop speed then.
     """
 
     start_ball_x: NDArray[np.float64]

@@ -3,7 +3,8 @@
 A *quantity* is a figure in a column of the table of runs, a *metric* what a claim may be about
 (`kickbench.config.experiment.Metric`); some metrics follow from several columns, or from the learning curves.
 
-Learning curves are those of exploration, from `progress.csv`, smoothed by a moving mean over 2 % of the training.
+Learning curves are those of exploration, from `progress.csv`, smoothed by a moving mean over 2 % of the
+training.
 """
 
 from __future__ import annotations
@@ -27,7 +28,8 @@ from kickbench.results.statistics import Interval, wilson
 from kickbench.results.store import RunDirectory
 
 MOST_NON_FINITE = 0.01
-"""Share of a run's episodes that may become non-finite (NaN or infinite) before nothing is concluded from it."""
+"""Share of a run's episodes that may become non-finite (NaN or infinite) before nothing is concluded from
+it."""
 KICKING = 0.05
 """Success rate in exploration from which on a policy counts as kicking."""
 _LAST = 0.1
@@ -179,7 +181,8 @@ def non_finite_note(share: float) -> str:
 
 
 Measure = Callable[[pd.Series, AnyClaim], Figure | None]
-"""A row of a run, of the side and task that are meant, and the claim -> figure; None if the run does not have it."""
+"""A row of a run, of the side and task that are meant, and the claim -> figure; None if the run does not have
+it."""
 
 
 def _column(name: str, ends: str = "") -> Measure:
@@ -280,8 +283,8 @@ def success_area(success: Curve, _: Curve) -> float | None:
 def return_trough(returns: Curve, _: Curve) -> float | None:
     """Deepest fall of the smoothed return below its highest value so far, over the range of its values.
 
-    With r the smoothed return and M_t = max(r_0, ..., r_t): max_t (M_t - r_t) / (max r - min r). 0 for a return that
-    only rises, 1 for one that loses all it had.
+    With r the smoothed return and M_t = max(r_0, ..., r_t): max_t (M_t - r_t) / (max r - min r). 0 for a
+    return that only rises, 1 for one that loses all it had.
     """
     curve = smoothed(returns)
     curve = curve[np.isfinite(curve)]

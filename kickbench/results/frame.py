@@ -1,7 +1,8 @@
 """All runs of a folder as one table, which is what every verb that shows results reads.
 
-A row per run and side of its evaluation. A run without a result (unfinished, running, damaged, or planned and missing)
-has one row without figures, so that nothing is left out in silence; so has a damaged result on a transfer task.
+A row per run and side of its evaluation. A run without a result (unfinished, running, damaged, or planned and
+missing) has one row without figures, so that nothing is left out in silence; so has a damaged result on a
+transfer task.
 
 | columns | content |
 |---|---|
@@ -18,9 +19,9 @@ has one row without figures, so that nothing is left out in silence; so has a da
 | `equivariance/relative`, `pairs/agreement`, ... | the figures of `Asymmetry`, the same on both sides |
 | `env_steps`, `training_seconds`, ... `provenance` | of the run; `provenance` is a record |
 
-Runs are compared within a *setting*: one task, robot and model. Runs of a setting are averaged within a *group*: one
-identity, number of iterations and scale, whatever their files are called. Settings and groups that share a name are
-numbered, `baseline (1)` and `baseline (2)`.
+Runs are compared within a *setting*: one task, robot and model. Runs of a setting are averaged within a
+*group*: one identity, number of iterations and scale, whatever their files are called. Settings and groups
+that share a name are numbered, `baseline (1)` and `baseline (2)`.
 """
 
 from __future__ import annotations
@@ -73,8 +74,9 @@ def load_runs(root: Path | str | Sequence[Path], experiment: LoadedExperiment | 
 
     Args:
         root: The folder, itself a run or above some; or several, of which each run is read once.
-        experiment: What the folder should hold, as `<condition>/seed<k>`. Its runs come first, in its order, with those
-            that are missing; a run counts only if its identity is that of the planned task and method.
+        experiment: What the folder should hold, as `<condition>/seed<k>`. Its runs come first, in its order,
+            with those that are missing; a run counts only if its identity is that of the planned task and
+            method.
 
     Returns:
         The table that the module describes. A file that cannot be read is a `damage`, not an error.

@@ -1,9 +1,9 @@
 """What a run is: one fingerprint of everything that its training depends on, by what it means.
 
-It covers the specs with their defaults written out and the compiled model's dynamics. Comments, line ends, names of
-files, descriptions, colours and meshes that only look good do not change it; a mass does. Seed, scale and iterations
-are compared beside it. Version 1 of the fingerprint stays valid while a key that is added to a spec is either required
-or null by default: null counts as absent.
+It covers the specs with their defaults written out and the compiled model's dynamics. Comments, line ends,
+names of files, descriptions, colours and meshes that only look good do not change it; a mass does. Seed,
+scale and iterations are compared beside it. Version 1 of the fingerprint stays valid while a key that is
+added to a spec is either required or null by default: null counts as absent.
 """
 
 from __future__ import annotations
@@ -51,8 +51,8 @@ class Identity(Record):
     fingerprint: str
     """SHA-256 of the parts."""
     parts: dict[str, str]
-    """SHA-256 of each: `task`, `method`, `representations`, `robot`, `model`, `terms`; `initial_policy` of a run that
-    began with the policy of another one."""
+    """SHA-256 of each: `task`, `method`, `representations`, `robot`, `model`, `terms`; `initial_policy` of a
+    run that began with the policy of another one."""
     model_arrays: dict[str, str]
     """What the part `model` is made of: the beginning of the SHA-256 of each array of the compiled model."""
 

@@ -1,7 +1,7 @@
 """Whether a run's files are those that the run wrote: `SHA256SUMS` beside them, checked whenever a run is read.
 
-`sha256sum -c SHA256SUMS` in a run folder checks the same. Checkpoints come and go; each carries its own SHA-256
-(`with_digest`), as does a policy that has just been trained.
+`sha256sum -c SHA256SUMS` in a run folder checks the same. Checkpoints come and go; each carries its own
+SHA-256 (`with_digest`), as does a policy that has just been trained.
 """
 
 from __future__ import annotations
@@ -87,8 +87,9 @@ def damage(directory: os.PathLike[str] | str) -> str | None:
 def find_damage(directory: os.PathLike[str] | str) -> Damage | None:
     """The worst damage of a run: one that cannot be mended, if there is any.
 
-    Of a finished run every file is checked; of another one the specs, `identity.json` and the rows of `progress.csv`.
-    A run of an older version, without `identity.json` and `SHA256SUMS`, is intact if its figures agree with each other.
+    Of a finished run every file is checked; of another one the specs, `identity.json` and the rows of
+    `progress.csv`. A run of an older version, without `identity.json` and `SHA256SUMS`, is intact if its
+    figures agree with each other.
     """
     path = Path(directory)
     signature = _signature(path)
@@ -102,8 +103,8 @@ def seal(directory: os.PathLike[str] | str, upcoming: Mapping[str, bytes] | None
 
     Args:
         directory: The run directory.
-        upcoming: Files that are written next, by name, as they will be. Those in `specs/model/` stay known from one
-            call to the next.
+        upcoming: Files that are written next, by name, as they will be. Those in `specs/model/` stay known
+            from one call to the next.
     """
     path, upcoming = Path(directory), upcoming or {}
     also = (f"{ALSO_FOLDER}{file.name}" for file in path.glob("also/*.json"))
@@ -115,8 +116,8 @@ def seal(directory: os.PathLike[str] | str, upcoming: Mapping[str, bytes] | None
 def write_also(directory: os.PathLike[str] | str, name: str, data: bytes) -> None:
     """Writes a file of `also/` into a finished run.
 
-    Its sum comes first, and a sum without its file means that the task is to be evaluated: a kill at any moment leaves
-    a run that is intact.
+    Its sum comes first, and a sum without its file means that the task is to be evaluated: a kill at any
+    moment leaves a run that is intact.
     """
     path = Path(directory)
     file = path / name

@@ -1,10 +1,10 @@
 """How the figures of `metrics.json` follow from tables of episodes.
 
-How differently a policy treats left and right (thesis 4.3) are four figures that need not agree. The equivariance error
-looks at the actions themselves. The leg preference and the success by side look at what comes of them over the initial
-states evaluated, which say most if they are as many on the left as on the right: where the mirrored side was evaluated,
-its episodes are pooled with the others. Mirrored pairs compare each episode with the one from the mirror image of its
-initial state.
+How differently a policy treats left and right (thesis 4.3) are four figures that need not agree. The
+equivariance error looks at the actions themselves. The leg preference and the success by side look at what
+comes of them over the initial states evaluated, which say most if they are as many on the left as on the
+right: where the mirrored side was evaluated, its episodes are pooled with the others. Mirrored pairs compare
+each episode with the one from the mirror image of its initial state.
 """
 
 from __future__ import annotations

@@ -147,7 +147,8 @@ class SideSuccess(Record):
 class MirroredPairs(Record):
     """Each episode with the one from the mirror image of its start.
 
-    With observation noise or pushes the two are disturbed differently, and an equivariant policy differs as well.
+    With observation noise or pushes the two are disturbed differently, and an equivariant policy differs as
+    well.
     """
 
     pairs: PositiveInt

@@ -1,10 +1,11 @@
 """How often a claim would be met by an exact replication, and how often although it is wrong.
 
-Seeds of each condition are drawn from a normal distribution with the reported mean and standard deviation, a success
-rate is then counted over the planned episodes, and the very code that judges measured runs judges what was drawn. Three
-worlds are drawn from: the reported one; one in which all conditions have the mean of the reported means; and one in
-which the condition that a claim is about succeeds 15 points less often than reported, its ball stopping 0.19 m farther
-away (what 15 points are worth in Table 4.2: its three pairs of figures lie on a line of -0.0125 m a point).
+Seeds of each condition are drawn from a normal distribution with the reported mean and standard deviation, a
+success rate is then counted over the planned episodes, and the very code that judges measured runs judges
+what was drawn. Three worlds are drawn from: the reported one; one in which all conditions have the mean of
+the reported means; and one in which the condition that a claim is about succeeds 15 points less often than
+reported, its ball stopping 0.19 m farther away (what 15 points are worth in Table 4.2: its three pairs of
+figures lie on a line of -0.0125 m a point).
 """
 
 from __future__ import annotations
@@ -35,7 +36,8 @@ class Rates:
 
     Attributes:
         replication: Where the reported figures are true.
-        equal: Where all conditions are equal; None for a claim that is about one condition, or that they are equal.
+        equal: Where all conditions are equal; None for a claim that is about one condition, or that they are
+            equal.
         worse: Where the claim's condition is worse by `WORSE`.
     """
 

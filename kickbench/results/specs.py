@@ -48,12 +48,12 @@ _BY_HASH = {
 def write_specs(directory: RunDirectory, experiment: Trial) -> None:
     """Writes task, method, robot, representation table and the robot's model, then the identity and the sums.
 
-    What `extends` and `--set` contributed is merged in. The MJCF and every file it reads, however deep, are copied byte
-    by byte, and lie to each other as the originals do.
+    What `extends` and `--set` contributed is merged in. The MJCF and every file it reads, however deep, are
+    copied byte by byte, and lie to each other as the originals do.
 
     Raises:
-        SpecError: The model cannot be copied: it is too large, names a file by an absolute path, or the copy is another
-            model.
+        SpecError: The model cannot be copied: it is too large, names a file by an absolute path, or the copy
+            is another model.
     """
     task, method = experiment.loaded_task, experiment.method
     sources = model_files(experiment)

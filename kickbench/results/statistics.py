@@ -66,8 +66,8 @@ class RankTest(NamedTuple):
 def wilson(successes: int, n: int) -> Interval:
     """Wilson score interval of a proportion, as fractions within [0, 1].
 
-    With p = successes/n and z the normal quantile: (p + z^2/2n ± z sqrt(p(1-p)/n + z^2/4n^2)) / (1 + z^2/n). This is
-    `scipy.stats.binomtest(...).proportion_ci(method="wilson")`, but a hundred times faster.
+    With p = successes/n and z the normal quantile: (p + z^2/2n ± z sqrt(p(1-p)/n + z^2/4n^2)) / (1 + z^2/n).
+    This is `scipy.stats.binomtest(...).proportion_ci(method="wilson")`, but a hundred times faster.
 
     Args:
         successes: number of successes, 0 <= successes <= n.
@@ -89,9 +89,9 @@ def wilson(successes: int, n: int) -> Interval:
 def two_proportions(first: int, n_first: int, second: int, n_second: int) -> TwoProportions:
     """Two-sided two-proportion z-test (pooled variance), and Newcombe's hybrid score interval of the difference.
 
-    With the pooled p = (first + second)/(n_first + n_second): z = (p1 - p2) / sqrt(p (1-p) (1/n_first + 1/n_second)),
-    which is 0 where p is 0 or 1. The interval is made from the Wilson limits of both proportions; it need not agree
-    with the test at the border.
+    With the pooled p = (first + second)/(n_first + n_second): z = (p1 - p2) / sqrt(p (1-p) (1/n_first +
+    1/n_second)), which is 0 where p is 0 or 1. The interval is made from the Wilson limits of both
+    proportions; it need not agree with the test at the border.
 
     Args:
         first: successes of the first sample, 0 <= first <= n_first.
@@ -99,7 +99,8 @@ def two_proportions(first: int, n_first: int, second: int, n_second: int) -> Two
         second: successes of the second sample.
         n_second: its independent trials, at least 1.
 
-    Source: R. G. Newcombe, "Interval estimation for the difference between independent proportions", 1998, method 10.
+    Source: R. G. Newcombe, "Interval estimation for the difference between independent proportions", 1998,
+        method 10.
     """
     (low1, high1), (low2, high2) = wilson(first, n_first), wilson(second, n_second)
     p1, p2 = first / n_first, second / n_second
@@ -159,8 +160,9 @@ def bootstrap(
 def mean_std_over_seeds(values: Sequence[float]) -> SeedSummary:
     """Mean and sample standard deviation (divisor: seeds - 1) of one figure per seed.
 
-    The thesis gives "mean ± standard deviation calculated across three independent seeds" (Table 4.2) but neither the
-    divisor nor the seeds' own figures. If it divided by the number of seeds, its three-seed figures are sqrt(2/3) =
+    The thesis gives "mean ± standard deviation calculated across three independent seeds" (Table 4.2) but
+    neither the divisor nor the seeds' own figures. If it divided by the number of seeds, its three-seed
+    figures are sqrt(2/3) =
     0.82 of what they would be here.
 
     Args:
@@ -184,15 +186,16 @@ def student(values: Sequence[float]) -> Interval:
 def welch(first: Sequence[float], second: Sequence[float]) -> Estimate:
     """Difference of two means, first minus second, with Welch's interval.
 
-    difference ± t sqrt(v1 + v2), with v = s^2/n and t Student's quantile at (v1 + v2)^2 / (v1^2/(n1-1) + v2^2/(n2-1))
-    degrees of freedom, rounded down, which makes the interval a little wider than `scipy.stats.ttest_ind` does.
+    difference ± t sqrt(v1 + v2), with v = s^2/n and t Student's quantile at (v1 + v2)^2 / (v1^2/(n1-1) +
+    v2^2/(n2-1)) degrees of freedom, rounded down, which makes the interval a little wider than
+    `scipy.stats.ttest_ind` does.
 
     Args:
         first: finite scores [n], n >= 2.
         second: finite scores [m], m >= 2.
 
-    Source: B. L. Welch, "The generalization of 'Student's' problem when several different population variances are
-    involved", 1947.
+    Source: B. L. Welch, "The generalization of 'Student's' problem when several different population
+    variances are involved", 1947.
     """
     v1, v2 = (float(np.var(sample, ddof=1)) / len(sample) for sample in (first, second))
     difference, variance = float(np.mean(first) - np.mean(second)), v1 + v2
@@ -212,8 +215,8 @@ def _quantile_of_t(dof: int) -> float:
 def rank_test(first: Sequence[float], second: Sequence[float]) -> RankTest:
     """Exact two-sided Mann-Whitney test; with ties, over all ways to share out the ranks, or many of them.
 
-    Its smallest p-value is 2 / C(n + m, n): 0.1 for three seeds against three, 0.0079 for five against five. So three
-    seeds can never show a difference at the usual 5 %, whatever they measure.
+    Its smallest p-value is 2 / C(n + m, n): 0.1 for three seeds against three, 0.0079 for five against five.
+    So three seeds can never show a difference at the usual 5 %, whatever they measure.
 
     Args:
         first: finite scores [n], n >= 2.
@@ -249,8 +252,9 @@ def improvement(first: ArrayLike, second: ArrayLike) -> NDArray[np.float64]:
 def holm(p_values: Sequence[float]) -> list[float]:
     """Holm's step-down adjustment of the p-values of one family of tests.
 
-    With p_(1) <= ... <= p_(m): adjusted p_(i) = max over j <= i of min(1, (m - j + 1) p_(j)). Rejecting what is at most
-    alpha then keeps the chance of any false rejection in the family at alpha, however the tests depend on each other.
+    With p_(1) <= ... <= p_(m): adjusted p_(i) = max over j <= i of min(1, (m - j + 1) p_(j)). Rejecting what
+    is at most alpha then keeps the chance of any false rejection in the family at alpha, however the tests
+    depend on each other.
 
     Source: S. Holm, "A simple sequentially rejective multiple test procedure", 1979.
     """

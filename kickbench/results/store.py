@@ -17,7 +17,8 @@ from kickbench.results.episodes import episodes_file
 from kickbench.results.metrics import Metrics, metrics_bytes
 
 _BESIDE, _READY = f"{TEMPORARY_PREFIX}force", f"{TEMPORARY_PREFIX}finished"
-"""Where a run is made while an older one holds the folder, and where it lies when the older one has made room."""
+"""Where a run is made while an older one holds the folder, and where it lies when the older one has made
+room."""
 _FOLDERS = ("specs", "checkpoints", "tensorboard", "also")
 
 _PATIENCE = 0.5
@@ -167,8 +168,8 @@ class RunDirectory:
     def take_over(self) -> None:
         """Put the finished run of `beside` in the place of the one that is here, or finish doing so.
 
-        A kill in between leaves a folder without a result, and the next call goes on. Files that kickbench did not
-        write stay.
+        A kill in between leaves a folder without a result, and the next call goes on. Files that kickbench
+        did not write stay.
         """
         ready = self.path / _READY
         if not ready.is_dir():

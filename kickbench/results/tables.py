@@ -35,7 +35,8 @@ def render_block(title: str, header: Row, blocks: Sequence[Sequence[Row]], group
         title: first line, if there is one.
         header: for each column its heading.
         blocks: rows with a cell a column. A block of several rows is set off from the next.
-        groups: for each column the heading of a group of columns that begins there, or nothing; None: no such line.
+        groups: for each column the heading of a group of columns that begins there, or nothing; None: no such
+            line.
     """
     blocks = [[tuple(map(_one_line, row)) for row in block] for block in blocks]
     body = [row for block in blocks for row in block]
@@ -146,8 +147,9 @@ _ASYMMETRY = (
     Column("p", "success/p_value"),
     Column("alike [%]", replace(_PAIRS, ends=""), "pairs"),
 )
-"""The equivariance error is relative to the size of the actions, over visited states. p is the two-proportion test's
-for success with the ball on the left against on the right. Pairs start from mirrored states and end the same way."""
+"""The equivariance error is relative to the size of the actions, over visited states. p is the two-proportion
+test's for success with the ball on the left against on the right. Pairs start from mirrored states and end
+the same way."""
 _KICK_TITLES = (
     *("launch [m/s]", "aim error [deg]", "median", "bias", "touch [s]", "touches", "walked [m]"),
     *("falls [%]", "non-finite [%]"),
@@ -160,13 +162,15 @@ _KICK = tuple(
 def render_table(frame: pd.DataFrame, columns: Literal["success", "kick"] = "success") -> str:
     """The tables of runs, without a final newline: a block per setting, a line per run, seeds of a method together.
 
-    Rates are in percent, the gap (in-distribution minus mirrored success) in percentage points, distances in metres.
-    Several seeds are followed by their mean and their sample standard deviation; a seed with a star is not in them.
-    Below the tables it says in what runs of one name differ, which runs repeat others, and which have no result.
+    Rates are in percent, the gap (in-distribution minus mirrored success) in percentage points, distances in
+    metres. Several seeds are followed by their mean and their sample standard deviation; a seed with a star
+    is not in them. Below the tables it says in what runs of one name differ, which runs repeat others, and
+    which have no result.
 
     Args:
         frame: runs; tasks and methods keep the order in which they first appear.
-        columns: success, and where runs have it how differently their policies treat left and right; or the kick.
+        columns: success, and where runs have it how differently their policies treat left and right; or the
+            kick.
     """
     finished = frame[(frame.state == "finished") & (frame.evaluated_on == frame.task)]
     blocks = []

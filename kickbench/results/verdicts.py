@@ -1,8 +1,9 @@
 """Claims judged by what was measured: met, not met, or not enough data to say.
 
-A claim is met if the whole 95 % interval of its figure lies where the claim puts it, and not met if nothing of it
-does. Otherwise there is not enough data, whatever the figure itself says; nor is there if a planned run is missing,
-unfinished or smaller than planned. A claim about each seed is met if it is by every one, and not met if one fails.
+A claim is met if the whole 95 % interval of its figure lies where the claim puts it, and not met if nothing
+of it does. Otherwise there is not enough data, whatever the figure itself says; nor is there if a planned run
+is missing, unfinished or smaller than planned. A claim about each seed is met if it is by every one, and not
+met if one fails.
 """
 
 from __future__ import annotations
@@ -33,8 +34,8 @@ from kickbench.results.tables import NOTHING, Row, render_block
 from kickbench.trials.experiment import LoadedExperiment
 
 Outcome = Literal["met", "not met", "holds", "does not hold", "not enough data"]
-"""With fewer than `FEWEST_SEEDS` seeds nothing is said of a method: a claim *holds* or *does not hold* for the policies
-that there are, and is not met."""
+"""With fewer than `FEWEST_SEEDS` seeds nothing is said of a method: a claim *holds* or *does not hold* for
+the policies that there are, and is not met."""
 
 FEWEST_SEEDS = 3
 _OF_POLICIES: dict[Outcome, Outcome] = {"met": "holds", "not met": "does not hold"}
@@ -245,7 +246,8 @@ def _shown(claim: AnyClaim, estimated: Estimated, parts: Parts) -> tuple[float |
         over = sum(figures) / len(figures)
         if over <= 0:
             return None, None
-        # value - bound over = 0 is where the ratio is the bound: so the interval judges the same way in either form.
+        # value - bound over = 0 is where the ratio is the bound: so the interval judges the same way in
+        # either form.
         value = claim.bound + value / over
         interval = interval and Interval(*(claim.bound + end / over for end in interval))
     elif interval and unit_of(claim).is_share and len(claim.operands()) == 1:

@@ -1,8 +1,9 @@
 """Finds by geometry which part of a model is the mirror image of which, and with what sign its coordinate returns.
 
-A body is paired with the child of its parent's partner that lies where its reflection lies and weighs about the same.
-The axis of a hinge is an axial vector, that of a slide a polar one: the reflected axis of a joint is its partner's, or
-the opposite one, and that is the sign. Names play no part. `symmetry_block` writes it all for a robot file.
+A body is paired with the child of its parent's partner that lies where its reflection lies and weighs about
+the same. The axis of a hinge is an axial vector, that of a slide a polar one: the reflected axis of a joint
+is its partner's, or the opposite one, and that is the sign. Names play no part. `symmetry_block` writes it
+all for a robot file.
 """
 
 from __future__ import annotations
@@ -32,8 +33,8 @@ from kickbench.symmetry.representation import BY_NAME, kind_of_coordinate
 
 E = TypeVar("E", bound=Element)
 _PLACE, _MASS, _INERTIA, _AXIS = 0.01, 0.1, 0.2, 0.02
-"""What still counts as the same: a share of the model's size; relative; relative; an angle, rad. Real robots' sides
-differ by tenths of a percent; wrong pairs differ by far more."""
+"""What still counts as the same: a share of the model's size; relative; relative; an angle, rad. Real robots'
+sides differ by tenths of a percent; wrong pairs differ by far more."""
 _CLEARLY = 3.0
 """The best partner must fit so many times better than the next, else the choice is ambiguous."""
 _NOTHING = 1e-6
@@ -173,7 +174,8 @@ class _Finder:
             element: The element.
             elements: All of its kind.
             cost: How badly two fit; up to 1 is a fit.
-            alike: Whether two candidates that fit are as good as each other; else their rank in the body decides.
+            alike: Whether two candidates that fit are as good as each other; else their rank in the body
+                decides.
         """
         partner = self.body_of.get(element.body)
         if partner is None:

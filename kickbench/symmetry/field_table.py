@@ -78,7 +78,8 @@ def completed(table: RepresentationSpec, stated: Mapping[str, str | int]) -> Rep
 
     Args:
         table: The table; its entries win.
-        stated: Field -> expression, in the order of the vector; or the field's length, where no expression is stated.
+        stated: Field -> expression, in the order of the vector; or the field's length, where no expression is
+            stated.
 
     Returns:
         The table itself if it leaves out none; else one in the order of the vector.

@@ -1,7 +1,7 @@
 """What a model is made of, as far as a reflection has to know: bodies, joints, shapes, sites, actuators and sensors.
 
-Everything is given in one frame, that of the model's first body in its reference pose, so that a reflection of space
-acts on it directly. `sim.read_parts` reads it from a compiled model; numpy only.
+Everything is given in one frame, that of the model's first body in its reference pose, so that a reflection
+of space acts on it directly. `sim.read_parts` reads it from a compiled model; numpy only.
 """
 
 from __future__ import annotations
@@ -25,8 +25,9 @@ PLANES: Mapping[str, np.ndarray] = MappingProxyType(
 """Mirror planes and their reflections R, [3, 3]."""
 
 Law = Literal["scalar", "signed", "range", "point", "polar", "axial", "tensor", "exact"]
-"""How a quantity transforms: unchanged; times the sign of its coordinate; an interval of such a coordinate; a point,
-`R x`; a polar vector, `R v`; an axial vector, `det(R) R v`; a tensor, `R T R^T`; unchanged and without tolerance."""
+"""How a quantity transforms: unchanged; times the sign of its coordinate; an interval of such a coordinate; a
+point, `R x`; a polar vector, `R v`; an axial vector, `det(R) R v`; a tensor, `R T R^T`; unchanged and without
+tolerance."""
 
 JointKind = Literal["free", "ball", "hinge", "slide"]
 
@@ -178,8 +179,8 @@ class Sensor(Element):
 
     Attributes:
         kind: Type of sensor.
-        law: How its reading transforms: "scalar", "signed" (by the sign of its joint or actuator), "polar", "axial", or
-            None where that is not known.
+        law: How its reading transforms: "scalar", "signed" (by the sign of its joint or actuator), "polar",
+            "axial", or None where that is not known.
         objects: Kind and name of what it measures, and of its reference or counterpart.
         frame: Frame that a vector is expressed in [3, 3].
     """

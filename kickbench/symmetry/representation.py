@@ -34,7 +34,8 @@ class Representation:
         signs: +1 or -1 for each coordinate.
 
     Raises:
-        ValueError: If mirroring twice would not give the vector back; the message names the first wrong index.
+        ValueError: If mirroring twice would not give the vector back; the message names the first wrong
+            index.
     """
 
     permutation: tuple[int, ...]
@@ -72,9 +73,10 @@ class Representation:
     def isotypic(self) -> tuple[np.ndarray, np.ndarray]:
         r"""Orthonormal bases of the subspaces on which s acts as +1 and as -1.
 
-        Each orbit's first unit vector is projected on either subspace, :math:`e_i \pm \rho(s) e_i`, and normalised. So
-        a pair with sign c spans :math:`(e_i + c\,e_j)/\sqrt2` (even) and :math:`(e_i - c\,e_j)/\sqrt2` (odd); a fixed
-        coordinate is even or odd by its sign. Columns follow the order of :meth:`orbits`.
+        Each orbit's first unit vector is projected on either subspace, :math:`e_i \pm \rho(s) e_i`, and
+        normalised. So a pair with sign c spans :math:`(e_i + c\,e_j)/\sqrt2` (even) and :math:`(e_i -
+        c\,e_j)/\sqrt2` (odd); a fixed coordinate is even or odd by its sign. Columns follow the order of
+        :meth:`orbits`.
 
         Returns:
             ``[dim, n_even]`` and ``[dim, n_odd]``; together their columns are an orthonormal basis of the

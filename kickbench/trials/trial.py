@@ -65,9 +65,9 @@ def load_trial(
         task: Path of the task's YAML file.
         method: Path of the method's YAML file.
         overrides: `key.path=value` texts; the first key says whether task or method is meant.
-        scale: Factor in (0, 1) on iterations and evaluation episodes, and on nothing else; None: full size. At least
-            one iteration is left, and `MIN_SCALED_EPISODES` episodes a side (or the task's, if it has fewer): below
-            that an interval says nothing. Schedules run over the iterations that are left.
+        scale: Factor in (0, 1) on iterations and evaluation episodes, and on nothing else; None: full size.
+            At least one iteration is left, and `MIN_SCALED_EPISODES` episodes a side (or the task's, if it
+            has fewer): below that an interval says nothing. Schedules run over the iterations that are left.
 
     Raises:
         SpecError: With every problem found.
