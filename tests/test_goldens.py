@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 from pathlib import Path
 
 import pytest
@@ -65,7 +66,10 @@ def test_tables_print_the_same_figures(experiment, columns, capsys):
 def test_resolved_specs_are_the_same(capsys):
     """Values and where they came from, of every shipped file."""
     texts = {spec: printed(capsys, "show", spec).replace(str(ROOT), "") for spec in SPECS}
-    shown = {spec: hashlib.sha256(text.encode()).hexdigest() for spec, text in texts.items()}
+    # Comments stand behind the longest line, which may be a path: their column depends on where the repository is.
+    shown = {
+        spec: hashlib.sha256(re.sub(" +#", " #", text).encode()).hexdigest() for spec, text in texts.items()
+    }
     text = json.dumps(shown, indent=1)
     assert shown == json.loads(frozen("show.json", text))
 

@@ -303,7 +303,7 @@ def test_another_interface_is_served_with_a_warning_to_addresses_and_own_names_o
             assert status_of(port, "/", ("Host", f"{host}:{port}")) == 200
         assert status_of(port, "/", ("Host", "evil.example")) == 403
         process.send_signal(signal.SIGINT)
-        _, err = process.communicate(timeout=60)
+        _, err = process.communicate(timeout=180)
     assert (
         err == f"warning: everyone who reaches port {port} of this machine sees this page and controls it\n"
     )
