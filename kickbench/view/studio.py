@@ -11,6 +11,7 @@ import errno
 import ipaddress
 import logging
 import os
+import signal
 import socket
 import sys
 import threading
@@ -31,6 +32,8 @@ from kickbench.view.play import Player
 
 _PORTS = 20
 """Number of ports that are tried, from the requested one on."""
+_CLOSING = 5.0
+"""Longest time that closing may take after an interrupt, s."""
 _PATIENCE = 30.0
 """How long Studio may take to begin to serve, s."""
 _REPLACED = ((web_server, "serve"), (web_server, "bind_public_socket"), (web_viewer, "_print_url_banner"))
@@ -67,15 +70,25 @@ def show(
         config = viewer_protocol.ViewerConfig(title=title, gfx="web", http_port=taken)
         endpoint, _ = launch_thread.make_thread_endpoints()
         viewer = web_viewer.WebViewer(config, endpoint, model=model, plugins=[_Plugin(player)])
+        signal.signal(signal.SIGINT, _interrupt)
         try:
             if not serving.wait(_PATIENCE):
                 raise KickbenchError(f"MuJoCo {mujoco.__version__}: its web viewer does not begin to serve")
             _announce(_url(address, taken), port, taken, names is None, opened)
             viewer_protocol.run_viewer_loop(viewer)
         except KeyboardInterrupt:
-            print("\nstopped", flush=True)
+            pass
         finally:
             viewer.close()
+
+
+def _interrupt(*_: object) -> None:
+    """Ends the viewer, and the process for certain: Studio may lose the interrupt, or wait for a connection."""
+    print("\nstopped", flush=True)
+    timer = threading.Timer(_CLOSING, os._exit, (0,))
+    timer.daemon = True
+    timer.start()
+    raise KeyboardInterrupt
 
 
 class _Plugin:

@@ -302,12 +302,10 @@ def test_another_interface_is_served_with_a_warning_to_addresses_and_own_names_o
         for host in ("192.168.1.5", "[fe80::1]", socket.gethostname(), "localhost"):
             assert status_of(port, "/", ("Host", f"{host}:{port}")) == 200
         assert status_of(port, "/", ("Host", "evil.example")) == 403
-        process.send_signal(signal.SIGINT)
-        _, err = process.communicate(timeout=180)
-    assert (
-        err == f"warning: everyone who reaches port {port} of this machine sees this page and controls it\n"
-    )
-    assert process.returncode == 0
+        assert process.stderr is not None
+        assert process.stderr.readline() == (
+            f"warning: everyone who reaches port {port} of this machine sees this page and controls it\n"
+        )
 
 
 def test_a_taken_port_leads_to_the_next_one(monkeypatch):
