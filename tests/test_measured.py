@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from scipy import stats
 
-from kickbench.evaluation.episodes import run_sides
+from kickbench.evaluation.rollouts import run_sides
 from kickbench.results.episodes import EpisodeTable
 from kickbench.results.metrics import EvaluationMetrics, load_metrics
 from kickbench.training.trained import load_run

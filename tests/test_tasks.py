@@ -12,7 +12,7 @@ import torch
 from kickbench.cli import main
 from kickbench.config.load import load_task
 from kickbench.envs.catalog import model_of_task
-from kickbench.envs.compile import CompiledTask, compile_task
+from kickbench.envs.compiled_task import CompiledTask, compile_task
 from kickbench.envs.engines import make_engine
 from kickbench.envs.env import KickEnv
 

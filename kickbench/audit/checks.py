@@ -22,8 +22,8 @@ from kickbench.audit.measure import (
 from kickbench.audit.model import model_rows
 from kickbench.audit.record import Pairs, Recording
 from kickbench.audit.report import Row, Verdict, verdict_of
-from kickbench.envs.compile import CompiledTask
-from kickbench.evaluation.episodes import Policy
+from kickbench.envs.compiled_task import CompiledTask
+from kickbench.evaluation.rollouts import Policy
 from kickbench.symmetry.derive import Derivation
 from kickbench.symmetry.mirror import AXIAL, POLAR, Image, mirror_joints
 from kickbench.symmetry.representation import Representation

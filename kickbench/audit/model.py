@@ -9,7 +9,7 @@ import numpy as np
 
 from kickbench.audit.measure import entry_words
 from kickbench.audit.report import Row, verdict_of
-from kickbench.envs.compile import CompiledTask
+from kickbench.envs.compiled_task import CompiledTask
 from kickbench.sim.read_parts import read_parts
 from kickbench.sim.sensors import ROBOT
 from kickbench.symmetry.derive import Derivation, Match, derive

@@ -10,15 +10,15 @@ import torch
 from torch import Tensor
 
 from kickbench.audit.measure import misfits
-from kickbench.audit.states import VariedActions, VariedStarts, vary_episodes
-from kickbench.envs.compile import CompiledTask
+from kickbench.audit.states import VariedActions, VariedInitialStates, vary_episodes
+from kickbench.envs.compiled_task import CompiledTask
 from kickbench.envs.engines import make_engine
 from kickbench.envs.env import KickEnv
 from kickbench.envs.state import State
 from kickbench.envs.tensors import Tensors
 from kickbench.envs.term import Bound
-from kickbench.evaluation.episodes import Policy
-from kickbench.nets.threads import torch_threads
+from kickbench.evaluation.rollouts import Policy
+from kickbench.nets.build import torch_threads
 from kickbench.symmetry.derive import Derivation
 from kickbench.symmetry.mirror import Image, mirror_actions, mirror_qpos, mirror_qvel
 from kickbench.symmetry.torch_ops import Mirror
@@ -203,7 +203,7 @@ class _Recorder:
         self.recording = Recording.begun(task, reflection)
         actions = len(task.scene.layout.actuator_names)
         envs = max(min(_ENVS, states // _STEPS), _KINDS, 2 * actions + 1)
-        initial = VariedStarts(task, seed)
+        initial = VariedInitialStates(task, seed)
         self.env, self.other = (
             KickEnv(
                 task, make_engine(task, envs, num_threads=threads), seed, noise=False, initial_states=initial

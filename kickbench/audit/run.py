@@ -17,7 +17,7 @@ from kickbench.config.method import RepresentationSpec
 from kickbench.config.shipped import find
 from kickbench.config.yamlio import load_document
 from kickbench.envs.catalog import model_of_task
-from kickbench.envs.compile import CompiledTask, compile_task
+from kickbench.envs.compiled_task import CompiledTask, compile_task
 from kickbench.errors import KickbenchError, shown
 from kickbench.nets.build import build_critic
 from kickbench.results.store import RunDirectory

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from kickbench.envs.compile import CompiledTask
+from kickbench.envs.compiled_task import CompiledTask
 from kickbench.envs.env import KickEnv
 from kickbench.envs.initial_states import InitialStates, InitialStateSampler
 from kickbench.envs.tensors import Tensors
@@ -36,7 +36,7 @@ class _Draws:
         return torch.randn(shape, generator=self.generator)
 
 
-class VariedStarts:
+class VariedInitialStates:
     """Initial states of four kinds in turn: the task's own, ball at a foot, random pose, thrown."""
 
     def __init__(self, task: CompiledTask, seed: int) -> None:

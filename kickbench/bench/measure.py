@@ -25,12 +25,12 @@ from kickbench.bench.report import BenchReport, RoomFigures, SizeFigures, Timing
 from kickbench.envs.engines import make_engine
 from kickbench.envs.env import KickEnv
 from kickbench.envs.graph import fastest_steps
-from kickbench.evaluation.progress import tracked
-from kickbench.nets.threads import torch_threads, update_threads
+from kickbench.evaluation.progress_bar import tracked
+from kickbench.nets.build import torch_threads, update_threads
 from kickbench.results.provenance import Moment, RunHistory, collect_provenance
 from kickbench.sim.engine import Engine
 from kickbench.training.checkpoint import Checkpoints
-from kickbench.training.progress import Progress, Record
+from kickbench.training.iteration_log import Progress, Record
 from kickbench.training.trainer import Trainer
 from kickbench.trials.trial import Trial
 

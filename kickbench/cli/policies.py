@@ -11,7 +11,7 @@ from kickbench.cli import app as cli
 from kickbench.config.shipped import find
 from kickbench.errors import KickbenchError, shown
 
-_STARTS, _EPISODES = 9, 3
+_SHEET_STATES, _EPISODES = 9, 3
 _SHEET_SIZE, _FILM_SIZE = (400, 300), (640, 480)
 
 
@@ -52,7 +52,7 @@ def evaluate(
     print(metrics.model_dump_json(indent=2) if json else render_table(frame_of([metrics])))
 
 
-@cli.verb("Look at results", "render mini_home_field --out starts.png")
+@cli.verb("Look at results", "render mini_home_field --out sheet.png")
 def render(
     task: cli.Task,
     policy: list[Path] = cli.option(
@@ -61,7 +61,7 @@ def render(
     out: Path | None = cli.option(
         ".png: a sheet of initial states; .webp or .mp4: episodes (default: <task>.png).", metavar="FILE"
     ),
-    starts: int | None = cli.count("Initial states on a sheet (default: 9)."),
+    initial_states: int | None = cli.count("Initial states on a sheet (default: 9)."),
     episodes: int | None = cli.count("Episodes of a film (default: 3)."),
     seed: cli.TaskSeed = None,
     size: cli.Size = None,
@@ -77,10 +77,10 @@ def render(
     if suffix == ".png":
         _refuse("a .png shows initial states", policy=policy, episodes=episodes, mirrored=mirrored)
     elif suffix in (".webp", ".mp4"):
-        _refuse(f"a {suffix} shows episodes", starts=starts)
+        _refuse(f"a {suffix} shows episodes", initial_states=initial_states)
     else:
         raise KickbenchError(f"{out}: pictures are .png, .webp or .mp4")
-    from kickbench.envs.compile import read_task
+    from kickbench.envs.compiled_task import read_task
     from kickbench.results.atomic import atomic_file
     from kickbench.view.pictures import contact_sheet, film_runs
 
@@ -88,7 +88,7 @@ def render(
     out = out or Path(f"{compiled.name}.png")
     seed = compiled.spec.evaluation.seed if seed is None else seed
     if suffix == ".png":
-        sheet = contact_sheet(compiled, starts or _STARTS, seed, *(size or _SHEET_SIZE))
+        sheet = contact_sheet(compiled, initial_states or _SHEET_STATES, seed, *(size or _SHEET_SIZE))
         with atomic_file(out) as picture:
             sheet.save(picture, "PNG")
     else:
@@ -100,7 +100,7 @@ def _refuse(reason: str, **options: object) -> None:
     """Refuses options that the kind of picture has no use for."""
     for name, value in options.items():
         if value:
-            raise KickbenchError(f"--{name}: {reason}")
+            raise KickbenchError(f"--{name.replace('_', '-')}: {reason}")
 
 
 @cli.verb("Look at results", "play runs/mini_home_field/equivariant/seed0")
@@ -129,7 +129,7 @@ def play(
     from kickbench.view.backend import check_mujoco
 
     check_mujoco()
-    from kickbench.envs.compile import read_task
+    from kickbench.envs.compiled_task import read_task
     from kickbench.training.trained import load_run
     from kickbench.view.play import play as show
     from kickbench.view.session import fitting

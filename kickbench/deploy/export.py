@@ -15,10 +15,10 @@ from kickbench import __version__
 from kickbench.config.terms import TerminationParams
 from kickbench.deploy import contract as parts
 from kickbench.deploy.contract import Contract, SignedPermutation
-from kickbench.envs.compile import CompiledTask
+from kickbench.envs.compiled_task import CompiledTask
 from kickbench.envs.term import Field
 from kickbench.errors import KickbenchError, require, shown
-from kickbench.evaluation.episodes import draw_starts
+from kickbench.evaluation.rollouts import draw_initial_states
 from kickbench.nets.build import TrainedPolicy
 from kickbench.results.atomic import atomic_file, atomic_write_bytes, atomic_write_text
 from kickbench.results.identity import read_identity
@@ -167,7 +167,7 @@ def _origin(run: Run) -> parts.Origin:
 
 def write_states(path: Path, task: CompiledTask, count: int) -> None:
     """The initial states of the task's evaluation: those that `kickbench eval --episodes <count>` runs."""
-    starts = draw_starts(task, count, task.spec.evaluation.seed)
+    starts = draw_initial_states(task, count, task.spec.evaluation.seed)
     arrays = {"qpos": starts.qpos, "qvel": starts.qvel, "target": starts.target, **starts.by_side}
     with atomic_file(path) as file:
         np.savez(file, **{name: values.numpy() for name, values in arrays.items()})  # pyright: ignore

@@ -7,7 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from kickbench.envs.compile import CompiledTask
+from kickbench.envs.compiled_task import CompiledTask
 from kickbench.envs.initial_states import InitialStateSampler
 from kickbench.sim.cpu import CpuEngine
 from kickbench.sim.engine import Engine

@@ -11,7 +11,7 @@ from rsl_rl.env import VecEnv
 from tensordict import TensorDict
 from torch import Tensor
 
-from kickbench.envs.compile import CompiledTask, read_task
+from kickbench.envs.compiled_task import CompiledTask, read_task
 from kickbench.envs.disturbances import Draws, Setting
 from kickbench.envs.engines import make_engine as make_engine
 from kickbench.envs.episode import EpisodeRecord, Outcome, Totals
@@ -135,7 +135,7 @@ class KickEnv(VecEnv):
         step that was recorded as a graph has the old values: record it again.
 
         Args:
-            task: The env's task with other values, as `compile.grown` makes it.
+            task: The env's task with other values, as `compiled_task.grown` makes it.
         """
         self.task, self.cfg = task, task.spec
         self.sampler = InitialStateSampler(task, self.generator)

@@ -15,7 +15,7 @@ from kickbench.envs.tensors import across, sides_swapped
 from kickbench.symmetry.torch_ops import Mirror
 
 if TYPE_CHECKING:
-    from kickbench.envs.compile import CompiledTask
+    from kickbench.envs.compiled_task import CompiledTask
 
 Draw = Callable[..., Tensor]
 """`draw(low, high, *shape)`: uniform numbers, float64, from the sampler's generator."""

@@ -11,7 +11,7 @@ from types import FrameType
 from typing import Any, TextIO
 
 from kickbench.errors import shown
-from kickbench.evaluation.progress import duration, percent
+from kickbench.evaluation.progress_bar import duration, percent
 from kickbench.launch.plan import Plan, PlannedRun
 from kickbench.launch.process import Process
 from kickbench.launch.record import write_record

@@ -12,13 +12,12 @@ import torch
 from rsl_rl.models import MLPModel
 
 from kickbench.config.shipped import find, find_method
-from kickbench.envs.compile import CompiledTask, read_task
+from kickbench.envs.compiled_task import CompiledTask, read_task
 from kickbench.envs.engines import make_engine
 from kickbench.envs.env import KickEnv
 from kickbench.errors import KickbenchError, SpecError, shown
-from kickbench.evaluation.episodes import Policy, run_sides, success_by_side
-from kickbench.nets.build import build_actor
-from kickbench.nets.threads import update_threads
+from kickbench.evaluation.rollouts import Policy, run_sides, success_by_side
+from kickbench.nets.build import build_actor, update_threads
 from kickbench.results.episodes import EpisodeSides, write_episodes
 from kickbench.results.measure import summarise_sides
 from kickbench.results.metrics import EquivarianceError, Evaluation, Metrics, load_metrics
@@ -27,7 +26,7 @@ from kickbench.results.specs import update_specs
 from kickbench.results.store import RunDirectory
 from kickbench.sim.engine import check_device, usable_cores
 from kickbench.training.checkpoint import Checkpoints, save_policy
-from kickbench.training.progress import Progress, RunProgress
+from kickbench.training.iteration_log import Progress, RunProgress
 from kickbench.training.ranks import Ranks, joined, read_ranks
 from kickbench.training.resume import Initial, Resume, begin, begin_from, take_up
 from kickbench.training.trained import Run, load_run

@@ -11,7 +11,7 @@ from typing import Any
 
 import pandas as pd
 
-from kickbench.evaluation.progress import EVALUATING, duration, percent
+from kickbench.evaluation.progress_bar import EVALUATING, duration, percent
 from kickbench.results.frame import known, load_runs, runs_of
 from kickbench.results.integrity import find_damage
 from kickbench.results.progress import last_rows

@@ -1,12 +1,14 @@
-"""rsl_rl's observation statistics and action noise, made to commute with the mirror."""
+"""rsl_rl's observation statistics and action noise, made to commute with the mirror; mirrored samples."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import torch
 from rsl_rl.modules import EmpiricalNormalization, GaussianDistribution
+from tensordict import TensorDict
 from torch import Tensor, nn
 from torch.distributions import Normal
 
@@ -88,3 +90,40 @@ class TiedGaussianDistribution(GaussianDistribution):
             mlp_output.new_zeros(len(self.orbits))
         )  # for the parent's way from parameter to deviation
         self._distribution = Normal(mlp_output, self.std.index_select(0, self.orbit_of_action))
+
+
+class Augmentation:
+    """Appends the mirror image of each sample: the ``data_augmentation_func`` of rsl_rl's PPO.
+
+    See Mittal et al., "Symmetry Considerations for Learning Task Symmetric Robot Policies", ICRA 2024.
+
+    Args:
+        observations: Representation of each observation group.
+        actions: Representation of the actions.
+    """
+
+    def __init__(self, observations: Mapping[str, Representation], actions: Representation) -> None:
+        self._observations = {group: Mirror(representation) for group, representation in observations.items()}
+        self._actions = Mirror(actions)
+
+    def __call__(
+        self, env: Any, obs: TensorDict | None, actions: Tensor | None
+    ) -> tuple[TensorDict | None, Tensor | None]:
+        """Originals followed by their mirror images.
+
+        Args:
+            env: The environment, which rsl_rl passes and which is not needed.
+            obs: Observation groups ``[n, dim]``, or None.
+            actions: Actions ``[n, n_actions]``, or None.
+
+        Returns:
+            The same with ``2 n`` rows; None stays None.
+        """
+        if obs is not None:
+            groups = {group: _append(x, self._observations[group]) for group, x in obs.items()}
+            obs = TensorDict(groups, batch_size=[2 * len(obs)], device=obs.device)
+        return obs, None if actions is None else _append(actions, self._actions)
+
+
+def _append(x: Any, mirror: Mirror) -> Tensor:
+    return torch.cat((x, mirror.to(x.device)(x)))

@@ -20,7 +20,7 @@ from kickbench.results.provenance import InitialRef
 from kickbench.results.specs import spec_differences, stored_method, write_specs
 from kickbench.results.store import RunDirectory
 from kickbench.training.checkpoint import Checkpoints, save_policy
-from kickbench.training.progress import rows_before
+from kickbench.training.iteration_log import rows_before
 from kickbench.training.ranks import fingerprint
 from kickbench.training.trained import Run
 from kickbench.trials.trial import Trial

@@ -16,18 +16,18 @@ import torch
 from rsl_rl.models import MLPModel
 from torch import Tensor
 
-from kickbench.envs.compile import grown
+from kickbench.envs.compiled_task import grown
 from kickbench.envs.curriculum import Growth
 from kickbench.envs.env import KickEnv
 from kickbench.envs.graph import fastest_steps
 from kickbench.errors import KickbenchError
+from kickbench.nets.build import torch_threads
 from kickbench.nets.layers import residual_share
-from kickbench.nets.threads import torch_threads
 from kickbench.results.frame import SIDES
 from kickbench.results.provenance import RunHistory
 from kickbench.training.checkpoint import Checkpoints
+from kickbench.training.iteration_log import Progress, Record
 from kickbench.training.ppo import BoundedPPO, build_ppo, check_samples, checked_update
-from kickbench.training.progress import Progress, Record
 from kickbench.training.ranks import ALONE, Ranks, fingerprint
 from kickbench.trials.trial import Trial
 

@@ -10,7 +10,7 @@ from kickbench.config.load import Loaded, LoadedMethod, LoadedTask, load_method,
 from kickbench.config.method import RepresentationSpec
 from kickbench.config.task import TaskSpec
 from kickbench.envs.catalog import model_of_task
-from kickbench.envs.compile import CompiledTask, compile_task, own_representations
+from kickbench.envs.compiled_task import CompiledTask, compile_task, own_representations
 from kickbench.errors import Problem, SpecError, collected
 from kickbench.symmetry.field_table import FieldTable, completed, field_table, resolve_expression
 from kickbench.symmetry.mirror import mirror_qpos, mirror_qvel

@@ -14,7 +14,7 @@ from kickbench.config.method import MethodSpec, RepresentationSpec
 from kickbench.config.robot import RobotSpec
 from kickbench.config.yamlio import RENAMED, Document, load_document
 from kickbench.envs.catalog import catalog, model_of_task, task_model
-from kickbench.envs.compile import CompiledTask, compile_task, own_representations
+from kickbench.envs.compiled_task import CompiledTask, compile_task, own_representations
 from kickbench.errors import Mark, Problem, collected, did_you_mean
 from kickbench.sim.check import check_symmetry
 from kickbench.symmetry.field_table import resolve_expression

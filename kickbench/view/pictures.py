@@ -12,15 +12,15 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from kickbench.config.task import SamplingSpec
-from kickbench.envs.compile import CompiledTask
+from kickbench.envs.compiled_task import CompiledTask
 from kickbench.errors import KickbenchError, require
-from kickbench.evaluation.progress import tracked
+from kickbench.evaluation.progress_bar import tracked
 from kickbench.results.atomic import atomic_file
 from kickbench.results.metrics import load_metrics
 from kickbench.results.store import RunDirectory
 from kickbench.training.trained import load_run
 from kickbench.view.regions import outlines
-from kickbench.view.session import Session, evaluation_starts, fitting
+from kickbench.view.session import Session, evaluation_initial_states, fitting
 from kickbench.view.stage import Stage
 
 _INK, _PAPER, _PALE, _WHITE = (32, 38, 44), (250, 250, 248), (104, 112, 120), (255, 255, 255)
@@ -60,7 +60,7 @@ def contact_sheet(task: CompiledTask, count: int, seed: int, width: int, height:
     draw.text((_GAP, _GAP), task.name, _INK, ImageFont.load_default(round(1.5 * size)))
     words = f"{count} initial states of seed {seed}; x points forward, y and angles to the left"
     draw.text((_GAP, _GAP + 1.9 * size), words, _PALE, ImageFont.load_default(size))
-    initial, place = evaluation_starts(task, count, seed), task.scene.layout.ball_qpos
+    initial, place = evaluation_initial_states(task, count, seed), task.scene.layout.ball_qpos
     small_map = SmallMap(task.spec.sampling, height // 4)
     with Stage(task, width, height) as stage:
         for index, (qpos, target) in enumerate(

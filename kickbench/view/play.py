@@ -9,11 +9,11 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from kickbench.envs.compile import CompiledTask
+from kickbench.envs.compiled_task import CompiledTask
 from kickbench.envs.episode import FOOT_NAMES
 from kickbench.errors import KickbenchError
-from kickbench.evaluation.episodes import Policy
-from kickbench.nets.threads import torch_threads
+from kickbench.evaluation.rollouts import Policy
+from kickbench.nets.build import torch_threads
 from kickbench.view.regions import outlines
 from kickbench.view.session import Session
 from kickbench.view.stage import dress

@@ -9,16 +9,16 @@ from typing import Any
 import numpy as np
 
 from kickbench.config.task import SamplingSpec
-from kickbench.envs.compile import CompiledTask
+from kickbench.envs.compiled_task import CompiledTask
 from kickbench.errors import KickbenchError, require
-from kickbench.evaluation.episodes import draw_starts
+from kickbench.evaluation.rollouts import draw_initial_states
 from kickbench.results.atomic import atomic_file
 
 Interval = tuple[float, float]
 """Low and high; equal for a constant."""
 FORMATS = (".png", ".svg")
 """Kinds of file that `plot_regions` writes."""
-_STARTS = 250
+_COUNT = 250
 _WIDTH = 12.0
 """Width of the figure, inches."""
 _INK = "#33383d"
@@ -94,7 +94,7 @@ def draw_regions(task: CompiledTask, seed: int) -> Any:
 
 def _shapes(task: CompiledTask, seed: int) -> Iterator[tuple[str, np.ndarray, np.ndarray, str]]:
     """Label, outline, sampled points and colour of every region, and of mirrored ones that are evaluated."""
-    initial, place = draw_starts(task, _STARTS, seed), task.scene.layout.ball_qpos
+    initial, place = draw_initial_states(task, _COUNT, seed), task.scene.layout.ball_qpos
     balls, targets = initial.qpos[:, place : place + 2].numpy(), initial.target.numpy()
     ball, target = outlines(task.spec.sampling)
     for side, sign, dark, light in _TWO_SIDES if task.spec.evaluation.mirrored else _ONE_SIDE:

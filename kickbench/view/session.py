@@ -8,24 +8,24 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from kickbench.envs.compile import CompiledTask
+from kickbench.envs.compiled_task import CompiledTask
 from kickbench.envs.disturbances import EpisodeDraws
 from kickbench.envs.engines import make_engine
 from kickbench.envs.env import KickEnv
 from kickbench.envs.episode import Outcome
 from kickbench.envs.initial_states import InitialStates
 from kickbench.errors import KickbenchError
-from kickbench.evaluation.episodes import Policy, draw_starts
+from kickbench.evaluation.rollouts import Policy, draw_initial_states
 from kickbench.results.episodes import NON_FINITE
 from kickbench.symmetry.torch_ops import Mirror
 from kickbench.training.trained import Run
 from kickbench.trials.trial import state_symmetry
 
 
-def evaluation_starts(task: CompiledTask, count: int, seed: int) -> InitialStates:
+def evaluation_initial_states(task: CompiledTask, count: int, seed: int) -> InitialStates:
     """The first initial states of the task's evaluation with a seed; state k is row k of `episodes.csv`."""
     # All of them are drawn: which numbers of the generator one gets depends on their count.
-    initial = draw_starts(task, max(count, task.spec.evaluation.episodes), seed)
+    initial = draw_initial_states(task, max(count, task.spec.evaluation.episodes), seed)
     return initial.take(torch.arange(count))
 
 
@@ -58,7 +58,7 @@ class Session:
             title: What is written over the pictures.
         """
         self._policy, self._seed, self.title, protocol = policy, seed, title, task.spec.evaluation
-        self._starts = evaluation_starts(task, episodes, seed)
+        self._starts = evaluation_initial_states(task, episodes, seed)
         self._mirrors = [Mirror(representation) for representation in state_symmetry(task)]
         self._ball, self.interval = task.scene.layout.ball_qpos, task.spec.simulation.control_interval
         self.number, self.mirrored, self.start = 0, False, self._starts.take(torch.tensor([0]))

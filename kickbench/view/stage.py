@@ -8,7 +8,7 @@ from types import TracebackType
 import mujoco
 import numpy as np
 
-from kickbench.envs.compile import CompiledTask
+from kickbench.envs.compiled_task import CompiledTask
 from kickbench.view.backend import make_context
 
 _FIELD_OF_VIEW = 40.0

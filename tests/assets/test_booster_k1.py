@@ -9,7 +9,7 @@ import torch
 from kickbench.config.load import load, load_task
 from kickbench.config.robot import RobotSpec
 from kickbench.envs.catalog import model_of_task
-from kickbench.envs.compile import CompiledTask, compile_task
+from kickbench.envs.compiled_task import CompiledTask, compile_task
 from kickbench.envs.engines import make_engine
 from kickbench.symmetry.mirror import AXIAL, POLAR, mirror_actions, mirror_qpos, mirror_qvel
 from kickbench.symmetry.torch_ops import Mirror

@@ -10,7 +10,7 @@ import pytest
 
 from kickbench.deploy.contract import Contract
 from kickbench.deploy.export import contract_of, onnx_bytes, write_states
-from kickbench.evaluation.episodes import run_sides
+from kickbench.evaluation.rollouts import run_sides
 from kickbench.training.trained import load_run
 
 EXAMPLES = Path(__file__).parents[2] / "results/examples"

@@ -121,7 +121,7 @@ def k1():
     """The compiled general task of the Booster K1."""
     from kickbench.config.load import load_task
     from kickbench.envs.catalog import model_of_task
-    from kickbench.envs.compile import compile_task
+    from kickbench.envs.compiled_task import compile_task
 
     return compile_task(load_task(model_of_task, ROOT / "tasks/k1_general.yaml"))
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from kickbench.envs.compile import grown
+from kickbench.envs.compiled_task import grown
 from kickbench.envs.curriculum import Growth, spec_at
 from kickbench.envs.engines import make_engine
 from kickbench.envs.env import KickEnv

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from kickbench.config.terms import ObservationParams
 from kickbench.envs.catalog import catalog
-from kickbench.envs.compile import own_representations
+from kickbench.envs.compiled_task import own_representations
 from kickbench.envs.observations import Disturbance, Observer
 from kickbench.envs.state import StateIndex
 from kickbench.envs.term import field_size

@@ -10,8 +10,8 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from kickbench.evaluation.episodes import draw_starts, run_episodes
 from kickbench.evaluation.probes import EVERY, LAUNCH_WINDOW, EquivarianceProbe, KickRecord
+from kickbench.evaluation.rollouts import draw_initial_states, run_episodes
 from kickbench.nets.build import build_actor
 from kickbench.results.metrics import EquivarianceError
 from kickbench.symmetry.representation import REGULAR, SIGN, TRIVIAL
@@ -265,7 +265,7 @@ def test_over_episodes_it_tells_the_methods_apart_and_not_the_number_of_worlds(e
     for worlds in (4, 20):
         probe = probe_of(chosen, actor)
         table = run_episodes(
-            chosen.task, actor, draw_starts(chosen.task, 20, 0), 0, num_envs=worlds, probe=probe
+            chosen.task, actor, draw_initial_states(chosen.task, 20, 0), 0, num_envs=worlds, probe=probe
         )
         result = probe.result()
         assert result is not None

@@ -12,10 +12,16 @@ from rsl_rl.models import MLPModel
 from rsl_rl.modules import EmpiricalNormalization
 from tensordict import TensorDict
 
-from kickbench.nets.augmentation import Augmentation
-from kickbench.nets.build import EquivariantModel, SymmetricModel, build_actor, build_critic
+from kickbench.nets.build import (
+    EquivariantModel,
+    SymmetricModel,
+    build_actor,
+    build_critic,
+    torch_threads,
+    update_threads,
+)
 from kickbench.nets.layers import EquivariantLinear, residual_share
-from kickbench.nets.modules import SymmetricNormalization, TiedGaussianDistribution
+from kickbench.nets.modules import Augmentation, SymmetricNormalization, TiedGaussianDistribution
 from kickbench.symmetry.representation import REGULAR, REGULAR_SIGN, SIGN, TRIVIAL, direct_sum, tensor
 from kickbench.symmetry.torch_ops import Mirror
 
@@ -307,3 +313,23 @@ def test_a_model_can_be_copied_after_acting():
     obs = sample(8)
     with torch.inference_mode():
         torch.testing.assert_close(copy.deepcopy(actor)(obs), actor(obs))
+
+
+def test_wide_networks_update_on_all_cores_and_narrow_ones_on_one(experiment):
+    narrow = experiment("mini_home_field", "baseline").method.spec
+    wide = experiment("mini_home_field", "baseline", "network.critic_hidden=[512, 64]").method.spec
+    assert update_threads(narrow, 8) == 1
+    assert update_threads(wide, 8) == 8
+
+
+def test_the_number_of_threads_is_restored_even_after_an_error():
+    before = torch.get_num_threads()
+
+    def fail_with_other_threads() -> None:
+        with torch_threads(before + 1):
+            assert torch.get_num_threads() == before + 1
+            raise RuntimeError("stop")
+
+    with pytest.raises(RuntimeError, match="stop"):
+        fail_with_other_threads()
+    assert torch.get_num_threads() == before

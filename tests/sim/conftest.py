@@ -15,7 +15,7 @@ def build(tmp_path, monkeypatch):
     """`build(mjcf, robot, *overrides)` compiles the mini task with another robot."""
     from kickbench.config.load import load_task
     from kickbench.envs.catalog import model_of_task
-    from kickbench.envs.compile import compile_task
+    from kickbench.envs.compiled_task import compile_task
 
     monkeypatch.chdir(tmp_path)
 

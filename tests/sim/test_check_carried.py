@@ -220,7 +220,7 @@ def test_a_robot_whose_feet_alone_collide_never_touches_the_floor_with_the_rest(
 
     from kickbench.config.load import load_task
     from kickbench.envs.catalog import model_of_task
-    from kickbench.envs.compile import compile_task
+    from kickbench.envs.compiled_task import compile_task
     from kickbench.envs.engines import make_engine
     from kickbench.envs.env import KickEnv
 

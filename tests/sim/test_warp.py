@@ -53,7 +53,7 @@ TOLERANCE = {
 def task_of(name: str, *overrides: str):
     from kickbench.config.load import load_task
     from kickbench.envs.catalog import model_of_task
-    from kickbench.envs.compile import compile_task
+    from kickbench.envs.compiled_task import compile_task
 
     # The tolerances were measured with a thin-walled ball. Of a solid one, which a kick spins faster, one env of eight
     # was up to 2e-4 off in qpos after a step (single precision).

@@ -27,7 +27,7 @@ from kickbench.results.integrity import check
 from kickbench.results.metrics import load_metrics
 from kickbench.results.provenance import RunHistory
 from kickbench.training.checkpoint import FORMAT, Checkpoints
-from kickbench.training.progress import CsvProgress
+from kickbench.training.iteration_log import CsvProgress
 from kickbench.training.trainer import Trainer
 from kickbench.trials.trial import load_trial
 
@@ -323,10 +323,10 @@ def run_and_kill(where: str, count: int, arguments: list[str]) -> None:
     ("where", "count", "iterations_kept"),
     [
         # Two rows beyond the checkpoint of iteration 50 are there.
-        ("kickbench.training.progress:CsvProgress.update", 53, 50),
+        ("kickbench.training.iteration_log:CsvProgress.update", 53, 50),
         # The next one after that of the start is to be written.
         ("kickbench.training.checkpoint:atomic_write_bytes", 2, 0),
-        ("kickbench.evaluation.episodes:_ended", 3, 53),
+        ("kickbench.evaluation.rollouts:_ended", 3, 53),
     ],
 )
 def test_a_killed_run_goes_on_to_the_same_result(
@@ -482,7 +482,7 @@ def test_a_killed_forced_run_leaves_the_old_one_whole_and_goes_on(copy, undistur
     (copy / "notes.txt").write_text("mine")
     before = snapshot(copy)
     forced = command(copy, "--set", "algorithm.gamma=0.9")
-    run_and_kill("kickbench.training.progress:CsvProgress.update", 53, [*forced, "--force"])
+    run_and_kill("kickbench.training.iteration_log:CsvProgress.update", 53, [*forced, "--force"])
     assert snapshot(copy) == before
     for verb in ("table", "list"):
         assert main([verb, str(copy.parent)]) == 0

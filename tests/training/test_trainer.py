@@ -17,8 +17,8 @@ from kickbench.nets.build import build_actor
 from kickbench.results.provenance import RunHistory
 from kickbench.symmetry.torch_ops import Mirror
 from kickbench.training.checkpoint import Checkpoints, load_policy, save_policy
+from kickbench.training.iteration_log import CsvProgress, Progress, Record
 from kickbench.training.ppo import build_ppo
-from kickbench.training.progress import CsvProgress, Progress, Record
 from kickbench.training.trainer import Trainer
 
 SMALL = (

@@ -5,7 +5,7 @@ import pytest
 from matplotlib.path import Path
 
 from kickbench.errors import KickbenchError
-from kickbench.evaluation.episodes import draw_starts
+from kickbench.evaluation.rollouts import draw_initial_states
 from kickbench.view.regions import draw_regions, outlines, plot_regions, sector
 
 
@@ -37,7 +37,7 @@ def test_the_ball_s_region_has_the_area_of_its_sides(task):
 
 
 def test_every_start_is_inside_the_outlines_and_no_mirrored_one_is(task):
-    starts, place = draw_starts(task, 500, 1), task.scene.layout.ball_qpos
+    starts, place = draw_initial_states(task, 500, 1), task.scene.layout.ball_qpos
     points = starts.qpos[:, place : place + 2].numpy(), starts.target.numpy()
     for outline, inside in zip(outlines(task.spec.sampling), points, strict=True):
         # A chord of the outline cuts off 0.1 mm of its arc at most.

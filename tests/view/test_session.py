@@ -10,12 +10,12 @@ import torch
 
 from kickbench.config.load import load_task
 from kickbench.envs.catalog import model_of_task
-from kickbench.envs.compile import compile_task
+from kickbench.envs.compiled_task import compile_task
 from kickbench.errors import KickbenchError
-from kickbench.evaluation.episodes import mirror_starts, run_episodes
+from kickbench.evaluation.rollouts import mirror_initial_states, run_episodes
 from kickbench.training.checkpoint import Checkpoints
 from kickbench.training.trained import load_run
-from kickbench.view.session import Session, evaluation_starts, fitting
+from kickbench.view.session import Session, evaluation_initial_states, fitting
 
 ROOT = Path(__file__).parents[2]
 
@@ -26,13 +26,13 @@ def run_to_end(session: Session) -> None:
 
 
 def test_start_k_is_row_k_of_the_evaluation(task):
-    few, many = evaluation_starts(task, 2, 5), evaluation_starts(task, 7, 5)
+    few, many = evaluation_initial_states(task, 2, 5), evaluation_initial_states(task, 7, 5)
     np.testing.assert_array_equal(few.qpos, many.qpos[:2])
 
 
 def test_episodes_are_those_of_the_evaluation_on_both_sides(session, task, policy):
-    starts, place = evaluation_starts(task, 3, 7), task.scene.layout.ball_qpos
-    for side in (starts, mirror_starts(task, starts)):
+    starts, place = evaluation_initial_states(task, 3, 7), task.scene.layout.ball_qpos
+    for side in (starts, mirror_initial_states(task, starts)):
         table = run_episodes(task, policy, side, seed=7)
         for row in range(3):
             session.show(row)

@@ -8,7 +8,7 @@ import pytest
 
 from kickbench.errors import KickbenchError
 from kickbench.view import backend
-from kickbench.view.session import evaluation_starts
+from kickbench.view.session import evaluation_initial_states
 from kickbench.view.stage import dress, fit_camera
 
 ASPECT = 4 / 3
@@ -57,7 +57,7 @@ def test_left_is_left_and_up_is_up():
 @pytest.fixture
 def start(task):
     """Generalised positions and target of an initial state."""
-    starts = evaluation_starts(task, 1, seed=3)
+    starts = evaluation_initial_states(task, 1, seed=3)
     return starts.qpos[0].numpy(), starts.target[0].numpy()
 
 

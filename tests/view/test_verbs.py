@@ -23,7 +23,7 @@ def place(tmp_path, monkeypatch):
 
 
 def test_render_draws_a_sheet_named_after_the_task(opengl, place, capsys):
-    assert main(["render", TASK, "--starts", "2", "--size", "96x72"]) == 0
+    assert main(["render", TASK, "--initial-states", "2", "--size", "96x72"]) == 0
     assert capsys.readouterr().out == "mini_home_field.png\n"
     image = Image.open("mini_home_field.png")
     assert image.width > 2 * 96
@@ -33,7 +33,20 @@ def test_render_draws_a_sheet_named_after_the_task(opengl, place, capsys):
 def test_the_same_seed_draws_the_same_sheet_and_another_one_another(opengl):
     for name, seed in (("a", "1"), ("b", "1"), ("c", "2")):
         assert (
-            main(["render", TASK, "--starts", "1", "--size", "96x72", "--seed", seed, "--out", f"{name}.png"])
+            main(
+                [
+                    "render",
+                    TASK,
+                    "--initial-states",
+                    "1",
+                    "--size",
+                    "96x72",
+                    "--seed",
+                    seed,
+                    "--out",
+                    f"{name}.png",
+                ]
+            )
             == 0
         )
     a, b, c = (Path(f"{name}.png").read_bytes() for name in "abc")
@@ -62,8 +75,8 @@ ERRORS = {
     "policy for a sheet": (["render", TASK, "--policy", "runs/x"], "--policy: a .png shows initial states"),
     "episodes for a sheet": (["render", TASK, "--episodes", "2"], "--episodes: a .png shows initial states"),
     "starts for a film": (
-        ["render", TASK, "--out", "a.webp", "--starts", "2"],
-        "--starts: a .webp shows episodes",
+        ["render", TASK, "--out", "a.webp", "--initial-states", "2"],
+        "--initial-states: a .webp shows episodes",
     ),
     "no such run": (
         ["render", TASK, "--out", "a.webp", "--policy", "runs/x"],
@@ -75,7 +88,7 @@ ERRORS = {
     ),
     "no such task": (["render", "x.yaml"], "x.yaml: no such file: 'x.yaml'"),
     "sheet that fills the memory": (
-        ["render", TASK, "--starts", "1000", "--size", "1000x1000"],
+        ["render", TASK, "--initial-states", "1000", "--size", "1000x1000"],
         "1000 initial states of 1000x1000 pixels make a sheet of more than 100 megapixels",
     ),
     "plot of a method": (

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from kickbench.envs.env import KickEnv
-from kickbench.evaluation.episodes import draw_starts, mirror_starts, run_episodes, run_sides
+from kickbench.evaluation.rollouts import draw_initial_states, mirror_initial_states, run_episodes, run_sides
 from kickbench.nets.build import build_actor
 
 
@@ -25,7 +25,7 @@ def kicker(chosen, seed: int = 0):
 
 @pytest.mark.parametrize(("episodes", "worlds"), [(1, 8), (8, 8), (13, 8), (50, 16)])
 def test_exactly_the_episodes_asked_for_are_counted_each_once(short, episodes, worlds):
-    starts = draw_starts(short.task, episodes, seed=0)
+    starts = draw_initial_states(short.task, episodes, seed=0)
     table = run_episodes(short.task, kicker(short), starts, 0, num_envs=worlds)
     assert len(table) == episodes
     place = short.task.scene.layout.ball_qpos
@@ -56,7 +56,7 @@ def disturbed(experiment):
 @pytest.mark.parametrize("name", ["short", "disturbed"])
 def test_an_episode_does_not_depend_on_the_number_of_envs_and_threads(name, request):
     chosen = request.getfixturevalue(name)
-    starts = draw_starts(chosen.task, 90, 0)
+    starts = draw_initial_states(chosen.task, 90, 0)
     one, few, many = (
         run_episodes(chosen.task, kicker(chosen), starts, 0, num_envs=envs, num_threads=threads)
         for envs, threads in ((90, 1), (17, 2), (40, 1))
@@ -68,7 +68,7 @@ def test_an_episode_does_not_depend_on_the_number_of_envs_and_threads(name, requ
 
 
 def test_what_is_drawn_differs_from_episode_to_episode_and_from_seed_to_seed(disturbed):
-    starts = draw_starts(disturbed.task, 1, 0).take(torch.zeros(12, dtype=torch.int64))
+    starts = draw_initial_states(disturbed.task, 1, 0).take(torch.zeros(12, dtype=torch.int64))
     first, again, other = (
         run_episodes(disturbed.task, kicker(disturbed), starts, seed, num_envs=6).episode_return
         for seed in (0, 0, 1)
@@ -79,7 +79,7 @@ def test_what_is_drawn_differs_from_episode_to_episode_and_from_seed_to_seed(dis
 
 
 def test_an_episode_is_the_same_among_others_and_alone(short):
-    starts = draw_starts(short.task, 48, 0)
+    starts = draw_initial_states(short.task, 48, 0)
     table = run_episodes(short.task, kicker(short), starts, 0, num_envs=16)
     alone = run_episodes(short.task, kicker(short), starts.take(torch.arange(20, 28)), 0)
     for name, column in alone.columns().items():
@@ -92,27 +92,27 @@ def test_few_steps_are_spent_on_envs_without_an_episode(short, monkeypatch):
     monkeypatch.setattr(
         KickEnv, "advance", lambda env, actions: (stepped.append(env.num_envs), advance(env, actions))[1]
     )
-    table = run_episodes(short.task, kicker(short), draw_starts(short.task, 400, 0), 0, num_envs=100)
+    table = run_episodes(short.task, kicker(short), draw_initial_states(short.task, 400, 0), 0, num_envs=100)
     assert len(set(table.steps.tolist())) > 10
     assert table.steps.sum() <= sum(stepped) < 1.1 * table.steps.sum()
 
 
 def test_a_seed_names_the_starts(short):
-    a, b, c = (draw_starts(short.task, 20, seed) for seed in (1, 1, 2))
+    a, b, c = (draw_initial_states(short.task, 20, seed) for seed in (1, 1, 2))
     assert torch.equal(a.qpos, b.qpos)
     assert torch.equal(a.target, b.target)
     assert not torch.equal(a.qpos, c.qpos)
 
 
 def test_the_mirrored_side_starts_from_exact_mirror_images(short):
-    starts = draw_starts(short.task, 200, 0)
-    images = mirror_starts(short.task, starts)
+    starts = draw_initial_states(short.task, 200, 0)
+    images = mirror_initial_states(short.task, starts)
     place = short.task.scene.layout.ball_qpos
     assert torch.equal(images.qpos[:, place], starts.qpos[:, place])
     assert torch.equal(images.qpos[:, place + 1], -starts.qpos[:, place + 1])
     assert torch.equal(images.target[:, 1], -starts.target[:, 1])
     assert (starts.target[:, 1] >= 0).all(), "home field: targets on the left"
-    again = mirror_starts(short.task, images)
+    again = mirror_initial_states(short.task, images)
     assert torch.equal(again.qpos, starts.qpos)
 
 
@@ -126,9 +126,9 @@ def test_an_evaluation_meets_its_own_episodes_and_their_mirror_images(short):
 
 
 def test_an_equivariant_policy_fares_alike_on_both_sides(short):
-    starts = draw_starts(short.task, 200, 0)
+    starts = draw_initial_states(short.task, 200, 0)
     home = run_episodes(short.task, kicker(short), starts, 0, num_envs=50)
-    away = run_episodes(short.task, kicker(short), mirror_starts(short.task, starts), 0, num_envs=50)
+    away = run_episodes(short.task, kicker(short), mirror_initial_states(short.task, starts), 0, num_envs=50)
     assert (home.kick_foot != "none").mean() > 0.2, "the policy kicks"
     assert (home.termination == away.termination).mean() > 0.97
     same = home.termination == away.termination
@@ -145,7 +145,7 @@ def test_an_equivariant_policy_fares_alike_on_both_sides(short):
 
 
 def test_the_figures_of_the_kick_agree_with_the_record_of_the_episode(short):
-    table = run_episodes(short.task, kicker(short), draw_starts(short.task, 100, 0), 0, num_envs=40)
+    table = run_episodes(short.task, kicker(short), draw_initial_states(short.task, 100, 0), 0, num_envs=40)
     columns, touched = table.columns(), table.kick_foot != "none"
     assert touched.any()
     assert not touched.all()
@@ -158,7 +158,7 @@ def test_the_figures_of_the_kick_agree_with_the_record_of_the_episode(short):
 
 
 def test_success_needs_a_kicked_ball_at_rest_within_the_radius(short):
-    table = run_episodes(short.task, kicker(short), draw_starts(short.task, 300, 0), 0, num_envs=100)
+    table = run_episodes(short.task, kicker(short), draw_initial_states(short.task, 300, 0), 0, num_envs=100)
     radius = short.task.spec.evaluation.success_radius
     hits = table.termination == "target_hit"
     assert table.success[hits].all()
@@ -175,7 +175,7 @@ def test_an_episode_whose_numbers_go_bad_is_counted_under_its_own_name(short):
         actions[0] = float("nan")
         return actions
 
-    table = run_episodes(short.task, poison, draw_starts(short.task, 4, 0), 0, num_envs=4)
+    table = run_episodes(short.task, poison, draw_initial_states(short.task, 4, 0), 0, num_envs=4)
     assert table.termination.tolist() == ["non_finite", "time_out", "time_out", "time_out"]
     assert np.isfinite(table.distance).all()
     assert not table.success[0]

@@ -15,10 +15,10 @@ import numpy as np
 import pytest
 
 from kickbench.errors import KickbenchError
-from kickbench.evaluation import progress as console
-from kickbench.evaluation.progress import Steps, duration, percent, tracked
+from kickbench.evaluation import progress_bar as console
+from kickbench.evaluation.progress_bar import Steps, duration, percent, tracked
 from kickbench.results.progress import checked_rows
-from kickbench.training.progress import CsvProgress, Record, RunProgress, TensorBoardProgress, describe
+from kickbench.training.iteration_log import CsvProgress, Record, RunProgress, TensorBoardProgress, describe
 
 FIRST = {
     "iteration": 0,
@@ -268,7 +268,7 @@ def test_everything_is_closed_even_when_one_place_fails(tmp_path, monkeypatch):
 
 def test_importing_the_console_s_progress_loads_nothing_heavy():
     heavy = ("torch", "rich", "tensorboard", "numpy", "mujoco")
-    code = f"import sys, kickbench.evaluation.progress; print([m for m in {heavy!r} if m in sys.modules])"
+    code = f"import sys, kickbench.evaluation.progress_bar; print([m for m in {heavy!r} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
 

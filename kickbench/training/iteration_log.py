@@ -34,7 +34,7 @@ from pathlib import Path
 from typing import IO, Any, TextIO
 
 from kickbench.errors import KickbenchError, printable
-from kickbench.evaluation.progress import Steps, percent
+from kickbench.evaluation.progress_bar import Steps, percent
 from kickbench.results.atomic import atomic_write_text
 from kickbench.results.progress import CHECK, checked_rows, row_check
 

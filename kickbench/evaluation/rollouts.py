@@ -14,15 +14,15 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 
-from kickbench.envs.compile import CompiledTask
+from kickbench.envs.compiled_task import CompiledTask
 from kickbench.envs.disturbances import EpisodeDraws
 from kickbench.envs.engines import make_engine
 from kickbench.envs.env import KickEnv
 from kickbench.envs.episode import FOOT_NAMES
 from kickbench.envs.initial_states import InitialStates, InitialStateSampler
 from kickbench.evaluation.probes import EquivarianceProbe, KickRecord
-from kickbench.evaluation.progress import EVALUATING, Steps
-from kickbench.nets.threads import torch_threads
+from kickbench.evaluation.progress_bar import EVALUATING, Steps
+from kickbench.nets.build import torch_threads
 from kickbench.results.episodes import NON_FINITE, EpisodeSides, EpisodeTable
 from kickbench.results.frame import SIDES
 from kickbench.results.metrics import EquivarianceError
@@ -36,13 +36,13 @@ _BUSY_SHARE, _FEWEST_ENVS = 0.75, 8
 """Share of busy envs below which the idle ones are dropped, and number of envs that are always kept."""
 
 
-def draw_starts(task: CompiledTask, episodes: int, seed: int) -> InitialStates:
+def draw_initial_states(task: CompiledTask, episodes: int, seed: int) -> InitialStates:
     """Draws the initial states of an evaluation; the same seed gives the same ones on every machine."""
     generator = torch.Generator().manual_seed(seed)
     return InitialStateSampler(task, generator).sample(episodes)
 
 
-def mirror_starts(task: CompiledTask, initial_states: InitialStates) -> InitialStates:
+def mirror_initial_states(task: CompiledTask, initial_states: InitialStates) -> InitialStates:
     """The exact mirror images of the given initial states."""
     return initial_states.mirrored(*(Mirror(representation) for representation in state_symmetry(task)))
 
@@ -206,7 +206,7 @@ def run_sides(
     """
     protocol, probe = task.spec.evaluation, None
     seed = protocol.seed if seed is None else seed
-    initial_states = draw_starts(task, episodes or protocol.episodes, seed)
+    initial_states = draw_initial_states(task, episodes or protocol.episodes, seed)
     if symmetry is not None:
         tables = {name: table.representation for name, table in symmetry.groups.items()}
         probe = EquivarianceProbe(policy, tables, symmetry.actions)
@@ -219,16 +219,16 @@ def run_sides(
             )
 
         home = episodes_from(initial_states)
-        mirrored = episodes_from(mirror_starts(task, initial_states)) if protocol.mirrored else None
+        mirrored = episodes_from(mirror_initial_states(task, initial_states)) if protocol.mirrored else None
     return EpisodeSides(home, mirrored), probe.result() if probe else None
 
 
 def success_by_side(task: CompiledTask, policy: Policy, num_threads: int | None = None) -> dict[str, float]:
     """Success by side of a policy in the first `every_episodes` episodes of the task's evaluation."""
     protocol = task.spec.evaluation
-    initial_states = draw_starts(task, max(protocol.episodes, protocol.every_episodes), protocol.seed)
+    initial_states = draw_initial_states(task, max(protocol.episodes, protocol.every_episodes), protocol.seed)
     home = initial_states.take(torch.arange(protocol.every_episodes))
-    sides = {SIDES[0]: home} | ({SIDES[1]: mirror_starts(task, home)} if protocol.mirrored else {})
+    sides = {SIDES[0]: home} | ({SIDES[1]: mirror_initial_states(task, home)} if protocol.mirrored else {})
     return {
         side: float(run_episodes(task, policy, of, protocol.seed, num_threads=num_threads).success.mean())
         for side, of in sides.items()
