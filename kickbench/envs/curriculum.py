@@ -21,7 +21,7 @@ from kickbench.config.task import COMPETENCE, CurriculumSpec, TaskSpec
 M = TypeVar("M", bound=BaseModel)
 
 RESOLUTION = 100
-"""Levels that a ramp over a share of the training has: at each, starts are drawn anew."""
+"""Levels that a ramp over a share of the training has: at each, initial states are drawn anew."""
 
 
 def spec_at(spec: TaskSpec, levels: Mapping[str, float]) -> TaskSpec:
@@ -70,7 +70,9 @@ class Growth:
             share: Share of the training that is done, in [0, 1].
         """
         return {
-            key: self.competence if ramp.over == COMPETENCE else _rounded(share / float(ramp.over))
+            key: self.competence
+            if ramp.over == COMPETENCE
+            else int(RESOLUTION * min(1.0, share / float(ramp.over))) / RESOLUTION
             for key, ramp in self.spec.ramps.items()
         }
 
@@ -79,9 +81,7 @@ class Growth:
         rule = self.spec.competence
         if rule is None or self.competence >= 1.0 or not isfinite(success):
             return
-        self.recent.append(success)
-        while len(self.recent) > rule.window:
-            self.recent.popleft()
+        self.recent = deque([*self.recent, success], maxlen=rule.window)
         if len(self.recent) == rule.window and sum(self.recent) / rule.window >= rule.success:
             # Rounded, so that steps of 0.04 end at 1 exactly.
             self.competence = min(1.0, round(self.competence + rule.step, 9))
@@ -94,8 +94,3 @@ class Growth:
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Takes over what `state_dict` returned."""
         self.competence, self.recent = float(state["competence"]), deque(state["recent"])
-
-
-def _rounded(level: float) -> float:
-    """A level of those that `RESOLUTION` allows."""
-    return int(RESOLUTION * min(1.0, level)) / RESOLUTION

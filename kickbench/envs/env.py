@@ -293,10 +293,8 @@ class KickEnv(VecEnv):
             else:
                 present[name] = values.clone()
 
-    def _observe(self) -> Tensors:
-        seen = self.tensors.observations
-        seen.copy_(self._observer(self.state(), self._draws))
-        return seen
+    def _observe(self) -> None:
+        self.tensors.observations.copy_(self._observer(self.state(), self._draws))
 
     def observations_of(self, state: State, draws: Draws) -> TensorDict:
         """Observations of a state by group, {group: [B, width]}, with noise from `draws`."""

@@ -13,8 +13,7 @@ from __future__ import annotations
 
 import ctypes
 import warnings
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 
 import torch
 from tensordict import TensorDict
@@ -117,15 +116,11 @@ class CapturedStep:
         Raises:
             KickbenchError: The device or a library refuses.
         """
-        recorded, self._memory = torch.cuda.CUDAGraph(), torch.cuda.MemPool()
-        recorded.register_generator_state(self.env.generator)
         try:
-            with _recording(recorded, self._memory, self.env.engine):
-                self._run()
+            return _recorded(self.env.engine, self._run, self.env.generator)
         except RuntimeError as error:
             reason = f"a step cannot be recorded as a CUDA graph: {error}"
             raise KickbenchError(f"{reason}\n--no-graph trains without one, several times slower") from error
-        return recorded.replay
 
 
 def fastest_steps(env: KickEnv, *, graph: bool = True) -> KickEnv | CapturedStep:
@@ -133,16 +128,19 @@ def fastest_steps(env: KickEnv, *, graph: bool = True) -> KickEnv | CapturedStep
     return CapturedStep(env, graph=graph) if env.device.type == "cuda" else env
 
 
-@contextmanager
-def _recording(graph: torch.cuda.CUDAGraph, pool: torch.cuda.MemPool, engine: Engine) -> Iterator[None]:
-    """Everything that is launched in the block becomes part of the graph, and runs when that is replayed.
+def _recorded(
+    engine: Engine, call: Callable[[], None], generator: torch.Generator | None = None
+) -> Callable[[], None]:
+    """Records all that a call launches, without running it; the result replays it.
 
     The engine's own library learns of the recording as well. Where it records a loop whose length the device
     decides, it ends torch's recording and resumes it under another identity, by which torch would no longer
-    know what memory belongs to the graph: so all memory of the block comes from a pool, which must live as
-        long as the graph does.
+    know what memory belongs to the graph: so all memory of the call comes from a pool, which must live as
+    long as the graph does.
     """
-    device = engine.device
+    graph, pool, device = torch.cuda.CUDAGraph(), torch.cuda.MemPool(), engine.device
+    if generator is not None:
+        graph.register_generator_state(generator)
     with (
         torch.cuda.device(device),
         # The mode that the engine tells its library.
@@ -150,7 +148,12 @@ def _recording(graph: torch.cuda.CUDAGraph, pool: torch.cuda.MemPool, engine: En
         torch.cuda.use_mem_pool(pool, device),
         engine.capturing(),
     ):
-        yield
+        call()
+
+    def replay(memory: torch.cuda.MemPool = pool) -> None:
+        graph.replay()
+
+    return replay
 
 
 def recorded_call(engine: Engine, call: Callable[[], None]) -> Callable[[], None]:
@@ -162,11 +165,4 @@ def recorded_call(engine: Engine, call: Callable[[], None]) -> Callable[[], None
         return call
     for _ in range(_WARM_UP):
         call()
-    graph, pool = torch.cuda.CUDAGraph(), torch.cuda.MemPool()
-    with _recording(graph, pool, engine):
-        call()
-
-    def replay(memory: torch.cuda.MemPool = pool) -> None:
-        graph.replay()
-
-    return replay
+    return _recorded(engine, call)

@@ -131,8 +131,7 @@ def foot_contact_forces(state: State, params: ObservationParams) -> Tensor:
 class Observer:
     """Evaluates all observation groups of a task on a state.
 
-    Groups share most of their fields. Each is evaluated once, and a group whose fields another one begins
-    with is a slice of it; only noise and clipping are a group's own.
+    Groups share most of their fields. Each is evaluated once; only noise and clipping are a group's own.
     """
 
     def __init__(
@@ -146,18 +145,10 @@ class Observer:
             noise: Whether noise applies.
         """
         self._bounds = {field.key: field.bound for fields in groups.values() for field in fields}
-        self._keys = {name: tuple(field.key for field in fields) for name, fields in groups.items()}
-        self._widths = {name: sum(field.size for field in fields) for name, fields in groups.items()}
-        self._disturbances = {
-            name: Disturbance(fields, device, noise=noise) for name, fields in groups.items()
+        self._groups = {
+            name: ([field.key for field in fields], Disturbance(fields, device, noise=noise))
+            for name, fields in groups.items()
         }
-        longest_first = sorted(groups, key=lambda name: -len(groups[name]))
-        self._sources = {name: self._source(name, longest_first) for name in longest_first}
-
-    def _source(self, name: str, longest_first: Sequence[str]) -> str:
-        """The first group that begins with a group's fields: itself, if no other does."""
-        keys = self._keys[name]
-        return next(other for other in longest_first if self._keys[other][: len(keys)] == keys)
 
     def __call__(self, state: State, generator: Draws) -> dict[str, Tensor]:
         """Observations by group, {group: [B, width]}; not to be written to.
@@ -167,13 +158,10 @@ class Observer:
             generator: Source of the noise.
         """
         fields = {key: bound(state) for key, bound in self._bounds.items()}
-        exact = dict[str, Tensor]()
-        for name, source in self._sources.items():
-            if source == name:
-                exact[name] = torch.cat([fields[key] for key in self._keys[name]], dim=1)
-            else:
-                exact[name] = exact[source][:, : self._widths[name]]
-        return {name: disturb(exact[name], generator) for name, disturb in self._disturbances.items()}
+        return {
+            name: disturb(torch.cat([fields[key] for key in keys], dim=1), generator)
+            for name, (keys, disturb) in self._groups.items()
+        }
 
 
 class Disturbance:

@@ -17,7 +17,7 @@ import ast
 import importlib.util
 import sys
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -25,15 +25,13 @@ from types import ModuleType
 from typing import Any
 
 import torch
-from pydantic import BaseModel, ValidationError, create_model
+from pydantic import ValidationError, create_model
 from torch import Tensor
 
-from kickbench.config.base import NameList, PositiveInt, Range
-from kickbench.config.method import parse_expression
+from kickbench.config.base import NameList, Range
 from kickbench.config.terms import JointName, JointNames, TermParams
-from kickbench.envs.term import COMMON, Kind, Term
+from kickbench.envs.term import COMMON, Kind, Term, observation, reward, termination
 from kickbench.errors import KickbenchError, Mark, Problem, SpecError, shown
-from kickbench.sim.sensors import SensorGroup
 
 _TYPES: dict[str, Any] = {
     **{kind.__name__: kind for kind in (float, int, bool, str)},
@@ -43,55 +41,6 @@ _TYPES: dict[str, Any] = {
     "JointNames": JointNames,
 }
 """Types of parameters, as they are written."""
-
-
-class Marker(BaseModel):
-    """What a decorator says of a term.
-
-    Attributes:
-        kind: The term's kind.
-        units: Unit of what it returns.
-        source: Where it comes from; default: its file.
-        needs: Sensors that it reads: foot_frame, foot_ball, foot_floor, body_floor.
-        size: Representation of an observation, which gives its length; or its length alone.
-    """
-
-    kind: Kind
-    units: str
-    source: str
-    needs: tuple[SensorGroup, ...]
-    size: PositiveInt | str = 1
-
-    def __call__(self, function: Callable[..., Tensor]) -> Callable[..., Tensor]:
-        """The function as it is: a marker is for those who read the file."""
-        return function
-
-
-def reward(units: str = "1", source: str = "", needs: tuple[SensorGroup, ...] = ()) -> Marker:
-    """Marks a function `(state, parameters...) -> Tensor[B]` as a reward; its weight is applied outside."""
-    return Marker(kind="reward", units=units, source=source, needs=needs)
-
-
-def observation(
-    size: int | str, units: str = "1", source: str = "", needs: tuple[SensorGroup, ...] = ()
-) -> Marker:
-    """Marks a function `(state, parameters...) -> Tensor[B, size]` as an observation.
-
-    Args:
-        size: How it mirrors, such as "trivial + sign + trivial", which gives its length too; or its length
-            alone: then the method's representation table says how it mirrors.
-        units: Unit of what it returns.
-        source: Where it comes from; default: its file.
-        needs: Sensors that it reads.
-    """
-    if isinstance(size, str):
-        parse_expression(size)
-    return Marker(kind="observation", size=size, units=units, source=source, needs=needs)
-
-
-def termination(source: str = "", needs: tuple[SensorGroup, ...] = ()) -> Marker:
-    """Marks a function `(state, parameters...) -> BoolTensor[B]` as a termination."""
-    return Marker(kind="termination", units="true/false", source=source, needs=needs)
 
 
 _MARKERS = {function.__name__: function for function in (reward, observation, termination)}
@@ -187,10 +136,8 @@ def _term(file: Path, node: ast.FunctionDef, mark: ast.expr) -> Term:
     fields: dict[str, Any] = dict(_fields(node, marker.kind))
     function = OwnFunction(file, node.name, marker.kind, tuple(fields), ast.get_docstring(node))
     params = create_model(f"{node.name}_parameters", __base__=COMMON[marker.kind], **fields)
-    source = marker.source or file.name
-    return Term(
-        node.name, marker.kind, function, params, marker.units, source, frozenset(marker.needs), marker.size
-    )  # fmt: skip
+    facts = {**vars(marker), "source": marker.source or file.name}
+    return Term(name=node.name, function=function, params=params, **facts)
 
 
 def _marker(mark: ast.expr) -> str:

@@ -31,7 +31,7 @@ class TargetDistance(RewardParams):
     """Distance sensitivity sigma, sqrt(m)."""
 
 
-@reward("3.2.3 Target-Ball Distance")
+@reward(source="3.2.3 Target-Ball Distance")
 def target_distance(state: State, params: TargetDistance) -> Tensor:
     """exp(-d / sigma^2) of the ball's distance d to the target, paid once the ball has come to rest.
 
@@ -41,7 +41,7 @@ def target_distance(state: State, params: TargetDistance) -> Tensor:
     return torch.exp(-state.target_distance / params.sigma**2) * paid
 
 
-@reward("3.2.3 Ball Approach Target")
+@reward(source="3.2.3 Ball Approach Target")
 def ball_approach_target(state: State, params: RewardParams) -> Tensor:
     """max(0, cos) of the angle between ball velocity and ball-to-target, while the ball moves; else 0."""
     lengths = state.ball_ground_speed * state.target_distance
@@ -57,7 +57,7 @@ class AgentApproachBall(RewardParams):
     """Zero once the ball was touched (thesis 4.1.3; the formula in 3.2.3 has no such gate)."""
 
 
-@reward("3.2.3 Agent Approach Ball, 4.1.3")
+@reward(source="3.2.3 Agent Approach Ball, 4.1.3")
 def agent_approach_ball(state: State, params: AgentApproachBall) -> Tensor:
     """max(0, cos) of the angle between base velocity v and base-to-ball, over 1 + max(0, v_ball . d).
 
@@ -74,19 +74,19 @@ def agent_approach_ball(state: State, params: AgentApproachBall) -> Tensor:
     return cosine / (1.0 + progress) * active
 
 
-@reward("A Ball Not Moving Penalty")
+@reward(source="A Ball Not Moving Penalty")
 def ball_not_moving(state: State, params: RewardParams) -> Tensor:
     """1 while the ball is slower than `episode.stop_speed`, else 0."""
     return state.ball_stopped.float()
 
 
-@reward("A Action Rate; the sign is not the thesis'")
+@reward(source="A Action Rate; the sign is not the thesis'")
 def action_rate(state: State, params: RewardParams) -> Tensor:
     """Squared norm of the change of action, |a_t - a_(t-1)|^2."""
     return (state.episode.action - state.episode.previous_action).square().sum(dim=1)
 
 
-@reward("A Survival Reward")
+@reward(source="A Survival Reward")
 def survival(state: State, params: RewardParams) -> Tensor:
     """1 at every step."""
     return torch.ones_like(state.ball_speed)
@@ -99,7 +99,7 @@ class Upright(RewardParams):
     """Tilt sensitivity sigma_upright, rad."""
 
 
-@reward("A Upright")
+@reward(source="A Upright")
 def upright(state: State, params: Upright) -> Tensor:
     """exp(-theta^2 / sigma^2) of the base's tilt theta."""
     return torch.exp(-((state.tilt / params.sigma) ** 2))
@@ -112,7 +112,7 @@ class FellOver(RewardParams):
     """Largest tilt theta_limit, rad."""
 
 
-@reward("A Fell Over")
+@reward(source="A Fell Over")
 def fell_over(state: State, params: FellOver) -> Tensor:
     """1 when the base tilts by more than `angle`, else 0."""
     return (state.tilt > params.angle).float()
@@ -125,7 +125,7 @@ class FallDown(RewardParams):
     """Lowest base height z_falldown, m."""
 
 
-@reward("A Fall Down")
+@reward(source="A Fall Down")
 def fall_down(state: State, params: FallDown) -> Tensor:
     """1 when the base is lower than `height`, else 0."""
     return (state.base_pos[:, 2] < params.height).float()
@@ -140,7 +140,7 @@ class ArmPosture(RewardParams):
     """Sensitivity sigma_roll, rad."""
 
 
-@reward("3.2.3 Arm Posture; the sign is not the thesis'")
+@reward(source="3.2.3 Arm Posture; the sign is not the thesis'")
 def arm_posture(state: State, params: ArmPosture) -> Tensor:
     """Mean over the joints of 1 - exp(-(q - q_default)^2 / sigma^2); a penalty in [0, 1]."""
     offset = state.offsets_of(params.joints)
@@ -158,7 +158,7 @@ class ArmSwing(RewardParams):
     """Sum of the angles beyond which the term acts, rad."""
 
 
-@reward("3.2.3 Arm Swing; of angles, not offsets, as the formula is written")
+@reward(source="3.2.3 Arm Swing; of angles, not offsets, as the formula is written")
 def arm_swing(state: State, params: ArmSwing) -> Tensor:
     """exp(-1 / (q_L + q_R)^2) while both arms point to the same side and |q_L + q_R| > threshold; else 0."""
     left, right = state.angles_of((params.left, params.right)).unbind(dim=1)
@@ -167,7 +167,7 @@ def arm_swing(state: State, params: ArmSwing) -> Tensor:
     return torch.exp(-1.0 / total.square().clamp(min=_TINY)) * active
 
 
-@reward("A Illegal Contact Penalty", needs=("body_floor",))
+@reward(source="A Illegal Contact Penalty", needs=("body_floor",))
 def illegal_contact(state: State, params: RewardParams) -> Tensor:
     """1 when a part of the robot other than its feet touches the ground, else 0."""
     return state.body_floor_contact.float()
@@ -180,14 +180,14 @@ class JointPositionLimit(RewardParams):
     """Share of the joint's range, about its middle, that is free; in the thesis all of it."""
 
 
-@reward("A Joint Position Limit; soft limits are not in the thesis")
+@reward(source="A Joint Position Limit; soft limits are not in the thesis")
 def joint_position_limit(state: State, params: JointPositionLimit) -> Tensor:
     """1 when any observed joint is outside its soft limits, else 0."""
     middle, half = state.joint_range_middle, state.joint_range_half
     return ((state.joint_angles - middle).abs() > params.soft_limit_factor * half).any(dim=1).float()
 
 
-@reward("A Foot Slip; the sign is not the thesis'", units="m^2/s^2", needs=("foot_floor", "foot_frame"))
+@reward("m^2/s^2", "A Foot Slip; the sign is not the thesis'", needs=("foot_floor", "foot_frame"))
 def foot_slip(state: State, params: RewardParams) -> Tensor:
     """Sum over the feet on the ground of the squared horizontal velocity of the sole."""
     speed = state.foot_vel[:, :, :2].square().sum(dim=2)

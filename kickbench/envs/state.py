@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable
 from functools import cached_property
 
 import numpy as np
@@ -12,7 +12,7 @@ from torch import Tensor
 from kickbench.config.task import EpisodeSpec
 from kickbench.envs.tensors import Tensors
 from kickbench.sim.engine import Engine
-from kickbench.sim.layout import Indices, SceneLayout
+from kickbench.sim.layout import SceneLayout
 from kickbench.sim.sensors import SIDES
 
 
@@ -39,16 +39,17 @@ class EpisodeState(Tensors):
     @staticmethod
     def zeros(num_envs: int, num_actions: int, device: torch.device) -> EpisodeState:
         """All counters and actions at zero."""
-        count = torch.zeros(num_envs, dtype=torch.int64, device=device)
-        action = torch.zeros(num_envs, num_actions, device=device)
-        pair = torch.zeros(num_envs, 2, device=device)
+
+        def zeros(*shape: int, dtype: torch.dtype = torch.float32) -> Tensor:
+            return torch.zeros(num_envs, *shape, dtype=dtype, device=device)
+
         return EpisodeState(
-            step=count,
-            contact_count=count.clone(),
-            target=pair,
-            action=action,
-            previous_action=action.clone(),
-            air_time=pair.clone(),
+            step=zeros(dtype=torch.int64),
+            contact_count=zeros(dtype=torch.int64),
+            target=zeros(2),
+            action=zeros(num_actions),
+            previous_action=zeros(num_actions),
+            air_time=zeros(2),
         )
 
 
@@ -68,19 +69,12 @@ class StateIndex:
         self.default_joint_pos = torch.as_tensor(default, dtype=torch.float32, device=device)
         self.ball_qpos, self.ball_qvel = layout.ball_qpos, layout.ball_qvel
         self.frames = {name: slice(int(c[0]), int(c[-1]) + 1) for name, c in layout.frames.items()}
-        self.foot_frames = {
-            what: Columns([*left, *right], device) for what, left, right in _by_foot(layout.frames)
-        }
         sensed = np.concatenate(list(layout.contacts.values()))
         first = int(sensed.min())
         self.counts = slice(first, int(sensed.max()) + 1)
         """Columns of sensordata from the first to the last contact count; channels count from its
         beginning."""
         self.contacts = {name: Columns(places - first, device) for name, places in layout.contacts.items()}
-        self.foot_contacts = {
-            what: FootContact(left - first, right - first, device)
-            for what, left, right in _by_foot(layout.contacts)
-        }
         self.forces = {
             name: [Columns(part, device) for part in parts] for name, parts in layout.forces.items()
         }
@@ -96,15 +90,6 @@ class StateIndex:
         if names not in self._columns:
             self._columns[names] = Columns([self._joints[name] for name in names], self._device)
         return self._columns[names]
-
-
-def _by_foot(channels: Mapping[str, Indices]) -> Iterator[tuple[str, Indices, Indices]]:
-    """What is sensed of both feet, with the places of the left and of the right one: `foot_pos`, ..."""
-    left, right = SIDES
-    for name, places in channels.items():
-        if name.startswith(left):
-            what = name.removeprefix(f"{left}_")
-            yield what, places, channels[f"{right}_{what}"]
 
 
 class Columns:
@@ -123,25 +108,16 @@ class Columns:
         return table.index_select(1, self._places) if self._slice is None else table[:, self._slice]
 
 
-class FootContact:
-    """Contact of the left and of the right foot with one thing; each foot may have several parts."""
-
-    def __init__(self, left: Indices, right: Indices, device: torch.device) -> None:
-        """Takes the places of the parts' contact counts."""
-        self._parts = max(len(left), len(right))
-        # A part that is looked at twice changes nothing.
-        self._places = Columns([*np.resize(left, self._parts), *np.resize(right, self._parts)], device)
-
-    def of(self, touching: Tensor) -> Tensor:
-        """Whether any part touches [B, 2], from a table of all contacts [B, ...] bool."""
-        found = self._places.of(touching)
-        return found if self._parts == 1 else found.view(-1, 2, self._parts).any(dim=2)
-
-
 class State:
     """All envs at one instant.
 
     Vectors are world-frame unless a name or docstring says otherwise; float32, SI.
+
+    Attributes:
+        episode: What the episodes remember beyond the physical state.
+        limits: The task's figures of an episode.
+        joint_range_middle: Middle of every observed joint's range [joints], rad.
+        joint_range_half: Half of every observed joint's range [joints], rad; infinite for joints without one.
     """
 
     def __init__(self, engine: Engine, index: StateIndex, episode: EpisodeState, limits: EpisodeSpec) -> None:
@@ -152,8 +128,8 @@ class State:
         self._qpos, self._qvel, self._sensors = (
             table.to(torch.float32, copy=True) for table in (engine.qpos, engine.qvel, engine.sensors)
         )
-        self.episode = episode
-        self.limits = limits
+        self.episode, self.limits = episode, limits
+        self.joint_range_middle, self.joint_range_half = index.joint_range_middle, index.joint_range_half
 
     def _frame(self, channel: str) -> Tensor:
         return self._sensors[:, self._index.frames[channel]]
@@ -170,6 +146,10 @@ class State:
         # MuJoCo reports the force of the foot on the other body.
         parts = [part.of(self._sensors) for part in self._index.forces[channel]]
         return -(parts[0] if len(parts) == 1 else torch.stack(parts).sum(dim=0))
+
+    def _of_feet(self, read: Callable[[str], Tensor], what: str) -> Tensor:
+        """What a method reads of the left and of the right foot [B, 2, ...]."""
+        return torch.stack([read(f"{side}_foot_{what}") for side in SIDES], dim=1)
 
     @cached_property
     def base_pos(self) -> Tensor:
@@ -244,16 +224,6 @@ class State:
         """Observed joints, absolute [B, joints], rad."""
         return self._index.joint_qpos.of(self._qpos)
 
-    @property
-    def joint_range_middle(self) -> Tensor:
-        """Middle of every observed joint's range [joints], rad."""
-        return self._index.joint_range_middle
-
-    @property
-    def joint_range_half(self) -> Tensor:
-        """Half of every observed joint's range [joints], rad; infinite for joints without one."""
-        return self._index.joint_range_half
-
     def angles_of(self, names: tuple[str, ...]) -> Tensor:
         """Absolute positions of the named observed joints [B, len(names)], rad."""
         return self._index.columns_of(names).of(self.joint_angles)
@@ -310,17 +280,17 @@ class State:
     @cached_property
     def foot_pos(self) -> Tensor:
         """Centres of the left and the right sole [B, 2, 3], m."""
-        return self._index.foot_frames["foot_pos"].of(self._sensors).view(-1, 2, 3)
+        return self._of_feet(self._frame, "pos")
 
     @cached_property
     def foot_vel(self) -> Tensor:
         """Velocities of the left and the right sole [B, 2, 3], m/s."""
-        return self._index.foot_frames["foot_vel"].of(self._sensors).view(-1, 2, 3)
+        return self._of_feet(self._frame, "vel")
 
     @cached_property
     def foot_floor_contact(self) -> Tensor:
         """Left, right foot touched the floor during the control step [B, 2] bool."""
-        return self._index.foot_contacts["foot_floor"].of(self._touching)
+        return self._of_feet(self._touches, "floor")
 
     @cached_property
     def body_floor_contact(self) -> Tensor:
@@ -330,12 +300,12 @@ class State:
     @cached_property
     def foot_floor_force(self) -> Tensor:
         """Mean force of the floor on the left and the right foot over the control step [B, 2, 3], N."""
-        return torch.stack([self._force(f"{side}_foot_floor") for side in SIDES], dim=1)
+        return self._of_feet(self._force, "floor")
 
     @cached_property
     def foot_ball_contact(self) -> Tensor:
         """Left, right foot touched the ball during the control step [B, 2] bool."""
-        return self._index.foot_contacts["foot_ball"].of(self._touching)
+        return self._of_feet(self._touches, "ball")
 
     @cached_property
     def ball_contact(self) -> Tensor:

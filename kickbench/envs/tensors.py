@@ -56,14 +56,14 @@ class Tensors(dict[str, Any]):
         for tensor in self.values():
             tensor.masked_fill_(mask.view(-1, *[1] * (tensor.dim() - 1)), 0)
 
-    def take(self, rows: Tensor) -> Tensors:
+    def take(self, rows: Tensor) -> Self:
         """The envs of the given row numbers, in that order."""
         taken = {
             name: value.take(rows) if isinstance(value, Tensors) else value[rows]
             for name, value in self.items()
             if name not in _SHARED
         }
-        return Tensors({**self, **taken})
+        return type(self)({**self, **taken})
 
     def mirrored(self, qpos: Mirror, qvel: Mirror, actions: Mirror) -> Tensors:
         """The reflection in the xz plane of every env in a snapshot (`KickEnv.snapshot`).

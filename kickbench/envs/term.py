@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass as plain_dataclass
 from functools import cached_property
 from typing import Any, Literal, get_type_hints
 
+from pydantic.dataclasses import dataclass
 from pydantic.fields import FieldInfo
 
+from kickbench.config.base import PositiveInt
+from kickbench.config.method import parse_expression
 from kickbench.config.terms import (
     ObservationParams,
     RandomizationParams,
@@ -38,19 +41,14 @@ COMMON: Mapping[Kind, type[TermParams]] = {
 _WIDTH, _INDENT = 110, "    "
 
 
-@dataclass(frozen=True)
-class Term:
-    """A term.
+@dataclass(frozen=True, kw_only=True)
+class Marker:
+    """What a decorator says of a term; its fields are validated.
 
     Attributes:
-        name: Name in YAML: the function's name.
         kind: Which table it belongs to.
-        function: `(state, params) -> Tensor[B, ...]`; a randomisation of initial states maps `(states,
-            params, draw)` to states, one of another stage maps `(setting, params)` to the process that acts
-            during episodes.
-        params: Model of its parameters: the type of the function's `params`.
         units: Unit of the returned value.
-        source: Section of the thesis, or paper.
+        source: Section of the thesis, or paper; default, for a term of one's own: its file.
         needs: Sensor groups it reads.
         representation: How an observation field mirrors, as an expression (`config.method`), which gives its
             length too; or its length alone.
@@ -60,18 +58,39 @@ class Term:
         stage: For randomisations: when it acts.
     """
 
-    name: str
     kind: Kind
-    function: Callable[..., Any]
-    params: type[TermParams]
     units: str
     source: str
     needs: frozenset[SensorGroup] = frozenset()
-    representation: str | int = 1
+    representation: PositiveInt | str = 1
     frame: Frame | None = None
     from_default: bool = False
     truncates: bool = False
     stage: Stage = "initial"
+
+    def __call__(self, function: Callable[..., Any]) -> Any:
+        """The term of a function `(state, params)`; a function of one's own, which is read, stays as it is."""
+        params = get_type_hints(function).get("params")
+        if params is None:
+            return function
+        return Term(name=function.__name__, function=function, params=params, **vars(self))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Term(Marker):
+    """A term.
+
+    Attributes:
+        name: Name in YAML: the function's name.
+        function: `(state, params) -> Tensor[B, ...]`; a randomisation of initial states maps `(states,
+            params, draw)` to states, one of another stage maps `(setting, params)` to the process that acts
+            during episodes.
+        params: Model of its parameters: the type of the function's `params`.
+    """
+
+    name: str
+    function: Callable[..., Any]
+    params: type[TermParams]
 
     @property
     def description(self) -> str:
@@ -95,7 +114,7 @@ class Term:
         return "\n".join(lines) + "\n"
 
 
-@dataclass(frozen=True)
+@plain_dataclass(frozen=True)
 class Bound:
     """A term with its parameters."""
 
@@ -112,7 +131,7 @@ class Bound:
         return self.term.function(subject, self.params, *others)
 
 
-@dataclass(frozen=True)
+@plain_dataclass(frozen=True)
 class Field:
     """An observation field and its place in the group's vector."""
 
@@ -159,43 +178,45 @@ def _wrapped(text: str, bullet: str = "") -> list[str]:
     return textwrap.wrap(text, _WIDTH, initial_indent=_INDENT + bullet, subsequent_indent=hanging)
 
 
-Decorator = Callable[[Callable[..., Any]], Term]
-
-
 def observation(
-    representation: str,
-    units: str,
-    source: str,
+    size: int | str,
+    units: str = "1",
+    source: str = "",
+    needs: Iterable[SensorGroup] = (),
     *,
     frame: Frame | None = None,
     from_default: bool = False,
-    needs: Iterable[SensorGroup] = (),
-) -> Decorator:
-    """Makes a function `(state, params) -> Tensor[B, size]` an observation field; see `Term.representation`."""
-    facts = {"representation": representation, "frame": frame, "from_default": from_default}
-    return _decorator("observation", source, units, needs, **facts)
+) -> Marker:
+    """Marks a function that returns Tensor[B, size] as an observation field.
+
+    Args:
+        size: How it mirrors, such as "trivial + sign + trivial", which gives its length too; or its length
+            alone: then the method's representation table says how it mirrors.
+        units: Unit of what it returns.
+        source: Where it comes from.
+        needs: Sensors that it reads: foot_frame, foot_ball, foot_floor, body_floor.
+        frame: See `Marker`.
+        from_default: See `Marker`.
+    """
+    if isinstance(size, str):
+        parse_expression(size)
+    facts = {"representation": size, "frame": frame, "from_default": from_default}
+    return Marker(kind="observation", units=units, source=source, needs=frozenset(needs), **facts)
 
 
-def reward(source: str, *, units: str = "1", needs: Iterable[SensorGroup] = ()) -> Decorator:
-    """Makes a function `(state, params) -> Tensor[B]` a reward; the weight is applied outside."""
-    return _decorator("reward", source, units, needs)
+def reward(units: str = "1", source: str = "", needs: Iterable[SensorGroup] = ()) -> Marker:
+    """Marks a function that returns Tensor[B] as a reward; its weight is applied outside."""
+    return Marker(kind="reward", units=units, source=source, needs=frozenset(needs))
 
 
-def termination(source: str, *, needs: Iterable[SensorGroup] = (), truncates: bool = False) -> Decorator:
-    """Makes a function `(state, params) -> BoolTensor[B]` a termination."""
-    return _decorator("termination", source, "true/false", needs, truncates=truncates)
+def termination(source: str = "", needs: Iterable[SensorGroup] = (), *, truncates: bool = False) -> Marker:
+    """Marks a function that returns BoolTensor[B] as a termination."""
+    facts = {"needs": frozenset(needs), "truncates": truncates}
+    return Marker(kind="termination", units="true/false", source=source, **facts)
 
 
 def randomization(
-    source: str, *, units: str, stage: Stage = "initial", needs: Iterable[SensorGroup] = ()
-) -> Decorator:
-    """Makes a function a randomisation; see `Term.function`."""
-    return _decorator("randomization", source, units, needs, stage=stage)
-
-
-def _decorator(kind: Kind, source: str, units: str, needs: Iterable[SensorGroup], **facts: Any) -> Decorator:
-    def wrap(function: Callable[..., Any]) -> Term:
-        params = get_type_hints(function)["params"]
-        return Term(function.__name__, kind, function, params, units, source, frozenset(needs), **facts)
-
-    return wrap
+    source: str, units: str, needs: Iterable[SensorGroup] = (), *, stage: Stage = "initial"
+) -> Marker:
+    """Marks a function as a randomisation; see `Term.function`."""
+    return Marker(kind="randomization", units=units, source=source, needs=frozenset(needs), stage=stage)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
 from math import sqrt
 
 import numpy as np
@@ -12,6 +11,7 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from kickbench.envs.state import State
+from kickbench.envs.tensors import Tensors
 from kickbench.results.metrics import EquivarianceError
 from kickbench.symmetry.representation import Representation
 from kickbench.symmetry.torch_ops import Mirror
@@ -23,8 +23,7 @@ EVERY = 5
 """Control steps between two states that are evaluated: neighbouring states give nearly the same error."""
 
 
-@dataclass
-class KickRecord:
+class KickRecord(Tensors):
     r"""Figures of the kick in the running episode of every env; the same formulas for every task and method.
 
     With base position p, ball position b and ball velocity v, all horizontal, at the end of control step t:
@@ -49,7 +48,10 @@ class KickRecord:
     def empty(num_envs: int) -> KickRecord:
         """Records of episodes that have not begun."""
         zeros = torch.zeros(num_envs)
-        return KickRecord(zeros.long(), zeros, zeros, torch.zeros(num_envs, 2))
+        launch = torch.zeros(num_envs, 2)
+        return KickRecord(
+            touches=zeros.long(), walked_after_touch=zeros, launch_speed=zeros.clone(), launch=launch
+        )
 
     def note(self, before: State, state: State, failed: Tensor, control_interval: float) -> None:
         """Records one control step.
@@ -61,28 +63,17 @@ class KickRecord:
             control_interval: Length of the step, s.
         """
         since = torch.where(failed, 0, state.episode.contact_count)
-        self.touches = self.touches + (state.ball_contact & ~before.ball_contact & ~failed)
+        self.touches += state.ball_contact & ~before.ball_contact & ~failed
         way = before.ball_pos[:, :2] - before.base_pos[:, :2]
         moved = (state.base_pos - before.base_pos)[:, :2]
         towards = (moved * torch.nn.functional.normalize(way, dim=1)).sum(dim=1).clamp(min=0.0)
-        self.walked_after_touch = self.walked_after_touch + torch.where(since > 1, towards, 0.0)
+        self.walked_after_touch += torch.where(since > 1, towards, 0.0)
         window = max(1, round(LAUNCH_WINDOW / control_interval))
         faster = (since > 0) & (since <= window) & (state.ball_ground_speed > self.launch_speed)
         self.launch_speed = torch.where(faster, state.ball_ground_speed, self.launch_speed)
         (x, y), (vx, vy) = state.ball_to_target.T, state.ball_lin_vel[:, :2].T
         launch = torch.stack([x * vx + y * vy, x * vy - y * vx], dim=1)
         self.launch = torch.where(faster.unsqueeze(1), launch, self.launch)
-
-    def clear(self, mask: Tensor) -> None:
-        """Starts new records in the envs in `mask` [B]."""
-        for field in fields(self):
-            value = getattr(self, field.name)
-            cleared = value.masked_fill(mask if value.dim() == 1 else mask.unsqueeze(1), 0)
-            setattr(self, field.name, cleared)
-
-    def take(self, rows: Tensor) -> KickRecord:
-        """The records of the given envs, in that order."""
-        return KickRecord(*(getattr(self, field.name)[rows] for field in fields(self)))
 
     def columns(self, stop_speed: float) -> dict[str, Tensor]:
         """Columns of a table of episodes, the direction error in rad in (-pi, pi].
@@ -145,13 +136,11 @@ class EquivarianceProbe:
         expected = self._actions(actions[rows].double())
         finite = (answer.isfinite() & expected.isfinite()).all(dim=1)
         answer, expected = answer[finite], expected[finite]
-        if not len(answer):
-            return
         difference = (answer - expected).abs()
         self._states += len(answer)
         self._difference += float(difference.square().sum())
         self._size += float((answer.square().sum() + expected.square().sum()) / 2)
-        self._largest = max(self._largest, float(difference.max()))
+        self._largest = max([self._largest, *difference.amax(dim=1).tolist()])
 
     def result(self) -> EquivarianceError | None:
         """The error over all states so far; None if there was none."""

@@ -75,10 +75,6 @@ class _Schedule:
                 self.draws.begin(env, (self._seed, episode))
         return self.initial_states.take(self.running.clamp(min=0))
 
-    @property
-    def finished(self) -> bool:
-        return bool((self.running < 0).all())
-
     def busy(self) -> Tensor | None:
         """Envs to go on with, where idle ones cost more than a smaller engine; None: all of them."""
         idle = self.running < 0
@@ -100,17 +96,15 @@ class _Evaluation:
         num_threads: int | None,
     ) -> None:
         self.task, self.initial_states, self.seed, self.num_threads = task, initial_states, seed, num_threads
-        self.schedule = _Schedule(self.initial_states, self.seed, num_envs)
+        self.schedule = _Schedule(initial_states, seed, num_envs)
         self.env, self.kick = self._make_env(self.schedule), KickRecord.empty(num_envs)
         self.observations = self.env.get_observations()
 
     def _make_env(self, schedule: _Schedule) -> KickEnv:
         engine = make_engine(self.task, len(schedule.running), num_threads=self.num_threads)
-        protocol, draws = self.task.spec.evaluation, schedule.draws
+        protocol, source = self.task.spec.evaluation, {"initial_states": schedule, "draws": schedule.draws}
         noise, pushes = protocol.observation_noise, protocol.pushes
-        return KickEnv(
-            self.task, engine, self.seed, noise=noise, pushes=pushes, initial_states=schedule, draws=draws
-        )
+        return KickEnv(self.task, engine, self.seed, noise=noise, pushes=pushes, **source)
 
     def shrink(self) -> None:
         """Goes on with fewer envs where many are idle: engines step all of them."""
@@ -137,7 +131,7 @@ class _Evaluation:
         columns = self.kick.columns(self.task.spec.episode.stop_speed)
         ended = _ended(env, running, before.ball_pos[:, :2], columns)
         assert env.outcome is not None
-        self.kick.clear(env.outcome.done)
+        self.kick.reset(env.outcome.done)
         return ended
 
 
@@ -173,7 +167,7 @@ def run_episodes(
     ended: list[dict[str, np.ndarray]] = []
     with torch.inference_mode(), torch_threads(1):
         running = _Evaluation(task, initial_states, seed, min(num_envs, len(initial_states)), num_threads)
-        while not running.schedule.finished:
+        while (running.schedule.running >= 0).any():
             running.shrink()
             actions = policy(running.observations)
             if probe is not None:
@@ -206,21 +200,22 @@ def run_sides(
     """
     protocol, probe = task.spec.evaluation, None
     seed = protocol.seed if seed is None else seed
-    initial_states = draw_initial_states(task, episodes or protocol.episodes, seed)
+    sides = _sides(task, draw_initial_states(task, episodes or protocol.episodes, seed))
     if symmetry is not None:
         tables = {name: table.representation for name, table in symmetry.groups.items()}
         probe = EquivarianceProbe(policy, tables, symmetry.actions)
+    with Steps(EVALUATING, "episodes", sum(map(len, sides.values()))) as steps:
+        tables = [
+            run_episodes(task, policy, of, seed, num_threads=num_threads, probe=probe, note=steps.advance)
+            for of in sides.values()
+        ]
+    return EpisodeSides(*tables), probe.result() if probe else None
 
-    with Steps(EVALUATING, "episodes", len(initial_states) * (1 + protocol.mirrored)) as steps:
 
-        def episodes_from(initial_states: InitialStates) -> EpisodeTable:
-            return run_episodes(
-                task, policy, initial_states, seed, num_threads=num_threads, probe=probe, note=steps.advance
-            )
-
-        home = episodes_from(initial_states)
-        mirrored = episodes_from(mirror_initial_states(task, initial_states)) if protocol.mirrored else None
-    return EpisodeSides(home, mirrored), probe.result() if probe else None
+def _sides(task: CompiledTask, home: InitialStates) -> dict[str, InitialStates]:
+    """The initial states of every side of a task's evaluation."""
+    away = mirror_initial_states(task, home) if task.spec.evaluation.mirrored else None
+    return {side: states for side, states in zip(SIDES, (home, away), strict=True) if states is not None}
 
 
 def success_by_side(task: CompiledTask, policy: Policy, num_threads: int | None = None) -> dict[str, float]:
@@ -228,10 +223,9 @@ def success_by_side(task: CompiledTask, policy: Policy, num_threads: int | None 
     protocol = task.spec.evaluation
     initial_states = draw_initial_states(task, max(protocol.episodes, protocol.every_episodes), protocol.seed)
     home = initial_states.take(torch.arange(protocol.every_episodes))
-    sides = {SIDES[0]: home} | ({SIDES[1]: mirror_initial_states(task, home)} if protocol.mirrored else {})
     return {
         side: float(run_episodes(task, policy, of, protocol.seed, num_threads=num_threads).success.mean())
-        for side, of in sides.items()
+        for side, of in _sides(task, home).items()
     }
 
 

@@ -173,7 +173,7 @@ def _open_together(
             refusal = error
     if ranks.any(refusal is not None):
         raise refusal or SystemExit(2)  # rank 0 says why
-    found = ranks.from_main({"state": taken.state, "finished": taken.finished})
+    found = ranks.broadcast({"state": taken.state, "finished": taken.finished})
     return Resume(found["state"], found["finished"], taken.directory)
 
 

@@ -53,7 +53,7 @@ class EpisodeTable:
         kick_step: control step of that first touch, -1 if none.
         peak_ball_speed: highest horizontal speed of the ball [m/s].
         touches: separate touches of the ball: control steps with contact after one without. As all that
-            follow, defined in `kickbench.evaluation.kick`, and None in tables of older versions.
+            follow, defined in `kickbench.evaluation.probes`, and None in tables of older versions.
         walked_after_touch: how far the robot's base moved towards the ball after its first touch [m].
         launch_speed: horizontal speed of the ball as it was first kicked [m/s]; NaN if it was never touched.
         direction_error: angle from the direction of the target to the ball's velocity at the launch, positive

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import io
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from pickle import UnpicklingError
 from typing import TYPE_CHECKING, Any
@@ -85,13 +86,9 @@ def load_policy(path: Path, policy: MLPModel) -> None:
     Raises:
         KickbenchError: The file is missing, damaged or of another network.
     """
-    try:
-        weights = _read(path, digest_from=_POLICY_FORMAT)["actor_state_dict"]
-    except FileNotFoundError:
-        raise KickbenchError(f"{path}: no policy; did the run finish?") from None
-    except (RuntimeError, LookupError, TypeError, ValueError, EOFError, OSError, UnpicklingError) as error:
-        raise KickbenchError(f"{path}: this policy cannot be loaded: {error}") from None
-    _load(path, policy, weights)
+    if not path.exists():
+        raise KickbenchError(f"{path}: no policy; did the run finish?")
+    _load(path, policy, lambda: _read(path, digest_from=_POLICY_FORMAT)["actor_state_dict"])
 
 
 def load_unfinished(checkpoints: Checkpoints, policy: MLPModel) -> int:
@@ -103,14 +100,14 @@ def load_unfinished(checkpoints: Checkpoints, policy: MLPModel) -> int:
     folder, state = checkpoints.folder, checkpoints.load()
     if state is None:
         raise KickbenchError(f"{shown(folder.parent)}: no policy and no checkpoint; train it first")
-    _load(folder, policy, state["learner"]["actor_state_dict"])
+    _load(folder, policy, lambda: state["learner"]["actor_state_dict"])
     return state["iteration"]
 
 
-def _load(where: Path, policy: MLPModel, weights: dict[str, Any]) -> None:
+def _load(where: Path, policy: MLPModel, weights: Callable[[], dict[str, Any]]) -> None:
     try:
-        policy.load_state_dict(weights)
-    except (RuntimeError, LookupError, TypeError) as error:
+        policy.load_state_dict(weights())
+    except (RuntimeError, LookupError, TypeError, ValueError, EOFError, OSError, UnpicklingError) as error:
         raise KickbenchError(f"{shown(where)}: this policy cannot be loaded: {error}") from None
     policy.eval()
 

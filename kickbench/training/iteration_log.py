@@ -28,7 +28,8 @@ import math
 import os
 import sys
 from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
+from itertools import zip_longest
 from numbers import Integral
 from pathlib import Path
 from typing import IO, Any, TextIO
@@ -101,11 +102,12 @@ class RunProgress(Progress):
 def describe(record: Record) -> str:
     """An iteration in one line: speed, return, success, how episodes ended, and what went wrong."""
     mean_return = record["mean_return"]
+    endings = sorted(_group(record, "termination"), key=lambda ending: (-ending[1], ending[0]))
     parts = [
         f"{record['steps_per_second']:,.0f} steps/s",
         f"return {'-' if math.isnan(mean_return) else f'{mean_return:,.2f}'}",
         f"success {percent(record['success_rate'])}",
-        ", ".join(_terminations(record)),
+        ", ".join(f"{name} {100 * share:.0f} %" for name, share in endings if share > 0),
         ", ".join(f"{side} {percent(rate)}" for side, rate in _group(record, "evaluation") if rate == rate),
     ]
     if record["resets_nonfinite"]:
@@ -113,13 +115,6 @@ def describe(record: Record) -> str:
     if short := record.get("load/short_share"):
         parts.append(f"STEPS SHORT OF ROOM FOR CONTACTS: {short:.3%}")
     return "  ".join(part for part in parts if part)
-
-
-def _terminations(record: Record) -> Iterator[str]:
-    """The shares of the terminations that occurred, most frequent first."""
-    for name, share in sorted(_group(record, "termination"), key=lambda item: (-item[1], item[0])):
-        if share > 0:
-            yield f"{name} {100 * share:.0f} %"
 
 
 def _group(record: Record, group: str) -> Iterator[tuple[str, float]]:
@@ -159,8 +154,7 @@ class CsvProgress(Progress):
         """Appends a row. A name that the header lacks is an error: columns would lose their meaning."""
         assert self._file is not None, "start() comes before update()"
         is_first = self._columns is None
-        if self._columns is None:
-            self._columns = list(record)
+        self._columns = self._columns or list(record)
         if unknown := [name for name in record if name not in self._columns]:
             raise KickbenchError(f"{self._path}: no column for {', '.join(unknown)}")
         row = [_format(record.get(name)) for name in self._columns]
@@ -182,17 +176,14 @@ def rows_before(path: Path, first_iteration: int) -> list[list[str]]:
     """
     if first_iteration == 0:
         return []
-    if not path.is_file():
-        raise KickbenchError(f"{path}: missing; {_START_AGAIN}")
-    rows = checked_rows(path)
-    if not rows or rows[0][:1] != ["iteration"]:
-        raise KickbenchError(f"{path}:1: expected a progress table whose first column is iteration")
-    kept = rows[1 : first_iteration + 1]
-    for index in range(first_iteration):
-        if index >= len(kept) or len(kept[index]) != len(rows[0]) or kept[index][0] != str(index):
-            what = f"expected the row of iteration {index}, of {first_iteration} before the checkpoint"
-            raise KickbenchError(f"{path}:{index + 2}: {what}; {_START_AGAIN}")
-    return [rows[0], *kept]
+    rows = checked_rows(path)[: first_iteration + 1]
+    expected = ["iteration", *map(str, range(first_iteration))]
+    for line, (number, cells) in enumerate(zip_longest(expected, rows, fillvalue=[]), start=1):
+        if cells[:1] != [number] or len(cells) != len(rows[0]):
+            what = f"expected the row of iteration {line - 2}, of {first_iteration} before the checkpoint"
+            what = "expected a progress table whose first column is iteration" if line == 1 else what
+            raise KickbenchError(f"{path}:{line}: {what}; {_START_AGAIN}")
+    return rows
 
 
 def _to_csv(columns: list[str], rows: list[list[str]], *, with_header: bool) -> str:
@@ -217,7 +208,7 @@ def _format(value: float | None) -> str:
 
 
 class TensorBoardProgress(Progress):
-    """TensorBoard events by iteration. A failure is reported once, and the training goes on.
+    """TensorBoard events by iteration. Without the package the training goes on.
 
     Args:
         folder: Folder of the event files.
@@ -229,35 +220,25 @@ class TensorBoardProgress(Progress):
 
     def start(self, total_iterations: int, first_iteration: int) -> None:
         """Opens an event file; events from `first_iteration` on that a killed run has left are purged."""
-        with self._or_without():
-            # Slow to import, and not needed by anything else.
+        try:  # slow to import, and not needed by anything else
             from torch.utils.tensorboard.writer import SummaryWriter
-
+        except ImportError as error:
+            print(f"no TensorBoard events: {printable(str(error))}", file=sys.stderr)
+        else:
             self._writer = SummaryWriter(str(self._folder), purge_step=first_iteration)
 
     def update(self, record: Record) -> None:
         """Writes one scalar for each figure that is known."""
         if self._writer is None:
             return
-        with self._or_without():
-            for name, value in record.items():
-                if name != "iteration" and not math.isnan(value):
-                    tag = name if "/" in name else f"train/{name}"
-                    self._writer.add_scalar(tag, value, record["iteration"])
-            # A process that is killed later leaves what it has written, as in the table.
-            self._writer.flush()
+        for name, value in record.items():
+            if name != "iteration" and not math.isnan(value):
+                tag = name if "/" in name else f"train/{name}"
+                self._writer.add_scalar(tag, value, record["iteration"])
+        # A process that is killed later leaves what it has written, as in the table.
+        self._writer.flush()
 
     def close(self) -> None:
         """Closes the event file."""
         if self._writer is not None:
-            with self._or_without():
-                self._writer.close()
-
-    @contextmanager
-    def _or_without(self) -> Iterator[None]:
-        """Whatever error the writer raises (a full disk, a missing package), training goes on without it."""
-        try:
-            yield
-        except Exception as error:
-            self._writer = None
-            print(f"no TensorBoard events: {printable(str(error))}", file=sys.stderr)
+            self._writer.close()

@@ -180,14 +180,15 @@ def checked_update(ppo: PPO, iteration: int) -> Iterator[None]:
     Raises:
         KickbenchError: A gradient or a parameter is NaN or infinite.
     """
+    failure = None
     try:
         yield
     except (RuntimeError, ValueError) as error:
-        if (culprit := next(_parameters(ppo), None)) is None:
-            raise
-        raise KickbenchError(f"iteration {iteration}: not finite: {culprit}") from error
+        failure = error
     if (culprit := next(_parameters(ppo), None)) is not None:
-        raise KickbenchError(f"iteration {iteration}: not finite: {culprit}")
+        raise KickbenchError(f"iteration {iteration}: not finite: {culprit}") from failure
+    if failure is not None:
+        raise failure
 
 
 def _samples(ppo: PPO, env: KickEnv) -> Iterator[str]:
@@ -201,19 +202,16 @@ def _samples(ppo: PPO, env: KickEnv) -> Iterator[str]:
     }
     tables["the action that the network gives"] = storage.actions
     tables["the value that the network gives"] = storage.values
-    tables["the reward" + "".join(f" '{name}'" for name in _wrong_rewards(env)[:1])] = storage.rewards
+    # Of episodes that run, or have ended since the last reading.
+    sums = (env.totals.by_reward_raw + env.record.by_reward_raw.sum(dim=0)) * env.totals.weights
+    wrong_rewards = [
+        bound.name for (bound, _), s in zip(env.task.rewards, sums, strict=True) if not s.isfinite()
+    ]
+    tables["the reward" + "".join(f" '{name}'" for name in wrong_rewards[:1])] = storage.rewards
     for what, values in tables.items():  # [steps, B, ...]
         wrong = (~values.isfinite()).flatten(2).any(dim=2).nonzero()
         if len(wrong):
             yield f"{what}, first in step {int(wrong[0, 0])} of env {int(wrong[0, 1])}"
-
-
-def _wrong_rewards(env: KickEnv) -> list[str]:
-    """Reward terms with NaN or infinity in episodes that run or have ended since the last reading."""
-    sums = (env.totals.by_reward_raw + env.record.by_reward_raw.sum(dim=0)) * env.totals.weights
-    return [
-        bound.name for (bound, _), total in zip(env.task.rewards, sums, strict=True) if not total.isfinite()
-    ]
 
 
 def _parameters(ppo: PPO) -> Iterator[str]:

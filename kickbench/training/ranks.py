@@ -23,8 +23,6 @@ from torch import nn
 
 from kickbench.errors import KickbenchError
 
-_SET_BY_TORCHRUN = ("RANK", "LOCAL_RANK", "LOCAL_WORLD_SIZE", "MASTER_ADDR", "MASTER_PORT")
-
 
 @dataclass(frozen=True)
 class Ranks:
@@ -81,14 +79,10 @@ class Ranks:
 
     def gather(self, state: Mapping[str, Any]) -> list[Mapping[str, Any]]:
         """The states of all processes, tensors and plain values, in the order of their ranks."""
-        return [self._broadcast(state, rank) for rank in range(self.size)]
+        return [self.broadcast(state, rank) for rank in range(self.size)]
 
-    def from_main(self, state: Mapping[str, Any]) -> Mapping[str, Any]:
-        """The state of rank 0; those that the others pass are ignored."""
-        return self._broadcast(state, 0)
-
-    def _broadcast(self, state: Mapping[str, Any], source: int) -> Mapping[str, Any]:
-        """The state that one process has."""
+    def broadcast(self, state: Mapping[str, Any], source: int = 0) -> Mapping[str, Any]:
+        """The state that one process has, by its rank; those that the others pass are ignored."""
         if self.size == 1:
             return state
         buffer = io.BytesIO()
@@ -119,13 +113,10 @@ def read_ranks(device: str, environ: Mapping[str, str] = os.environ) -> Ranks:
         size = int(environ.get("WORLD_SIZE", "1"))
         if size <= 1:
             return Ranks(device=torch.device(device))
-        missing = [name for name in _SET_BY_TORCHRUN if name not in environ]
-        if missing:
-            what = f"WORLD_SIZE is {size}, but {', '.join(missing)} are not set"
-            raise KickbenchError(f"{what}; start several processes with torchrun")
-        rank, local, local_size = (int(environ[name]) for name in _SET_BY_TORCHRUN[:3])
-    except ValueError as error:
-        raise KickbenchError(f"torchrun's environment variables: {error}") from None
+        rank, local, local_size = (int(environ[n]) for n in ("RANK", "LOCAL_RANK", "LOCAL_WORLD_SIZE"))
+    except (LookupError, ValueError) as error:
+        what = f"WORLD_SIZE is set, but not as torchrun does it: {error}"
+        raise KickbenchError(f"{what}; start several processes with torchrun") from None
     if device == "cpu":
         return Ranks(rank, size, local, local_size)
     if local_size > torch.cuda.device_count():

@@ -6,6 +6,7 @@ import sys
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from operator import attrgetter
 from typing import Any
 
 import torch
@@ -133,7 +134,7 @@ def check_same(
         KickbenchError: The run has no identity, or a damaged one.
     """
     problems = [
-        Problem(None, (key,), f"{_text(value)}, but the run has {_text(recorded.get(key))}")
+        Problem(None, (key,), f"{_or_none(value)}, but the run has {_or_none(recorded.get(key))}")
         for key, value in (("seed", seed), ("scale", scale))
         if recorded is not None and value != recorded.get(key)
     ]
@@ -148,7 +149,7 @@ def check_same(
         raise SpecError([Problem(None, (), f"{shown(directory.path)} holds another run"), *problems])
 
 
-def _text(value: Any) -> str:
+def _or_none(value: float | None) -> str:
     return "none" if value is None else str(value)
 
 
@@ -200,8 +201,10 @@ def begin_from(trial: Trial, run: Run, std: float | None) -> tuple[Trial, Initia
     symmetry = trial.symmetry
     own = build_actor(trial.method.spec, symmetry.groups["actor"], symmetry.actions)
     own.load_state_dict(run.policy.network.state_dict())
-    if std is not None:
-        _set_std(own, std)
+    for name, parameter in own.named_parameters() if std is not None else ():
+        if name.endswith("std_param"):
+            value = torch.tensor(std)
+            parameter.data.fill_(value.log() if name.endswith("log_std_param") else value)
     weights, identity = fingerprint(own), read_identity(run.directory).fingerprint
     labels = {key: getattr(run.metrics, key) for key in ("task", "method", "seed", "env_steps")}
     ref = InitialRef(**labels, fingerprint=identity, policy=weights, std=std)
@@ -217,18 +220,7 @@ def _misfits(ours: Trial, theirs: Trial) -> list[str]:
 
 def _of_the_policy(trial: Trial) -> dict[str, Any]:
     """What a policy must share with another one to take its weights."""
-    network, symmetry = trial.method.spec.network, trial.method.spec.symmetry
-    of_network = ("type", "actor_hidden", "activation", "normalize_observations", "std_type")
-    of_symmetry = ("symmetric_normalization", "tied_std")
-    return {
-        "actor observations": [(field.name, field.size) for field in trial.task.groups["actor"]],
-        **{f"network.{key}": getattr(network, key) for key in of_network},
-        **{f"symmetry.{key}": getattr(symmetry, key) for key in of_symmetry},
-    }
-
-
-def _set_std(policy: MLPModel, std: float) -> None:
-    for name, parameter in policy.named_parameters():
-        if name.endswith("std_param"):
-            value = torch.tensor(std)
-            parameter.data.fill_(value.log() if name.endswith("log_std_param") else value)
+    keys = [f"network.{key}" for key in ("type", "actor_hidden", "activation", "normalize_observations")]
+    keys += ["network.std_type", "symmetry.symmetric_normalization", "symmetry.tied_std"]
+    observed = [(field.name, field.size) for field in trial.task.groups["actor"]]
+    return {"actor observations": observed, **{key: attrgetter(key)(trial.method.spec) for key in keys}}

@@ -29,6 +29,9 @@ from kickbench.envs.catalog import model_of_task
 from kickbench.errors import KeyPath, Problem, SpecError, collected, did_you_mean
 from kickbench.trials.trial import load_both
 
+Misfit = tuple[KeyPath, str, str | None]
+"""Keys in a claim, what is wrong with them, and a hint."""
+
 
 @dataclass(frozen=True)
 class Condition:
@@ -176,38 +179,35 @@ def _claim_problems(
     claims: Mapping[str, AnyClaim], conditions: Mapping[str, Condition], document: Document
 ) -> Iterator[Problem]:
     for name, claim in claims.items():
-        operands = claim.operands()
-        known = [conditions[of.condition] for of in operands.values() if of.condition in conditions]
-        if claim.seeds == "each" and len({condition.seeds for condition in known}) > 1:
-            what = "each seed of two conditions is compared with that of the same number: their seeds differ"
-            yield document.problem(("claims", name, "seeds"), what)
-        for key, operand in operands.items():
-            path, condition = ("claims", name, key), conditions.get(operand.condition)
-            if condition is None:
-                what = f"no such condition '{operand.condition}'; the conditions: {', '.join(conditions)}"
-                hint = did_you_mean(operand.condition, conditions)
-                yield document.problem((*path, "condition"), what, hint)
-            else:
-                yield from _operand_problems(claim, operand, condition, path, document)
+        for key, what, hint in _misfits(claim, conditions):
+            yield document.problem(("claims", name, *key), what, hint)
 
 
-def _operand_problems(
-    claim: AnyClaim, operand: Operand, condition: Condition, path: KeyPath, document: Document
-) -> Iterator[Problem]:
-    tasks = condition.tasks
-    if operand.task not in (None, *tasks):
-        on = f"'{operand.task}'; on: {', '.join(tasks)}"
-        what = f"the condition {condition.name} is not evaluated on {on}"
-        yield document.problem((*path, "task"), what, did_you_mean(str(operand.task), tasks))
-        return
-    task = tasks[operand.task or condition.task.name]
-    for key, what in _misfits(claim, operand, condition, task):
-        yield document.problem((*path, *key), what)
-    for key, what, hint in _unknown_terms(claim, task):
-        yield document.problem((*path[:-1], *key), what, hint)
+def _misfits(claim: AnyClaim, conditions: Mapping[str, Condition]) -> Iterator[Misfit]:
+    """What a claim asks of conditions that they do not have."""
+    operands = claim.operands()
+    known = [conditions[of.condition] for of in operands.values() if of.condition in conditions]
+    if claim.seeds == "each" and len({condition.seeds for condition in known}) > 1:
+        what = "each seed of two conditions is compared with that of the same number: their seeds differ"
+        yield ("seeds",), what, None
+    for key, operand in operands.items():
+        condition = conditions.get(operand.condition)
+        if condition is None:
+            what = f"no such condition '{operand.condition}'; the conditions: {', '.join(conditions)}"
+            yield (key, "condition"), what, did_you_mean(operand.condition, conditions)
+        elif operand.task not in (None, *condition.tasks):
+            on = f"'{operand.task}'; on: {', '.join(condition.tasks)}"
+            what = f"the condition {condition.name} is not evaluated on {on}"
+            yield (key, "task"), what, did_you_mean(str(operand.task), condition.tasks)
+        else:
+            task = condition.tasks[operand.task or condition.task.name]
+            yield from (
+                ((key, *part), what, None) for part, what in _missing(claim, operand, condition, task)
+            )
+            yield from _unknown_terms(claim, task)
 
 
-def _misfits(
+def _missing(
     claim: AnyClaim, operand: Operand, condition: Condition, task: LoadedTask[TaskSpec]
 ) -> Iterator[tuple[KeyPath, str]]:
     """What a claim asks of an operand and its metric, or its task, does not have."""
@@ -226,7 +226,7 @@ def _misfits(
         yield (), f"no {metric} of {side} was reported of the condition {condition.name}"
 
 
-def _unknown_terms(claim: AnyClaim, task: LoadedTask[TaskSpec]) -> Iterator[tuple[KeyPath, str, str | None]]:
+def _unknown_terms(claim: AnyClaim, task: LoadedTask[TaskSpec]) -> Iterator[Misfit]:
     """Terminations and rewards that a claim names and a task lacks."""
     terminations = task.spec.terminations.active(TerminationParams)
     named: list[tuple[KeyPath, str, str, Mapping[str, Any]]] = [

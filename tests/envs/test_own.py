@@ -116,7 +116,7 @@ WRONG = {
     "@reward()\ndef f(*states): ...": r"expected \(state, parameters...\)",
     "@observation()\ndef f(state): ...": r"observation\(\) missing 1 required positional argument: 'size'",
     "@reward(needs=('foot_bal',))\ndef f(state): ...": "needs.0: Input should be .*'foot_ball'.* found 'foot_bal'",
-    "@observation(0)\ndef f(state): ...": "size.*: Input should be greater than 0",
+    "@observation(0)\ndef f(state): ...": "representation.*: Input should be greater than 0",
     "@observation('trivail')\ndef f(state): ...": "unknown representation 'trivail'.*did you mean 'trivial'",
     "@reward()\ndef f(state): ...\n@reward()\ndef f(state): ...": "two terms of this name",
     "@reward()\ndef upright(state): ...": "upright: kickbench has a reward of this name",

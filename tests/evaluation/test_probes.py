@@ -141,7 +141,7 @@ def test_records_are_cleared_and_taken_env_by_env():
     record = record_of(Instant(), Instant(velocity=(1.0, 0.5), touch=True), Instant((0.1, 0.0)))
     other = record.take(torch.tensor([1, 0, 1]))
     assert other.launch.tolist() == [record.launch[row].tolist() for row in (1, 0, 1)]
-    other.clear(torch.tensor([True, False, False]))
+    other.reset(torch.tensor([True, False, False]))
     assert other.touches.tolist() == [0, 1, 1]
     assert other.walked_after_touch[0] == other.launch_speed[0] == 0
     assert (other.launch != 0).all(dim=1).tolist() == [False, True, True]
