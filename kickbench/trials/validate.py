@@ -68,20 +68,21 @@ def check_files(files: Sequence[Path], overrides: Sequence[str] = ()) -> Iterato
         overrides: `key.path=value` texts, applied to the files whose kind has the first key.
     """
     unused = list(dict.fromkeys(overrides))
-    tasks: list[CompiledTask] = []
-    methods: list[LoadedMethod] = []
+    loaded: list[CompiledTask | LoadedMethod | None] = []
     for path in {os.path.abspath(path): path for path in files}.values():
         report = Report(str(path), "?")
         with collected(report.problems):
             report.kind = kind_of(load_document(path))
             own = [text for text in overrides if _head(text) in ("", *model_of(report.kind).model_fields)]
             unused = [text for text in unused if text not in own]
-            _check(path, report, own, tasks, methods)
+            loaded.append(_load(path, report, own))
         if report.kind == "?":
             unused = []  # a file that cannot be read may have any key
         yield report
     for text in unused:
         yield Report(f"--set {text}", "override", [_unused(text)])
+    tasks = [item for item in loaded if isinstance(item, CompiledTask)]
+    methods = [item for item in loaded if isinstance(item, LoadedMethod)]
     # Methods are made for a robot: several tasks and methods at once need not all go together.
     if len(tasks) > 1 and methods:
         note = "none was checked together with a method, which takes a single task"
@@ -119,29 +120,25 @@ def _unused(override: str) -> Problem:
     return Problem(Mark(f"--set {override}", 0, 0), (), f"none of the files has a key '{head}'", hint)
 
 
-def _check(
-    path: Path,
-    report: Report,
-    overrides: Sequence[str],
-    tasks: list[CompiledTask],
-    methods: list[LoadedMethod],
-) -> None:
-    robots: list[Loaded[RobotSpec]] = []
+def _load(path: Path, report: Report, overrides: Sequence[str]) -> CompiledTask | LoadedMethod | None:
+    """Loads a file and what it names, and compares its robots' declared reflection with their geometry."""
+    loaded, robots = None, list[Loaded[RobotSpec]]()
     if report.kind == "task":
-        tasks.append(compile_task(load_task(model_of_task, path, overrides)))
-        robots = [tasks[-1].robot]
+        loaded = compile_task(load_task(model_of_task, path, overrides))
+        robots = [loaded.robot]
     elif report.kind == "method":
-        methods.append(load_method(path, overrides))
+        loaded = load_method(path, overrides)
     elif report.kind == "robot":
         robots = [load(RobotSpec, path, overrides)]
     elif report.kind == "reported":
         robots = _robots_of_experiment(path, overrides, report)
     else:
         load(RepresentationSpec, path, overrides)
-    for robot in robots:  # the declared reflection against the one that the robot's geometry gives
+    for robot in robots:
         agreement = check_symmetry(robot)
         report.problems += agreement.problems
         report.notes += agreement.notes
+    return loaded
 
 
 def _robots_of_experiment(path: Path, overrides: Sequence[str], report: Report) -> list[Loaded[RobotSpec]]:
