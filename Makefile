@@ -31,11 +31,11 @@ demo: $(RUNTIME)  ## train three methods on the mini home-field task; table, pag
 test: $(INSTALLED)  ## the tests, on all cores; without those that train or measure again
 	$(BIN)/pytest -m 'not slow' -n auto --dist loadfile
 
-test-all: test  ## these, and then the trainings, recorded policies evaluated again, mujoco_warp
+test-all: test faults  ## these, the seeded faults, and then the trainings, recorded policies, mujoco_warp
 	$(BIN)/pytest -m slow
 
-faults: $(INSTALLED)  ## put every bug of tests/faults into a copy: the tests must catch each
-	$(BIN)/python tests/faults/run.py --jobs 4
+faults: $(INSTALLED)  ## put each bug of tests/faults into a copy: the tests must catch it
+	$(BIN)/python tests/faults/run.py
 
 lint: $(INSTALLED)  ## ruff and pyright
 	$(BIN)/ruff check .

@@ -32,24 +32,6 @@ def _experiment(task: str, method: str, overrides: tuple[str, ...]):
     )
 
 
-def write_result(path: Path, metrics, identity=None) -> None:
-    """Makes a folder a finished run.
-
-    Args:
-        path: The folder.
-        metrics: Its result.
-        identity: Its identity; default: one that runs share whose task and method have the same names.
-    """
-    from kickbench.results.identity import Identity, _digest, write_identity
-    from kickbench.results.store import RunDirectory
-
-    parts = {"task": _digest(metrics.task), "method": _digest(metrics.method), "model": _digest({})}
-    made_up = Identity(fingerprint=_digest(parts), parts=parts, model_arrays={})
-    directory = RunDirectory(path)
-    write_identity(directory.path, identity or made_up)
-    directory.finish(metrics)
-
-
 @pytest.fixture(scope="session")
 def experiment():
     """Loads a mini experiment: `experiment(task, method, *overrides)`."""

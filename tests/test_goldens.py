@@ -15,7 +15,8 @@ import pytest
 import torch
 
 from kickbench import make
-from kickbench.cli import main
+
+from .support import printed
 
 ROOT = Path(__file__).parent.parent
 GOLDENS = Path(__file__).parent / "goldens"
@@ -34,11 +35,6 @@ ENVS, STEPS = 8, 40
 def in_the_repository(monkeypatch):
     monkeypatch.chdir(ROOT)
     monkeypatch.setenv("COLUMNS", "120")
-
-
-def printed(capsys, *arguments: str) -> str:
-    assert main(list(arguments)) == 0
-    return capsys.readouterr().out
 
 
 def frozen(name: str, content: str) -> str:

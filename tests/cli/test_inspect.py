@@ -6,6 +6,7 @@ import re
 import shutil
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,8 @@ from kickbench.config.shipped import find, find_method
 from kickbench.config.yamlio import load_document
 from kickbench.envs.catalog import catalog
 from kickbench.trials.validate import KINDS
+
+from .. import support
 
 ROOT = Path(__file__).parents[2]
 HEAVY = ("torch", "mujoco", "warp", "rsl_rl", "tensordict", "numpy", "pydantic")
@@ -32,11 +35,7 @@ SHIPPED_TASKS = sorted(ROOT.glob("tasks/**/*.yaml"), key=lambda path: (len(path.
 def printed(capsys):
     """Calls the command line, which must succeed; returns what it printed."""
 
-    def printed(*argv: str) -> str:
-        assert main(argv) == 0
-        return capsys.readouterr().out
-
-    return printed
+    return partial(support.printed, capsys)
 
 
 def modules_after(code: str) -> set[str]:

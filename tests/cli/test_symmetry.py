@@ -9,14 +9,11 @@ import yaml
 
 from kickbench.cli import main
 
+from ..support import printed
+
 K1, XML = "assets/booster_k1/robot.yaml", "assets/booster_k1/booster_k1.xml"
 MINI, MINI_XML = "assets/mini_kicker/robot.yaml", "assets/mini_kicker/mini_kicker.xml"
 QUADRUPED = Path(__file__).parents[1] / "symmetry/quadruped.xml"
-
-
-def printed(capsys, *arguments: str, code: int = 0) -> str:
-    assert main(list(arguments)) == code
-    return capsys.readouterr().out
 
 
 def test_the_printed_block_goes_into_a_robot_file_as_it_is(place, edit, capsys):

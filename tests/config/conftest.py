@@ -1,11 +1,13 @@
 """Reading YAML texts as specs, and what is wrong with them."""
 
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 from kickbench.config.load import load
-from kickbench.errors import SpecError
+
+from ..support import complaints_of
 
 
 @pytest.fixture
@@ -26,9 +28,4 @@ def read(tmp_path, monkeypatch):
 def complaints(read):
     """`complaints(model, text, *overrides)` lists the problems of a text that has some, as people read them."""
 
-    def complaints(model, text: str, *overrides: str) -> list[str]:
-        with pytest.raises(SpecError) as error:
-            read(model, text, *overrides)
-        return [str(problem) for problem in error.value.problems]
-
-    return complaints
+    return partial(complaints_of, read)

@@ -12,10 +12,9 @@ from kickbench.results.integrity import with_digest
 from kickbench.results.measure import summarise_sides
 from kickbench.results.metrics import Metrics
 from kickbench.results.progress import row_check
-from kickbench.results.provenance import Provenance
 from kickbench.results.store import RunDirectory
 
-from ..conftest import write_result
+from ..made_up import made_up_metrics, write_result
 
 HEADER = "iteration,steps_per_second,success_rate,collect_seconds,update_seconds"
 
@@ -45,29 +44,8 @@ def episodes(successes: int, count: int = 10) -> EpisodeTable:
 
 def make_metrics(iterations: int, seconds: float = 100.0, **values) -> Metrics:
     """A result with 4 of 10 successes; `seconds` of training and 20 s of evaluation."""
-    provenance = Provenance(
-        versions={"python": "3.11.7"},
-        device="a processor",
-        num_threads=2,
-        platform="Linux",
-        seed=0,
-        commit=None,
-        dirty=None,
-        started="2026-01-01T00:00:00+00:00",
-        finished="2026-01-01T00:02:00+00:00",
-        seconds=seconds + 20,
-        env_steps=1000,
-        command=["kickbench", "run"],
-    )
-    known = {"task": "mini_home_field", "method": "baseline", "seed": 0, **values}
-    return Metrics(
-        **known,
-        iterations=iterations,
-        env_steps=1000,
-        training_seconds=seconds,
-        evaluation=summarise_sides(EpisodeSides(episodes(4), None), 0.35, 0.02),
-        provenance=provenance,
-    )
+    evaluation = summarise_sides(EpisodeSides(episodes(4), None), 0.35, 0.02)
+    return made_up_metrics(evaluation, iterations=iterations, training_seconds=seconds, **values)
 
 
 def checkpoint(numbers: bytes = b"numbers") -> bytes:

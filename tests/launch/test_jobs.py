@@ -22,7 +22,7 @@ from kickbench.results.integrity import write_also
 from kickbench.results.metrics import metrics_bytes
 from kickbench.results.store import RunDirectory
 
-from ..conftest import write_result
+from ..made_up import write_result
 from .conftest import make_metrics
 
 

@@ -16,7 +16,7 @@ from kickbench.results.specs import write_specs
 from kickbench.trials.experiment import load_experiment
 from kickbench.trials.trial import load_trial
 
-from ..conftest import write_result
+from ..made_up import write_result
 from .conftest import checkpoint, make_metrics
 
 ROOT = Path(__file__).parents[2]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import os
 import signal
 import subprocess
@@ -19,6 +18,8 @@ from kickbench.launch.state import RunState, State, read_state
 from kickbench.results.metrics import load_metrics
 from kickbench.results.store import RunDirectory
 
+from ..support import untimed_rows
+
 ROOT = Path(__file__).parents[2]
 ITERATIONS = 24
 SMALL = (
@@ -30,7 +31,6 @@ SMALL = (
     "episode.max_steps=20",
     "evaluation.episodes=20",
 )
-TIMES = ("steps_per_second", "collect_seconds", "update_seconds", "crc32")
 RUNS = ("baseline/seed0", "equivariant/seed0")
 
 
@@ -94,16 +94,11 @@ def children(pid: int) -> list[int]:
     return [int(text) for text in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
 
 
-def rows(path: Path) -> list[dict[str, str]]:
-    with open(path, encoding="utf-8", newline="") as file:
-        return [{k: v for k, v in row.items() if k not in TIMES} for row in csv.DictReader(file)]
-
-
 def assert_same_run(one: Path, other: Path) -> None:
     policies = [torch.load(run / "policy.pt", weights_only=True)["actor_state_dict"] for run in (one, other)]
     assert list(policies[0]) == list(policies[1])
     assert all(torch.equal(policies[0][key], policies[1][key]) for key in policies[0])
-    assert rows(one / "progress.csv") == rows(other / "progress.csv")
+    assert untimed_rows(one / "progress.csv") == untimed_rows(other / "progress.csv")
     assert (one / "episodes.csv").read_bytes() == (other / "episodes.csv").read_bytes()
     clock = {"training_seconds", "provenance"}
     ours, theirs = (load_metrics(run / "metrics.json").model_dump(exclude=clock) for run in (one, other))

@@ -10,7 +10,7 @@ from kickbench.cli import main
 from kickbench.launch.record import PlanRecord, RunRecord, write_record
 from kickbench.results.atomic import atomic_write_text
 
-from ..conftest import write_result
+from ..made_up import write_result
 from .conftest import make_metrics
 
 

@@ -11,9 +11,8 @@ import pytest
 from kickbench.results.episodes import EpisodeSides, EpisodeTable, write_episodes
 from kickbench.results.measure import summarise_sides
 from kickbench.results.metrics import Metrics
-from kickbench.results.provenance import Provenance
 
-from ..conftest import write_result
+from ..made_up import made_up_metrics, write_result
 
 COMMIT = "0123456789abcdef0123456789abcdef01234567"
 
@@ -62,31 +61,17 @@ def mirror(table: EpisodeTable) -> EpisodeTable:
 
 
 def make_metrics(sides: EpisodeSides, task: str, method: str, seed: int, **changes: object) -> Metrics:
-    provenance = Provenance(
-        versions={"python": "3.11.7", "mujoco": "4.0.0"},
-        device="A Processor",
-        num_threads=2,
-        platform="Linux",
-        seed=seed,
-        commit=COMMIT,
-        dirty=False,
-        started="2026-01-01T00:00:00+00:00",
-        finished="2026-01-01T01:30:00+00:00",
-        seconds=5400.0,
-        env_steps=2_764_800,
-        command=["kickbench", "run", "task.yaml", "method.yaml"],
-    )
-    values: dict[str, object] = {
-        "task": task,
-        "method": method,
-        "seed": seed,
-        "iterations": 450,
-        "env_steps": 2_764_800,
-        "training_seconds": 5000.0,
-        "evaluation": summarise_sides(sides, 0.35, 0.02),
-        "provenance": provenance,
+    source = {
+        "versions": {"python": "3.11.7", "mujoco": "4.0.0"},
+        "device": "A Processor",
+        "commit": COMMIT,
+        "dirty": False,
+        "finished": "2026-01-01T01:30:00+00:00",
+        "seconds": 5400.0,
     }
-    return Metrics.model_validate({**values, **changes})
+    values = {"iterations": 450, "env_steps": 2_764_800, "training_seconds": 5000.0, **changes}
+    evaluation = summarise_sides(sides, 0.35, 0.02)
+    return made_up_metrics(evaluation, source, task=task, method=method, seed=seed, **values)
 
 
 def progress_text(iterations: int, offset: float = 0.0) -> str:

@@ -21,27 +21,13 @@ from kickbench.results.metrics import (
     Metrics,
     MirroredPairs,
 )
-from kickbench.results.provenance import Provenance
 from kickbench.results.statistics import Interval, wilson
 from kickbench.trials.experiment import LoadedExperiment, load_experiment
 from kickbench.trials.trial import load_trial
 
-ROOT = Path(__file__).parents[2]
+from ..made_up import made_up_metrics
 
-PROVENANCE = Provenance(
-    versions={},
-    device="a processor",
-    num_threads=1,
-    platform="Linux",
-    seed=0,
-    commit=None,
-    dirty=None,
-    started="",
-    finished="",
-    seconds=0,
-    env_steps=0,
-    command=[],
-)
+ROOT = Path(__file__).parents[2]
 
 
 def make_side(
@@ -108,16 +94,9 @@ def make_metrics(
     scale: float | None = None,
     task: str = "mini_home_field",
 ) -> Metrics:
-    return Metrics(
-        task=task,
-        method=method,
-        seed=seed,
-        scale=scale,
-        iterations=iterations,
-        env_steps=1,
-        training_seconds=1,
-        evaluation=Evaluation(in_distribution=home, mirrored=mirrored, asymmetry=asymmetry),
-        provenance=PROVENANCE,
+    evaluation = Evaluation(in_distribution=home, mirrored=mirrored, asymmetry=asymmetry)
+    return made_up_metrics(
+        evaluation, task=task, method=method, seed=seed, scale=scale, iterations=iterations
     )
 
 

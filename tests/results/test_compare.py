@@ -14,11 +14,10 @@ from kickbench.results.compare import SeedComparison, StartComparison, compare_o
 from kickbench.results.episodes import EpisodeSides, EpisodeTable, write_episodes
 from kickbench.results.integrity import seal
 from kickbench.results.measure import summarise_sides
-from kickbench.results.metrics import Metrics, load_metrics
-from kickbench.results.provenance import Provenance
+from kickbench.results.metrics import load_metrics
 from kickbench.results.statistics import mcnemar, welch
 
-from ..conftest import write_result
+from ..made_up import made_up_metrics, write_result
 
 STARTS, RADIUS = 200, 0.35
 
@@ -60,30 +59,8 @@ def write_run(folder: Path, method: str, seed: int, rate: float, *, table: bool 
     sides = EpisodeSides(home, mirrored(home))
     path = folder / method / f"seed{seed}"
     path.mkdir(parents=True)
-    provenance = Provenance(
-        versions={},
-        device="a processor",
-        num_threads=1,
-        platform="Linux",
-        seed=seed,
-        commit=None,
-        dirty=None,
-        started="",
-        finished="",
-        seconds=0,
-        env_steps=0,
-        command=[],
-    )
-    metrics = Metrics(
-        task="a_task",
-        method=method,
-        seed=seed,
-        iterations=450,
-        env_steps=0,
-        training_seconds=0,
-        evaluation=summarise_sides(sides, RADIUS, 0.02),
-        provenance=provenance,
-    )
+    evaluation = summarise_sides(sides, RADIUS, 0.02)
+    metrics = made_up_metrics(evaluation, task="a_task", method=method, seed=seed, iterations=450)
     if table:
         write_episodes(path / "episodes.csv", sides)
     write_result(path, metrics)

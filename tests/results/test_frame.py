@@ -18,7 +18,8 @@ from kickbench.results.specs import write_specs
 from kickbench.results.store import RunDirectory
 from kickbench.trials.trial import load_trial
 
-from ..conftest import write_result
+from ..made_up import write_result
+from ..support import printed
 from .conftest import planned_identity
 
 ROOT = Path(__file__).parents[2]
@@ -47,11 +48,6 @@ def write_real(path: Path, make, *overrides: str, **options) -> None:
     write_specs(RunDirectory(path), experiment)
     rate = options.pop("rate", 0.5)
     write_result(path, make.metrics(make.side(rate), make.side(rate / 2), **options), identity_of(experiment))
-
-
-def printed(capsys, *arguments: str | Path) -> str:
-    assert main([str(text) for text in arguments]) == 0
-    return capsys.readouterr().out
 
 
 def mean_of(table: str) -> list[str]:

@@ -12,8 +12,9 @@ from kickbench.errors import KickbenchError
 from kickbench.results.episodes import EpisodeSides, EpisodeTable
 from kickbench.results.measure import summarise, summarise_sides
 from kickbench.results.metrics import Metrics, load_metrics, metrics_json_schema, write_metrics
-from kickbench.results.provenance import Provenance
 from kickbench.results.statistics import wilson
+
+from ..made_up import made_up_metrics
 
 FEET = ["left", "left", "right", "none", "right", "right", "left", "other"]
 BALL_Y = [0.1, 0.0, 0.2, 0.1, -0.1, -0.2, -0.1, -0.1]
@@ -52,30 +53,8 @@ def mirrored(table: EpisodeTable) -> EpisodeTable:
 
 
 def make_metrics() -> Metrics:
-    provenance = Provenance(
-        versions={"python": "3.11.7"},
-        device="a processor",
-        num_threads=2,
-        platform="Linux",
-        seed=3,
-        commit=None,
-        dirty=None,
-        started="2026-01-01T00:00:00+00:00",
-        finished="2026-01-01T00:02:00+00:00",
-        seconds=120,
-        env_steps=1000,
-        command=["kickbench", "run"],
-    )
-    return Metrics(
-        task="mini_home_field",
-        method="baseline",
-        seed=3,
-        iterations=10,
-        env_steps=1000,
-        training_seconds=100.0,
-        evaluation=summarise_sides(EpisodeSides(make_table(), mirrored(make_table())), 0.35, 0.02),
-        provenance=provenance,
-    )
+    sides = EpisodeSides(make_table(), mirrored(make_table()))
+    return made_up_metrics(summarise_sides(sides, 0.35, 0.02), seed=3, iterations=10)
 
 
 def test_rates_and_distances_are_those_of_the_episodes() -> None:

@@ -12,7 +12,7 @@ from kickbench.results.statistics import Interval
 from kickbench.results.verdicts import judge, verdict_lines
 from kickbench.trials.experiment import load_experiment
 
-from ..conftest import write_result
+from ..made_up import write_result
 from .conftest import planned_identity
 
 ROOT = Path(__file__).parents[2]

@@ -1,10 +1,11 @@
 """Scenes of robots that are written in the test."""
 
+from functools import partial
 from pathlib import Path
 
 import pytest
 
-from kickbench.errors import SpecError
+from ..support import complaints_of
 
 ROOT = Path(__file__).parents[2]
 FEETLESS = ("observations.critic.foot_position=null", "observations.critic.foot_ball_contact=null")
@@ -33,9 +34,4 @@ def build(tmp_path, monkeypatch):
 def complaints(build):
     """`complaints(mjcf, robot)` lists the problems of a robot that has some."""
 
-    def complaints(mjcf: str, robot: str) -> list[str]:
-        with pytest.raises(SpecError) as error:
-            build(mjcf, robot)
-        return [str(problem) for problem in error.value.problems]
-
-    return complaints
+    return partial(complaints_of, build)

@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 
 from kickbench.config.load import load
 from kickbench.config.method import RepresentationSpec
-from kickbench.errors import SpecError
 from kickbench.symmetry.field_table import FieldTable, completed, field_table, resolve_expression
 from kickbench.symmetry.representation import (
     BY_NAME,
@@ -18,6 +17,8 @@ from kickbench.symmetry.representation import (
     direct_sum,
     tensor,
 )
+
+from ..support import complaints_of
 
 JOINTS = REGULAR + REGULAR_SIGN + SIGN
 OWN = {"joints": JOINTS, "actions": SIGN + TRIVIAL}
@@ -95,12 +96,6 @@ def table(tmp_path, monkeypatch):
     return lambda *fields: field_table(loaded.spec, loaded.document, fields, OWN)
 
 
-def complaints(call, *fields) -> list[str]:
-    with pytest.raises(SpecError) as error:
-        call(*fields)
-    return [str(problem) for problem in error.value.problems]
-
-
 def test_fields_come_in_the_order_of_the_vector_not_of_the_table(table):
     found = table(("touch", 2), ("ball", 3))
     assert found == FieldTable((("touch", REGULAR), ("ball", VECTOR)))
@@ -114,14 +109,16 @@ def test_the_table_may_have_fields_that_are_not_used(table):
 
 
 def test_a_field_without_a_representation_is_an_error(table):
-    assert complaints(table, ("ball", 3), ("joint_poss", 5)) == [
+    assert complaints_of(table, ("ball", 3), ("joint_poss", 5)) == [
         "table.yaml:1:1: fields: the field 'joint_poss' has no representation (the nearest name there is 'joint_pos')"
     ]
-    assert complaints(table, ("zzz", 5)) == ["table.yaml:1:1: fields: the field 'zzz' has no representation"]
+    assert complaints_of(table, ("zzz", 5)) == [
+        "table.yaml:1:1: fields: the field 'zzz' has no representation"
+    ]
 
 
 def test_a_representation_of_another_dimension_is_an_error(table):
-    assert complaints(table, ("touch", 1)) == [
+    assert complaints_of(table, ("touch", 1)) == [
         "table.yaml:4:3: fields.touch: 'regular' has dimension 2, the field 'touch' has 1"
     ]
 
@@ -142,7 +139,7 @@ def test_a_full_table_stays_as_it_is_written():
 
 
 def test_every_wrong_field_is_reported(table):
-    assert len(complaints(table, ("touch", 1), ("ball", 3), ("zzz", 1), ("joint_pos", 4))) == 3
+    assert len(complaints_of(table, ("touch", 1), ("ball", 3), ("zzz", 1), ("joint_pos", 4))) == 3
 
 
 def test_the_mini_kicker_uses_all_four_representations(experiment):

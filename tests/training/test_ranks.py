@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import os
 import signal
 import subprocess
@@ -21,6 +20,8 @@ from kickbench.results.metrics import load_metrics
 from kickbench.training.checkpoint import Checkpoints
 from kickbench.training.ranks import ALONE, Ranks, fingerprint, read_ranks
 from kickbench.training.trainer import StopRequest
+
+from ..support import untimed_rows
 
 ROOT = Path(__file__).parents[2]
 SECOND_OF_TWO = {
@@ -147,20 +148,14 @@ def torchrun(out: Path, *options: str) -> subprocess.CompletedProcess:
     )
 
 
-def rows(file: Path) -> list[dict[str, str]]:
-    clock = ("steps_per_second", "collect_seconds", "update_seconds", "crc32")
-    with open(file, encoding="utf-8", newline="") as lines:
-        return [{k: v for k, v in row.items() if k not in clock} for row in csv.DictReader(lines)]
-
-
 @pytest.mark.slow
 def test_two_processes_train_one_policy_write_it_once_and_go_on_to_the_bit(tmp_path):
     whole, parts = tmp_path / "whole", tmp_path / "parts"
     done = torchrun(whole, "--iterations", "3")
     assert done.returncode == 0, done.stderr
     assert done.stdout.count("results:") == 1
-    assert [row["iteration"] for row in rows(whole / "progress.csv")] == ["0", "1", "2"]
-    assert rows(whole / "progress.csv")[-1]["env_steps"] == str(3 * 8 * 16)
+    assert [row["iteration"] for row in untimed_rows(whole / "progress.csv")] == ["0", "1", "2"]
+    assert untimed_rows(whole / "progress.csv")[-1]["env_steps"] == str(3 * 8 * 16)
     assert load_metrics(whole / "metrics.json").provenance.num_processes == 2
     state = Checkpoints(whole / "checkpoints").load()
     assert state is not None
@@ -172,7 +167,7 @@ def test_two_processes_train_one_policy_write_it_once_and_go_on_to_the_bit(tmp_p
     assert torchrun(parts, "--iterations", "1").returncode == 0
     assert torchrun(parts, "--iterations", "3", "--resume").returncode == 0
     assert (parts / "policy.pt").read_bytes() == (whole / "policy.pt").read_bytes()
-    assert rows(parts / "progress.csv") == rows(whole / "progress.csv")
+    assert untimed_rows(parts / "progress.csv") == untimed_rows(whole / "progress.csv")
 
 
 @pytest.mark.slow
@@ -190,7 +185,7 @@ def test_the_keyboard_stops_two_processes_after_the_same_iteration(tmp_path):
     )
     try:
         deadline = time.monotonic() + 200
-        while not (out / "progress.csv").is_file() or len(rows(out / "progress.csv")) < 2:
+        while not (out / "progress.csv").is_file() or len(untimed_rows(out / "progress.csv")) < 2:
             assert process.poll() is None, "it ended early"
             assert time.monotonic() < deadline
             time.sleep(0.1)
@@ -203,5 +198,5 @@ def test_the_keyboard_stops_two_processes_after_the_same_iteration(tmp_path):
     assert told.count("stopping after this iteration") == 1
     state = Checkpoints(out / "checkpoints").load()
     assert state is not None
-    assert state["iteration"] == len(rows(out / "progress.csv"))
+    assert state["iteration"] == len(untimed_rows(out / "progress.csv"))
     assert len({part["weights"] for part in state["ranks"]}) == 1

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import io
 import os
 import shutil
@@ -25,11 +24,13 @@ from kickbench.results import specs
 from kickbench.results.identity import read_identity
 from kickbench.results.integrity import check
 from kickbench.results.metrics import load_metrics
-from kickbench.results.provenance import RunHistory
 from kickbench.training.checkpoint import FORMAT, Checkpoints
 from kickbench.training.iteration_log import CsvProgress
 from kickbench.training.trainer import Trainer
 from kickbench.trials.trial import load_trial
+
+from ..support import untimed_rows
+from . import conftest
 
 ROOT = Path(__file__).parents[2]
 # Episodes so short that every world uses up its share of the pool of starts.
@@ -40,21 +41,10 @@ SMALL = (
     "network.critic_hidden=[16]",
     "episode.max_steps=4",
 )
-TIMES = ("steps_per_second", "collect_seconds", "update_seconds", "crc32")
 
 
 def make_trainer(chosen, folder: Path, seed: int = 0) -> Trainer:
-    torch.manual_seed(seed)
-    env = KickEnv(chosen.task, make_engine(chosen.task, chosen.method.spec.algorithm.num_envs), seed)
-    history = RunHistory(chosen.task.name, chosen.method.name, seed, num_threads=1)
-    checkpoints = Checkpoints(folder / "checkpoints")
-    return Trainer(chosen, env, CsvProgress(folder / "progress.csv"), checkpoints, history)
-
-
-def rows(path: Path) -> list[dict[str, str]]:
-    """A progress table without what the clock has told."""
-    with open(path, encoding="utf-8", newline="") as file:
-        return [{k: v for k, v in row.items() if k not in TIMES} for row in csv.DictReader(file)]
+    return conftest.make_trainer(chosen, folder / "checkpoints", CsvProgress(folder / "progress.csv"), seed)
 
 
 def assert_equal(one, other) -> None:
@@ -116,7 +106,7 @@ def test_so_many_iterations_and_so_many_more_are_those_of_one_training(
 
     assert (result.iterations, result.env_steps, result.interrupted) == (10, 10 * 16 * 8, False)
     assert_equal(without_clock(second.state_dict()), without_clock(whole.state_dict()))
-    assert rows(tmp_path / "parts/progress.csv") == rows(tmp_path / "whole/progress.csv")
+    assert untimed_rows(tmp_path / "parts/progress.csv") == untimed_rows(tmp_path / "whole/progress.csv")
 
 
 def test_delay_pushes_and_friction_of_the_k1_go_on_to_the_bit():
@@ -285,7 +275,7 @@ def copy(undisturbed, tmp_path) -> Path:
 def assert_same_run(one: Path, other: Path) -> None:
     policies = [torch.load(run / "policy.pt", weights_only=True) for run in (one, other)]
     assert_equal(*policies)
-    assert rows(one / "progress.csv") == rows(other / "progress.csv")
+    assert untimed_rows(one / "progress.csv") == untimed_rows(other / "progress.csv")
     assert (one / "episodes.csv").read_bytes() == (other / "episodes.csv").read_bytes()
     ours, theirs = (load_metrics(run / "metrics.json") for run in (one, other))
     assert ours.evaluation == theirs.evaluation
@@ -397,7 +387,7 @@ def test_a_finished_run_is_extended_by_more_iterations(copy):
     assert main(command(copy, "--resume", iterations=55)) == 0
     metrics = load_metrics(copy / "metrics.json")
     assert (metrics.iterations, metrics.schedule_iterations) == (55, 53)
-    assert len(rows(copy / "progress.csv")) == 55
+    assert len(untimed_rows(copy / "progress.csv")) == 55
     stored = yaml.safe_load((copy / "specs/method.yaml").read_text())
     assert stored["algorithm"]["iterations"] == 55
 
@@ -492,7 +482,7 @@ def test_a_killed_forced_run_leaves_the_old_one_whole_and_goes_on(copy, undistur
     assert main([*forced, "--resume"]) == 0
     assert "left out" not in capsys.readouterr().err
     assert yaml.safe_load((copy / "specs/method.yaml").read_text())["algorithm"]["gamma"] == 0.9
-    assert len(rows(copy / "progress.csv")) == 53
+    assert len(untimed_rows(copy / "progress.csv")) == 53
     assert (copy / "notes.txt").read_text() == "mine"
     assert not list(copy.glob(".partial*"))
     check(copy)
@@ -631,7 +621,7 @@ def test_evaluations_during_a_training_are_logged_and_do_not_change_it(begun):
     assert main([*longer, *often, "--out", str(folder / "with")]) == 0
     one, other = (folder / name / "policy.pt" for name in ("without", "with"))
     assert one.read_bytes() == other.read_bytes()
-    curve = rows(folder / "with/progress.csv")
+    curve = untimed_rows(folder / "with/progress.csv")
     for side in ("in_distribution", "mirrored"):
         values = [float(row[f"evaluation/{side}"]) for row in curve]
         assert [np.isnan(value) for value in values] == [True, False, True]

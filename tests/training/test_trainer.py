@@ -14,12 +14,13 @@ from kickbench.envs.engines import make_engine
 from kickbench.envs.env import KickEnv
 from kickbench.errors import KickbenchError
 from kickbench.nets.build import build_actor
-from kickbench.results.provenance import RunHistory
 from kickbench.symmetry.torch_ops import Mirror
 from kickbench.training.checkpoint import Checkpoints, load_policy, save_policy
 from kickbench.training.iteration_log import CsvProgress, Progress, Record
 from kickbench.training.ppo import build_ppo
 from kickbench.training.trainer import Trainer
+
+from .conftest import make_trainer
 
 SMALL = (
     "algorithm.num_envs=32",
@@ -44,13 +45,6 @@ class Recorder(Progress):
 
     def close(self) -> None:
         self.closed = True
-
-
-def make_trainer(chosen, folder, progress, seed: int = 0) -> Trainer:
-    torch.manual_seed(seed)
-    env = KickEnv(chosen.task, make_engine(chosen.task, chosen.method.spec.algorithm.num_envs), seed)
-    history = RunHistory(chosen.task.name, chosen.method.name, seed, num_threads=1)
-    return Trainer(chosen, env, progress, Checkpoints(folder), history)
 
 
 def group(record: Record, name: str) -> dict[str, float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,8 @@ from kickbench.errors import SpecError
 from kickbench.results import figures
 from kickbench.results.metrics import Metrics
 from kickbench.trials.experiment import load_experiment
+
+from ..support import complaints_of
 
 ROOT = Path(__file__).parents[2]
 SHIPPED = sorted((ROOT / "results/reported").glob("*.yaml"))
@@ -87,12 +90,7 @@ def load(tmp_path, monkeypatch):
 
 @pytest.fixture
 def complaints(load):
-    def complaints(old: str, new: str) -> list[str]:
-        with pytest.raises(SpecError) as error:
-            load(old, new)
-        return [str(problem) for problem in error.value.problems]
-
-    return complaints
+    return partial(complaints_of, load)
 
 
 def test_an_arm_has_the_experiments_values_or_its_own(load):
