@@ -22,11 +22,10 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 from pydantic import BaseModel, ValidationError, create_model
-from torch import Tensor
 
 from kickbench.config.base import NameList, PositiveInt, Range
 from kickbench.config.method import parse_expression
@@ -34,6 +33,9 @@ from kickbench.config.terms import JointName, JointNames, TermParams
 from kickbench.envs.term import COMMON, Kind, Term
 from kickbench.errors import KickbenchError, Mark, Problem, SpecError, shown
 from kickbench.sim.sensors import SensorGroup
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 _TYPES: dict[str, Any] = {
     **{kind.__name__: kind for kind in (float, int, bool, str)},
@@ -133,9 +135,11 @@ class OwnFunction:
     def _check(self, found: Any, envs: int) -> None:
         kind = torch.bool if self.kind == "termination" else torch.float32
         dims = 2 if self.kind == "observation" else 1
-        if isinstance(found, Tensor) and (found.dtype, found.dim(), len(found)) == (kind, dims, envs):
+        if isinstance(found, torch.Tensor) and (found.dtype, found.dim(), len(found)) == (kind, dims, envs):
             return
-        shape = f"{found.dtype} {list(found.shape)}" if isinstance(found, Tensor) else type(found).__name__
+        shape = (
+            f"{found.dtype} {list(found.shape)}" if isinstance(found, torch.Tensor) else type(found).__name__
+        )
         expected = f"{kind} [{envs}{', size' if dims == 2 else ''}]"
         raise KickbenchError(f"{shown(self.file)}: {self.name} returns {shape}; a {self.kind} is {expected}")
 

@@ -195,7 +195,8 @@ def randomization(
 
 def _decorator(kind: Kind, source: str, units: str, needs: Iterable[SensorGroup], **facts: Any) -> Decorator:
     def wrap(function: Callable[..., Any]) -> Term:
-        params = get_type_hints(function)["params"]
+        # Torch is not imported to read the terms (`kickbench validate`), so that the name may be missing.
+        params = get_type_hints(function, localns={"Tensor": Any})["params"]
         return Term(function.__name__, kind, function, params, units, source, frozenset(needs), **facts)
 
     return wrap

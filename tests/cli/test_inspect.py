@@ -67,6 +67,13 @@ def test_reading_specs_imports_no_physics_and_no_learning():
     assert not modules_after(code) & {"torch", "mujoco", "warp", "rsl_rl", "tensordict"}
 
 
+def test_validate_imports_no_torch():
+    verb = "import sys; from kickbench.cli import main; code = main(['validate', 'mini_home_field', 'equivariant'])"
+    code = f"{verb}; assert code == 0; assert not [m for m in sys.modules if m.startswith('torch.')]"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, check=True)
+    assert done.stdout.count(": fine") == 3
+
+
 def test_no_verb_is_a_usage_error(capsys):
     with pytest.raises(SystemExit) as stop:
         main([])
