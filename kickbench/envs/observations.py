@@ -170,7 +170,7 @@ class Observer:
             generator: Source of the noise.
         """
         fields = {key: bound(state) for key, bound in self._bounds.items()}
-        exact = dict[str, Tensor]()
+        exact: dict[str, Tensor] = {}
         for name, source in self._sources.items():
             if source == name:
                 exact[name] = torch.cat([fields[key] for key in self._keys[name]], dim=1)
