@@ -287,7 +287,7 @@ def test_the_columns_of_a_table_can_be_those_of_the_kick(runs, printed):
 
 @pytest.mark.parametrize(
     "argv",
-    [["table", "a"], ["table", "a", "--columns", "kick"], ["compare", "a", "b"], ["list", "."]],
+    [["table", "a"], ["table", "a", "--columns", "kick"], ["compare", "a", "b"]],
     ids=" ".join,
 )
 def test_a_damaged_result_is_told_and_left_out(runs, capsys, argv):
