@@ -21,14 +21,13 @@ from torch import Tensor
 from torch.profiler import ProfilerActivity, profile, record_function
 
 from kickbench.bench.physics import physics_alone
-from kickbench.bench.report import BenchReport, RoomFigures, SizeFigures, Timing
+from kickbench.bench.report import BenchReport, SizeFigures, Timing
 from kickbench.envs.engines import make_engine
 from kickbench.envs.env import KickEnv
 from kickbench.envs.graph import fastest_steps
 from kickbench.evaluation.progress_bar import tracked
 from kickbench.nets.build import torch_threads, update_threads
 from kickbench.results.provenance import Moment, RunHistory, collect_provenance
-from kickbench.sim.engine import Engine
 from kickbench.training.checkpoint import Checkpoints
 from kickbench.training.iteration_log import Progress, Record
 from kickbench.training.trainer import Trainer
@@ -61,7 +60,7 @@ class Iterations:
         env = KickEnv(trial.task, make_engine(trial.task, num_envs, device, num_threads=threads), 0)
         history = RunHistory(trial.task.name, trial.method.name, 0, num_threads=threads)
         self._last, own = _LastRecord(), update_threads(trial.method.spec, threads)
-        self.trainer = Trainer(trial, env, self._last, _Unkept(), history, own, graph=graph)
+        self.trainer = Trainer(trial, env, self._last, _Unkept(Path()), history, own, graph=graph)
 
     def __call__(self) -> Record:
         """Makes the next iteration."""
@@ -78,9 +77,6 @@ class _LastRecord(Progress):
 
 
 class _Unkept(Checkpoints):
-    def __init__(self) -> None:
-        super().__init__(Path())
-
     def save(self, iteration: int, state: dict[str, Any]) -> None:
         """Keeps nothing."""
 
@@ -161,7 +157,7 @@ def measure_size(trials: Mapping[str, Trial], device: str, threads: int, rounds:
     return SizeFigures(
         num_envs=stage.env.num_envs,
         timings=tuple(_timings(stage, methods)),
-        room=room_of(stage.env.engine),
+        room=stage.env.engine.take_load(),
         memory=_memory(torch.device(device)),
     )
 
@@ -214,15 +210,6 @@ class _Stage:
         return [_EXPLORATION * draw for draw in draws]
 
 
-def room_of(engine: Engine) -> RoomFigures | None:
-    """Use of an engine's room since the last call; None if it has no limit."""
-    load = engine.take_load()
-    if load is None:
-        return None
-    names = ("contacts", "contact_room", "constraints", "constraint_room")
-    return RoomFigures(**{name: getattr(load, name) for name in names}, overflow=load.short_share)
-
-
 def _memory(device: torch.device) -> dict[str, int]:
     unit = 1 if sys.platform == "darwin" else 1024
     figures = {"memory": unit * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss}
@@ -251,28 +238,20 @@ def profile_iteration(trial: Trial, device: str, threads: int) -> str:
 def _parts(trainer: Trainer) -> Iterator[None]:
     """Within the block, calls of the parts of an iteration are named for the profiler."""
     env, ppo = trainer.env, trainer.ppo
-    methods: list[tuple[Any, str, str]] = [
-        (env, "step", "env step"),
-        (env.engine, "step", "physics"),
-        (env, "state", "state view"),
-        (env, "_apply", "actions"),
-        (env, "_reward", "rewards"),
-        (env, "_conclude", "records"),
-        (env, "_reset", "reset"),
-        (env, "_observe", "observations"),
-        (ppo, "act", "policy"),
-        (ppo, "process_env_step", "storage"),
-        (ppo, "compute_returns", "returns"),
-        (ppo, "update", "update"),
-        (ppo.actor, "update_normalization", "normaliser, actor"),
-        (ppo.critic, "update_normalization", "normaliser, critic"),
-        (torch.autograd, "backward", "backward"),
-        (torch.nn.utils, "clip_grad_norm_", "gradient clipping"),
-        (ppo.optimizer, "step", "optimiser"),
-        *([(ppo.symmetry, "augment_batch", "mirrored samples")] if ppo.symmetry else []),
-    ]
+    parts = (
+        (env, "step", "state", "_apply", "_reward", "_conclude", "_reset", "_observe"),
+        (env.engine, "step"),
+        (ppo, "act", "process_env_step", "compute_returns", "update"),
+        (ppo.actor, "update_normalization"),
+        (ppo.critic, "update_normalization"),
+        (torch.autograd, "backward"),
+        (torch.nn.utils, "clip_grad_norm_"),
+        (ppo.optimizer, "step"),
+        (ppo.symmetry, "augment_batch"),
+    )
     with ExitStack() as stack:
-        for owner, name, part in methods:
-            named = record_function(part)(getattr(owner, name))
-            stack.enter_context(patch.object(owner, name, named))
+        for owner, *names in parts:
+            for name in names if owner else ():
+                method = getattr(owner, name)
+                stack.enter_context(patch.object(owner, name, record_function(method.__qualname__)(method)))
         yield

@@ -38,15 +38,7 @@ def physics_alone(env: KickEnv, threads: int) -> Callable[[list[Tensor]], Callab
     engine = make_engine(env.task, env.num_envs, str(env.device), num_threads=threads)
     if not isinstance(engine, CpuEngine):
         return EnginePhysics(env, engine).prepare
-    # It does what the environment will do: both have the same seed.
-    twin = KickEnv(env.task, engine, seed=env.generator.initial_seed())
-    raw = _RawPhysics(env.task.scene.model, env.task.spec.simulation.decimation, threads)
-
-    def prepare(actions: list[Tensor]) -> Callable[[], None]:
-        raw.prepare(_rehearse(twin, engine, actions))
-        return raw
-
-    return prepare
+    return _RawPhysics(env, engine, threads).prepare
 
 
 class EnginePhysics:
@@ -82,30 +74,27 @@ class _ControlStep:
     spec: int
 
 
-def _rehearse(twin: KickEnv, engine: CpuEngine, actions: list[Tensor]) -> list[_ControlStep]:
-    """Plays the actions in another environment and keeps the control steps of its engine."""
-    steps = []
-    for action in actions:
-        state = engine.full_state()
-        twin.step(action)
-        steps.append(_ControlStep(state, *engine.full_control()))
-    return steps
-
-
 class _RawPhysics:
-    """Control steps by `mujoco.rollout`, from given states."""
+    """Control steps by `mujoco.rollout`, from the states and with the controls of the environment."""
 
-    def __init__(self, model: mujoco.MjModel, decimation: int, threads: int) -> None:
-        self._model, self._decimation = model, decimation
-        self._data = [mujoco.MjData(model) for _ in range(threads)]
+    def __init__(self, env: KickEnv, engine: CpuEngine, threads: int) -> None:
+        # It does what the environment will do: both have the same seed.
+        self._twin, self._engine = KickEnv(env.task, engine, seed=env.generator.initial_seed()), engine
+        model, self._decimation = env.task.scene.model, env.task.spec.simulation.decimation
+        self._models, self._data = [model] * env.num_envs, [mujoco.MjData(model) for _ in range(threads)]
         self._pool = mujoco.rollout.Rollout(nthread=threads if threads > 1 else 0)
+        shape = (env.num_envs, self._decimation)
+        self._state = np.zeros((*shape, engine.full_state().shape[1]))
+        self._sensed = np.zeros((*shape, model.nsensordata))
 
-    def prepare(self, steps: list[_ControlStep]) -> None:
-        self._steps = steps
-        envs, nstate = steps[0].state.shape
-        self._models = [self._model] * envs
-        self._state = np.zeros((envs, self._decimation, nstate))
-        self._sensed = np.zeros((envs, self._decimation, self._model.nsensordata))
+    def prepare(self, actions: list[Tensor]) -> Callable[[], None]:
+        """Plays the actions in another environment and keeps the control steps of its engine."""
+        self._steps = []
+        for action in actions:
+            state = self._engine.full_state()
+            self._twin.step(action)
+            self._steps.append(_ControlStep(state, *self._engine.full_control()))
+        return self
 
     def __call__(self) -> None:
         for step in self._steps:

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
+from pydantic import Field, NonNegativeInt, PositiveFloat, PositiveInt
 from rich.console import Console
 from rich.table import Table
 
-from kickbench.results.atomic import Fraction, Record
+from kickbench.results.atomic import Record
 from kickbench.results.provenance import Provenance
+from kickbench.sim.engine import EngineLoad
 
 _MIB = 2**20
 
@@ -32,22 +33,12 @@ class Timing(Record):
     )
 
 
-class RoomFigures(Record):
-    """How much of an engine's room for contacts and constraints random actions used."""
-
-    contacts: NonNegativeFloat = Field(description="most contacts in a substep, an env on average")
-    contact_room: PositiveInt = Field(description="contacts there is room for, an env on average")
-    constraints: NonNegativeInt = Field(description="most constraint rows of any env in a substep")
-    constraint_room: PositiveInt = Field(description="constraint rows there is room for in every env")
-    overflow: Fraction = Field(description="share of the control steps in which something did not fit")
-
-
 class SizeFigures(Record):
     """Everything measured with one number of envs; all that is compared is in memory at once."""
 
     num_envs: PositiveInt
     timings: tuple[Timing, ...]
-    room: RoomFigures | None = Field(description="null if the engine has no limit")
+    room: EngineLoad | None = Field(description="use of the engine's room; null if it has no limit")
     memory: dict[str, NonNegativeInt] = Field(
         description="bytes: peak of the process so far; on a GPU peak of torch, and in use by all processes"
     )
@@ -56,7 +47,7 @@ class SizeFigures(Record):
 class BenchReport(Record):
     """The file that `kickbench bench --json` writes."""
 
-    schema_version: Literal[2] = 2
+    schema_version: Literal[3] = 3
     task: str
     device: str = Field(description="torch device")
     rounds: PositiveInt = Field(description="counted rounds, in each of which everything has its turn")
@@ -78,12 +69,8 @@ def print_report(report: BenchReport) -> None:
         for timing in size.timings:
             name = f"{timing.what}, {timing.method}" if timing.method else timing.what
             cpu = f"{timing.steps_per_cpu_second:,.0f}" if timing.steps_per_cpu_second else ""
-            figures = (
-                f"{timing.steps_per_second:,.0f}",
-                f"{1e3 * timing.seconds:,.1f}",
-                f"{timing.ratio:.2f}",
-            )
-            table.add_row(name, *figures, cpu)
+            rate, milliseconds = f"{timing.steps_per_second:,.0f}", f"{1e3 * timing.seconds:,.1f}"
+            table.add_row(name, rate, milliseconds, f"{timing.ratio:.2f}", cpu)
         console.print(table)
 
 
@@ -92,5 +79,5 @@ def _remarks(size: SizeFigures) -> list[str]:
     if (room := size.room) is not None:
         remarks.append(f"contacts an env at most {room.contacts:.1f} of {room.contact_room}")
         remarks.append(f"constraints at most {room.constraints} of {room.constraint_room}")
-        remarks.append(f"overflow in {room.overflow:.2%} of the control steps")
+        remarks.append(f"overflow in {room.short_share:.2%} of the control steps")
     return remarks

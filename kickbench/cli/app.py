@@ -117,12 +117,9 @@ def refuse_contradiction(overrides: Sequence[str], key: str, flag: str, values: 
 
 
 def _whole(least: int) -> Callable[[str], int]:
-    def parse(value: str | int) -> int:
-        text = str(value)  # a default is parsed, too
-        if not text.isdecimal() or int(text) < least:
+    def parse(text: str | int) -> int:  # a default is parsed, too
+        if not str(text).isdecimal() or not least <= int(text) < 2**63:
             raise typer.BadParameter(f"expected a whole number of at least {least}, found {text!r}")
-        if int(text) >= 2**63:
-            raise typer.BadParameter(f"expected a number below 2^63, found {text}")
         return int(text)
 
     return parse
@@ -206,36 +203,17 @@ Run = Annotated[Path, argument("Run directory.", "RUN")]
 Policy = Annotated[Path | None, option("Run directory whose policy is used.", default=..., metavar="RUN")]
 Roots = Annotated[list[Path], argument("Run directories, or folders of them.", "DIR...")]
 For = Annotated[
-    Path | None,
-    option("Experiment that the runs are for: a YAML file or a name.", default=..., metavar="EXPERIMENT"),
+    Path | None, option("Experiment of the runs: file or name.", default=..., metavar="EXPERIMENT")
 ]
-Set = Annotated[
-    list[str], option("Override a value; may be repeated.", "--set", default=..., metavar="key.path=value")
-]
+Set = Annotated[list[str], option("Override values.", "--set", default=..., metavar="key.path=value")]
 Device = Annotated[Literal["cpu", "cuda"], typer.Option(help="Where to compute.")]
 Threads = Annotated[int | None, count("Threads (default: the cores this process may use).", default=...)]
 Seed = Annotated[int, count("Seed (default: 0).", default=..., least=0, metavar="K")]
-TaskSeed = Annotated[
-    int | None, count("Seed of the initial states (default: the task's).", default=..., least=0, metavar="K")
-]
-Trust = Annotated[
-    bool,
-    option("Import the terms that came with the run: code of whoever made it.", "--trust-code", default=...),
-]
+_TASK_SEED = "Seed of the initial states (default: the task's)."
+TaskSeed = Annotated[int | None, count(_TASK_SEED, default=..., least=0, metavar="K")]
+Trust = Annotated[bool, option("Run the code that came with the run.", "--trust-code", default=...)]
 Json = Annotated[bool, option("Print JSON.", "--json", default=...)]
-Scale = Annotated[
-    float | None,
-    option(
-        "Shrink iterations and evaluation episodes (100 a side at least) by this factor, below 1; "
-        "marked in results.",
-        default=...,
-        metavar="S",
-        parser=number(0, 1),
-    ),
-]
-Size = Annotated[
-    Pixels | None,
-    option(
-        "Pixels of a picture (default: 400x300, films 640x480).", default=..., metavar="WxH", parser=_size
-    ),
-]
+_SCALE = "Shrink iterations and evaluation episodes (100 a side at least) by this factor; marked in results."
+Scale = Annotated[float | None, option(_SCALE, default=..., metavar="S", parser=number(0, 1))]
+_SIZE = "Pixels of a picture (default: 400x300, films 640x480)."
+Size = Annotated[Pixels | None, option(_SIZE, default=..., metavar="WxH", parser=_size)]

@@ -7,7 +7,6 @@ import os
 import platform
 import subprocess
 import sys
-from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,11 +19,13 @@ if TYPE_CHECKING:
     from kickbench.trials.trial import Trial
 
 _METHODS = ("baseline", "augmentation", "equivariant")
+_AUDITED = ("method", "representations")
 _NUM_ENVS, _DEFAULT_ENVS = "algorithm.num_envs", 512
 _NEEDED = {"torch": "torch", "mujoco": "mujoco", "rsl-rl-lib": "rsl_rl", "tensordict": "tensordict"}
 """Packages without which nothing runs, and the modules they are imported as."""
 _GPU_EXTRA = ("mujoco-warp", "warp-lang")
-_QUERY = ("nvidia-smi", "--query-gpu=name,memory.total,driver_version", "--format=csv,noheader")
+_WAITING = ("OMP_WAIT_POLICY", "GOMP_SPINCOUNT")
+"""What decides whether torch's threads sleep or spin while they have no work."""
 _DRAW = "from kickbench.view.backend import make_context; print(type(make_context(64, 64)).__module__)"
 _SECONDS = 120
 
@@ -33,11 +34,7 @@ _SECONDS = 120
 def audit(
     task: cli.Task,
     method: Path | None = cli.argument(
-        "Method or representation table (default: the run's with --policy, else the standard table).",
-        "[METHOD]",
-        "method",
-        "representations",
-        default=None,
+        "Method or table (default: the run's, or the standard one).", "[METHOD]", *_AUDITED, default=None
     ),
     policy: cli.Policy = None,
     states: int = cli.count("States to visit (default: 4096).", default=4096),
@@ -60,12 +57,8 @@ def audit(
 
 @cli.verb("Check", "bench --num-envs 256 1024 --profile")
 def bench(
-    task: Path = cli.option(
-        "Task: a YAML file or a name (default: mini_general).", metavar="TASK", default=Path("mini_general")
-    ),
-    methods: Path | None = cli.option(
-        "Folder of the three methods compared (default: that for the task's robot).", metavar="DIR"
-    ),
+    task: Path = cli.option("Task (default: mini_general).", metavar="TASK", default=Path("mini_general")),
+    methods: Path | None = cli.option("Folder of the three methods (default: the robot's).", metavar="DIR"),
     num_envs: list[int] = cli.count("Envs: one or more numbers (default: 512).", metavar="N...", default=[]),
     rounds: int = cli.count("Interleaved repetitions (default: 10).", default=10),
     json: Path | None = cli.option("Write the figures as JSON, too.", metavar="FILE"),
@@ -119,7 +112,8 @@ def doctor() -> int:
     rows += [(name, versions.get(name, "not installed")) for name in (*_NEEDED, *_GPU_EXTRA)]
     broken = _broken()
     rows = [(name, f"cannot be imported: {broken[name]}" if name in broken else text) for name, text in rows]
-    rows += [("idle threads", _waiting(os.environ)), ("pictures", _drawing())]
+    waiting = ", ".join(f"{name}={os.environ[name]}" for name in _WAITING if name in os.environ)
+    rows += [("idle threads", waiting or "spin"), ("pictures", _drawing())]
     if broken:
         verdict = f"nothing can run: {' and '.join(broken)} cannot be imported"
     else:
@@ -151,7 +145,7 @@ def _devices() -> tuple[list[tuple[str, str]], str]:
     from kickbench.results.provenance import cpu_name
     from kickbench.sim.engine import check_device, usable_cores
 
-    cores, names = f"{usable_cores()} core{'s' * (usable_cores() != 1)}", _gpus()
+    cores = f"{usable_cores()} core{'s' * (usable_cores() != 1)}"
     numbers = range(torch.cuda.device_count() if torch.cuda.is_available() else 0)
     obstacle, graphs = None, graph_obstacle(torch.device("cuda"))
     try:
@@ -159,7 +153,6 @@ def _devices() -> tuple[list[tuple[str, str]], str]:
     except KickbenchError as error:
         obstacle = graphs = str(error).removeprefix("--device cuda: ").partition(";")[0]
     rows = [("processor", f"{cpu_name()}, {cores} usable")]
-    rows += [("graphics card", name) for name in names or ["no NVIDIA driver answers"]]
     rows += [("CUDA device", f"cuda:{k} {torch.cuda.get_device_name(k)}") for k in numbers] or [
         ("CUDA device", "none")
     ]
@@ -170,16 +163,6 @@ def _devices() -> tuple[list[tuple[str, str]], str]:
         return rows, f"ready on the CPU ({cores}); CUDA WORKS WITHOUT GRAPHS, several times slower: {graphs}"
     devices = f"{len(numbers)} device{'s' * (len(numbers) != 1)}"
     return rows, f"ready on the CPU ({cores}) and on CUDA ({devices}), with graphs"
-
-
-def _gpus() -> list[str]:
-    """The graphics cards that the NVIDIA driver names, with memory and version of the driver."""
-    try:
-        done = subprocess.run(_QUERY, capture_output=True, text=True, check=True, timeout=_SECONDS)
-    except (OSError, subprocess.SubprocessError):
-        return []
-    found = [line.split(", ") for line in done.stdout.splitlines() if line.count(", ") == 2]
-    return [f"{name}, {memory}, driver {driver}" for name, memory, driver in found]
 
 
 def _drawing() -> str:
@@ -193,13 +176,3 @@ def _drawing() -> str:
         return done.stdout.strip().removeprefix("mujoco.")
     said = done.stderr.split("kickbench.errors.KickbenchError: ")[-1].strip().splitlines()
     return f"cannot be drawn: {said[-1] if said else f'OpenGL ended the process with code {done.returncode}'}"
-
-
-def _waiting(environment: Mapping[str, str]) -> str:
-    """What torch's threads do while they have no work; by default kickbench asks for passive waiting."""
-    if "GOMP_SPINCOUNT" in environment:
-        return f"spin: GOMP_SPINCOUNT={environment['GOMP_SPINCOUNT']}"
-    policy = environment.get("OMP_WAIT_POLICY", "not set")
-    if policy.upper() == "PASSIVE":
-        return "sleep (OMP_WAIT_POLICY=PASSIVE)"
-    return f"spin (OMP_WAIT_POLICY={policy}): slow beside other processes"

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import os
+import sys
 from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from kickbench.cli import app as cli
 from kickbench.config.shipped import FOLDERS, find, find_method, names
@@ -17,13 +19,22 @@ Kind = Literal["task", "method", "robot", "representations", "reported"]
 Terms = Literal["observations", "rewards", "terminations", "randomizations"]
 
 
+class _TorchLater:
+    """Stands for torch until something of it is used: importing it takes twice as long as checking a task."""
+
+    __spec__ = None  # looked at by `import torch`
+
+    def __getattr__(self, name: str) -> Any:
+        if sys.modules.get("torch") is self:
+            del sys.modules["torch"]
+        return getattr(import_module("torch"), name)
+
+
 @cli.verb("Define", "list", name="list")
 def list_files(
-    folder: Path | None = cli.argument(
-        "Folder whose files and runs are listed instead.", "DIR", default=None
-    ),
+    folder: Path | None = cli.argument("Folder whose files are listed instead.", "DIR", default=None),
 ) -> None:
-    """List tasks, methods, robots and experiments by name, or what is below a folder."""
+    """List tasks, methods, robots and experiments by name, or those below a folder."""
     if folder is not None and not folder.is_dir():
         raise KickbenchError(f"{folder}: no such folder")
     found = _shipped() if folder is None else sorted(_below(folder))
@@ -33,8 +44,6 @@ def list_files(
             width = max(len(name) for name, _ in entries)
             lines = (f"  {name:<{width}}  {printable(text)}".rstrip() for name, text in entries)
             print("\n".join([f"{kind}:", *lines]))
-    if folder is not None:
-        _print_runs(folder)
 
 
 @cli.verb("Define", "new task my_task --from mini_general")
@@ -70,6 +79,7 @@ def validate(
 ) -> None:
     """Check YAML files, a single task with every method among them, and report all errors."""
     paths = [find(file, *_KINDS) for file in files]
+    sys.modules.setdefault("torch", _TorchLater())  # type: ignore[arg-type]
     from kickbench.trials.validate import check_files
 
     problems: list[Problem] = []
@@ -86,12 +96,8 @@ def validate(
 @cli.verb("Define", "show mini_home_field --set ball.mass=0.2")
 def show(
     file: Path = cli.argument("A YAML file of any kind, or a name.", "FILE", *_KINDS),
-    plot: Path | None = cli.option(
-        "Draw a task's sampling regions from above instead (.png, .svg).", metavar="FILE"
-    ),
-    fields: Path | None = cli.option(
-        "Print how a task's observations and actions mirror, by this method, instead.", metavar="METHOD"
-    ),
+    plot: Path | None = cli.option("Draw a task's regions instead (.png, .svg).", metavar="FILE"),
+    fields: Path | None = cli.option("Print how all mirrors by this method instead.", metavar="METHOD"),
     overrides: cli.Set = cli.NONE,
 ) -> None:
     """Print a resolved spec and where each value came from."""
@@ -115,9 +121,7 @@ def show(
 @cli.verb("Define", "terms rewards")
 def terms(
     kind: Terms | None = cli.argument("Of this kind only.", "[KIND]", default=None),
-    own: Path | None = cli.option(
-        "With those of a Python file (a task's key `terms`).", "--own", metavar="FILE"
-    ),
+    own: Path | None = cli.option("With those of a Python file of one's own.", "--own", metavar="FILE"),
 ) -> None:
     """List all terms with parameters, units and source."""
     if own is not None and not own.is_file():
@@ -149,7 +153,7 @@ def schema(kind: Kind = cli.argument("Kind of file.", "KIND")) -> None:
 def derive(
     model: Path = cli.argument("MJCF file.", "MODEL"),
     plane: Literal["xz", "yz", "xy"] = cli.option(
-        "Mirror plane of the first body's frame (default: xz, which every task uses).", default="xz"
+        "Mirror plane of the root body (default: xz).", default="xz"
     ),
 ) -> int:
     """Print the `symmetry:` block of a robot file, derived from the geometry of its MJCF."""
@@ -166,7 +170,7 @@ def derive(
 def _plot(file: Path, out: Path, overrides: list[str]) -> None:
     """Draws a task's sampling regions from above."""
     from kickbench.config.yamlio import load_document
-    from kickbench.envs.compiled_task import read_task
+    from kickbench.envs.compile import read_task
     from kickbench.trials.validate import kind_of
     from kickbench.view.regions import plot_regions
 
@@ -216,16 +220,3 @@ def _kind_and_text(path: Path, usual: str) -> tuple[str, str]:
         return usual, f"does not load: {error.problems[0]}"
     is_table = usual == "method" and "actions" in document.data
     return "representations" if is_table else usual, str(document.data.get("description", ""))
-
-
-def _print_runs(folder: Path) -> None:
-    from kickbench.results.frame import load_runs, runs_of
-    from kickbench.results.notes import left_out_lines, repeat_lines
-
-    runs = load_runs(folder)
-    finished = runs_of(runs[runs.state == "finished"])
-    if len(finished):
-        print("finished runs:\n" + "\n".join(f"  {path}" for path in finished.path))
-    lines = [*repeat_lines(runs, shown), *left_out_lines(runs, shown)]
-    if lines:
-        print("\n".join(lines))

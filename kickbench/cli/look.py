@@ -21,9 +21,7 @@ if TYPE_CHECKING:
 @cli.verb("Look at results", "table runs --columns kick")
 def table(
     roots: cli.Roots,
-    columns: Literal["success", "kick"] = cli.option(
-        "Figures to print (default: success).", default="success"
-    ),
+    columns: Literal["success", "kick"] = cli.option("Figures (default: success).", default="success"),
 ) -> None:
     """Print the table of finished runs."""
     from kickbench.results.tables import render_table
@@ -45,16 +43,9 @@ def compare(roots: cli.Roots) -> None:
 @cli.verb("Look at results", "claims mini_home_field runs/mini_home_field")
 def claims(
     experiment: cli.Experiment,
-    folder: Path | None = cli.argument(
-        "Folder of its runs (default: measured/<experiment> beside the YAML file's folder).",
-        "DIR",
-        default=None,
-    ),
+    folder: Path | None = cli.argument("Folder of its runs (default: the shipped).", "DIR", default=None),
     strict: bool = cli.flag("Exit code 1 unless every claim is met.", "--strict"),
-    power: bool = cli.flag(
-        "Simulate instead how often claims are met by an exact replication, and though they are wrong.",
-        "--power",
-    ),
+    power: bool = cli.flag("Simulate how often claims are met, rightly and wrongly, instead.", "--power"),
     json: cli.Json = False,
 ) -> int:
     """Judge the claims of an experiment by its measured runs."""
@@ -100,9 +91,7 @@ def report(
     folder: Path | None = cli.argument("A run directory, or a folder of them.", "DIR", default=None),
     out: Path | None = cli.option("Page to write (default: DIR/report.html).", "-o", "--out", metavar="FILE"),
     experiment: cli.For = None,
-    readme: bool = cli.flag(
-        "Write README.md's results and results/pictures from results/measured instead.", "--readme"
-    ),
+    readme: bool = cli.flag("Write README.md's results from results/measured instead.", "--readme"),
     root: Path = typer.Option(Path(), hidden=True),
 ) -> None:
     """Write one self-contained page about a folder of runs, or the README's results."""

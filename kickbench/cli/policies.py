@@ -18,9 +18,7 @@ _SHEET_SIZE, _FILM_SIZE = (400, 300), (640, 480)
 @cli.verb("Train", "eval runs/mini_home_field/equivariant/seed1 --episodes 500", name="eval")
 def evaluate(
     run: cli.Run,
-    task: Path | None = cli.option(
-        "Another task: a YAML file or a name (default: the run's).", metavar="TASK"
-    ),
+    task: Path | None = cli.option("Another task: file or name (default: the run's).", metavar="TASK"),
     save: bool = cli.flag("Keep the figures on another task in RUN/also/<task>.json.", "--save"),
     episodes: int | None = cli.count("Episodes a side (default: the task's)."),
     seed: cli.TaskSeed = None,
@@ -55,12 +53,8 @@ def evaluate(
 @cli.verb("Look at results", "render mini_home_field --out sheet.png")
 def render(
     task: cli.Task,
-    policy: list[Path] = cli.option(
-        "Run directory (default: zero action); several are shown side by side.", metavar="RUN", default=[]
-    ),
-    out: Path | None = cli.option(
-        ".png: a sheet of initial states; .webp or .mp4: episodes (default: <task>.png).", metavar="FILE"
-    ),
+    policy: list[Path] = cli.option("Runs, side by side (default: zero action).", metavar="RUN", default=[]),
+    out: Path | None = cli.option("Sheet of initial states (.png) or film (.webp, .mp4).", metavar="FILE"),
     initial_states: int | None = cli.count("Initial states on a sheet (default: 9)."),
     episodes: int | None = cli.count("Episodes of a film (default: 3)."),
     seed: cli.TaskSeed = None,
@@ -105,19 +99,12 @@ def _refuse(reason: str, **options: object) -> None:
 
 @cli.verb("Look at results", "play runs/mini_home_field/equivariant/seed0")
 def play(
-    path: Path = cli.argument(
-        "Run directory; or a task, whose robot stands on zero action.", "RUN|TASK", "task"
-    ),
+    path: Path = cli.argument("Run directory; or a task, for zero action.", "RUN|TASK", "task"),
     task: Path | None = cli.option("Another task for the run's policy.", metavar="TASK"),
     seed: cli.TaskSeed = None,
     port: int = cli.count("Port, or the next that is free (default: 8080).", least=0, default=8080),
-    host: str = cli.option(
-        "Interface; on another than the default everyone who reaches the port controls the page.",
-        default="127.0.0.1",
-    ),
-    browser: bool | None = typer.Option(
-        None, "--browser/--no-browser", help="Open a browser (default: where there is one)."
-    ),
+    host: str = cli.option("Interface; who reaches it controls the page.", default="127.0.0.1"),
+    browser: bool | None = cli.option("Open a browser (default: if there is one).", "--browser/--no-browser"),
     trust_code: cli.Trust = False,
     overrides: cli.Set = cli.NONE,
 ) -> None:
@@ -156,9 +143,7 @@ def play(
 @cli.verb("Look at results", "export runs/mini_home_field/equivariant/seed0")
 def export(
     run: cli.Run,
-    out: Path | None = cli.option(
-        "Folder to write (default: exported/<task>/<method>/seed<k>).", "-o", "--out", metavar="DIR"
-    ),
+    out: Path | None = cli.option("Folder to write (default: below exported).", "-o", "--out", metavar="DIR"),
     states: int = cli.count("Write so many initial states of the evaluation, too.", least=0, default=0),
     force: bool = cli.flag("Overwrite a policy that is there.", "--force"),
 ) -> None:

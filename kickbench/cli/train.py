@@ -43,13 +43,9 @@ def run(
     no_graph: bool = cli.flag("No CUDA graphs: slow, for finding faults.", "--no-graph"),
     threads: cli.Threads = None,
     experiment: cli.For = None,
-    init_from: Path | None = cli.option(
-        "Begin with the policy of this run: network, observation statistics, action noise.", metavar="RUN"
-    ),
+    init_from: Path | None = cli.option("Begin with the policy of this run.", metavar="RUN"),
     init_std: float | None = cli.option(
-        "Standard deviation to begin with (default: that policy's).",
-        metavar="STD",
-        parser=cli.number(1e-3, 10),
+        "Begin with this action noise (default: that policy's).", metavar="STD", parser=cli.number(1e-3, 10)
     ),
     force: bool = cli.flag("Overwrite a run that is there.", "--force"),
     resume: bool = cli.flag("Go on with the run that is there; --iterations may extend it.", "--resume"),
@@ -166,9 +162,7 @@ def _exit_code(jobs: Jobs) -> int:
 
 @cli.verb("Train", "demo")
 def demo(
-    out: Path = cli.option(
-        "Folder of the runs (default: runs/demo).", metavar="DIR", default=Path("runs/demo")
-    ),
+    out: Path = cli.option("Runs (default: runs/demo).", metavar="DIR", default=Path("runs/demo")),
     scale: cli.Scale = None,
 ) -> int:
     """Train three methods on the mini home-field task and show what came of them."""

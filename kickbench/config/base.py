@@ -15,7 +15,6 @@ from pydantic import (
     Field,
     PlainSerializer,
     ValidationInfo,
-    WithJsonSchema,
     model_validator,
 )
 from pydantic.fields import FieldInfo
@@ -112,19 +111,11 @@ def _write_range(value: tuple[float, float]) -> float | tuple[float, float]:
     return value[0] if value[0] == value[1] else value
 
 
-_RANGE_SCHEMA = {
-    "anyOf": [
-        {"type": "number"},
-        {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2},
-    ]
-}
-
 Range = Annotated[
     tuple[float, float],
     Field(strict=False),
-    BeforeValidator(_read_range),
+    BeforeValidator(_read_range, json_schema_input_type=float | VectorPair),
     PlainSerializer(_write_range),
-    WithJsonSchema(_RANGE_SCHEMA),
 ]
 """An interval `[low, high]` with low < high, or one number `c`, which becomes `(c, c)`."""
 

@@ -104,52 +104,26 @@ class _Claim(Spec):
         return {name: item for name, item in found.items() if isinstance(item, Operand)}
 
 
-class AtLeast(_Claim):
-    """value >= bound."""
+class Bounded(_Claim):
+    """value >= bound, or value <= bound."""
 
-    kind: Literal["at_least"]
+    kind: Literal["at_least", "at_most"]
     bound: float
     """The bound, in the metric's unit."""
 
 
-class AtMost(_Claim):
-    """value <= bound."""
+class Compared(_Claim):
+    """value > than, or value < than."""
 
-    kind: Literal["at_most"]
-    bound: float
-    """The bound, in the metric's unit."""
-
-
-class GreaterThan(_Claim):
-    """value > than."""
-
-    kind: Literal["greater_than"]
+    kind: Literal["greater_than", "less_than"]
     than: Operand
-    """Whose figure is claimed to be smaller."""
+    """Whose figure is claimed to be smaller, or greater."""
 
 
-class LessThan(_Claim):
-    """value < than."""
+class Difference(_Claim):
+    """value - minus >= bound, or value - minus <= bound."""
 
-    kind: Literal["less_than"]
-    than: Operand
-    """Whose figure is claimed to be greater."""
-
-
-class DifferenceAtLeast(_Claim):
-    """value - minus >= bound."""
-
-    kind: Literal["difference_at_least"]
-    minus: Operand
-    """What is subtracted."""
-    bound: float
-    """The bound, in the metric's unit."""
-
-
-class DifferenceAtMost(_Claim):
-    """value - minus <= bound."""
-
-    kind: Literal["difference_at_most"]
+    kind: Literal["difference_at_least", "difference_at_most"]
     minus: Operand
     """What is subtracted."""
     bound: float
@@ -166,20 +140,10 @@ class DifferenceWithin(_Claim):
     """The bound, in the metric's unit."""
 
 
-class RatioAtMost(_Claim):
-    """value <= bound * over."""
+class Ratio(_Claim):
+    """value <= bound * over, or value >= bound * over."""
 
-    kind: Literal["ratio_at_most"]
-    over: Operand
-    """What is divided by."""
-    bound: PositiveFloat
-    """The bound."""
-
-
-class RatioAtLeast(_Claim):
-    """value >= bound * over."""
-
-    kind: Literal["ratio_at_least"]
+    kind: Literal["ratio_at_most", "ratio_at_least"]
     over: Operand
     """What is divided by."""
     bound: PositiveFloat
@@ -194,18 +158,7 @@ class NearReported(_Claim):
     """How far from the reported figure it may be, in the metric's unit."""
 
 
-AnyClaim = (
-    AtLeast
-    | AtMost
-    | GreaterThan
-    | LessThan
-    | DifferenceAtLeast
-    | DifferenceAtMost
-    | DifferenceWithin
-    | RatioAtMost
-    | RatioAtLeast
-    | NearReported
-)
+AnyClaim = Bounded | Compared | Difference | DifferenceWithin | Ratio | NearReported
 Claim = Annotated[AnyClaim, Field(discriminator="kind")]
 """A claim; its `kind` says how value and bound are compared."""
 

@@ -12,15 +12,14 @@ the joints, from which `offset`, the default pose, is subtracted.
 from __future__ import annotations
 
 import re
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from kickbench.config.base import FloatList, NameList, Spec, VectorPair
 from kickbench.config.robot import ActuatorSpec, FeetSpec
 from kickbench.config.task import BallSpec, EpisodeSpec, FloorSpec, SimulationSpec
 from kickbench.envs.term import Frame
-from kickbench.symmetry.representation import Representation
 
 IntList = Annotated[tuple[int, ...], Field(strict=False)]
 
@@ -91,11 +90,6 @@ class SignedPermutation(Spec):
     """Place that each number is read from."""
     sign: IntList
     """+1 or -1 for each number."""
-
-    @model_validator(mode="after")
-    def _is_reflection(self) -> Self:
-        Representation(self.index, self.sign)
-        return self
 
 
 class Mirror(Spec):
@@ -176,17 +170,6 @@ class Contract(Spec):
     """What the policy was trained in."""
     origin: Origin
     """Where the policy comes from."""
-
-    @model_validator(mode="after")
-    def _consistent(self) -> Self:
-        for field in self.observations:
-            if not len(field.components) == len(field.offset) == len(field.scale):
-                raise ValueError(f"{field.name}: components, offset and scale differ in length")
-        width = sum(len(field.components) for field in self.observations)
-        mirrored = len(self.mirror.observations.index), len(self.mirror.actions.index)
-        if mirrored != (width, len(self.actions)):
-            raise ValueError("the mirror has another size than the observations or the actions")
-        return self
 
     def text(self) -> str:
         """The contract as JSON, every list of plain values on one line."""

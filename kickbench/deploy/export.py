@@ -91,7 +91,7 @@ def contract_of(run: Run) -> Contract:
     """
     task, symmetry, robot = run.trial.task, run.trial.symmetry, run.specs.robot
     layout = task.scene.layout
-    joints = layout.joint_names, _default_pose(layout), layout.joint_range
+    joints = layout.joint_names, _default_pose(layout), layout.joint_range.tolist()
     actions = robot.actuators.items(), layout.default_target.tolist()
     mirror = {"observations": symmetry.groups["actor"].representation, "actions": symmetry.actions}
     return Contract(
@@ -99,7 +99,7 @@ def contract_of(run: Run) -> Contract:
         control_interval=task.spec.simulation.control_interval,
         observations=tuple(_observation(task, field) for field in task.groups["actor"]),
         joints=tuple(
-            parts.Joint(name=name, default=default, range=_limits(bounds))
+            parts.Joint(name=name, default=default, range=bounds if np.isfinite(bounds).all() else None)
             for name, default, bounds in zip(*joints, strict=True)
         ),
         actions=tuple(
@@ -117,11 +117,6 @@ def contract_of(run: Run) -> Contract:
 
 def _default_pose(layout: SceneLayout) -> tuple[float, ...]:
     return tuple(layout.default_qpos[layout.joint_qpos].tolist())
-
-
-def _limits(bounds: np.ndarray) -> tuple[float, float] | None:
-    low, high = bounds.tolist()
-    return (low, high) if np.isfinite(bounds).all() else None
 
 
 def _observation(task: CompiledTask, field: Field) -> parts.Observation:

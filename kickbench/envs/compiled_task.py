@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import torch
 from pydantic import ValidationError
 
 from kickbench.config.load import Loaded, LoadedTask, load_task
@@ -203,7 +202,7 @@ def _field_problems(task: LoadedTask[Any]) -> Iterator[Problem]:
 
 
 def _region_problems(task: LoadedTask[Any], layout: SceneLayout) -> Iterator[Problem]:
-    share = free_share(task.spec.sampling.ball, torch.as_tensor(layout.obstacles), task.spec.ball.radius)
+    share = free_share(task.spec.sampling.ball, layout.obstacles, task.spec.ball.radius)
     if share >= LEAST_FREE:
         return
     where = "everywhere in" if share == 0.0 else f"in {100.0 * (1.0 - share):.0f} % of"

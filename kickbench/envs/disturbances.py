@@ -5,15 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from kickbench.config.base import Fraction, NonNegativeRange, PositiveFloat
 from kickbench.config.task import TaskSpec
 from kickbench.config.terms import RandomizationParams
 from kickbench.envs.tensors import Tensors
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 _UNIT, _TURN = (0.0, 1.0), (0.0, 2.0 * math.pi)
 
@@ -26,11 +29,10 @@ class EpisodeDraws:
         device: Where the numbers live.
     """
 
-    device = torch.device("cpu")
-
     def __init__(self, num_envs: int) -> None:
         """Gives every env a source for the time before its first episode."""
         self.streams = [np.random.default_rng(0) for _ in range(num_envs)]
+        self.device = torch.device("cpu")
 
     def begin(self, env: int, seed: Sequence[int]) -> None:
         """Begins the numbers of a new episode in an env."""
@@ -43,7 +45,7 @@ class EpisodeDraws:
         return torch.from_numpy(drawn)
 
 
-Draws = torch.Generator | EpisodeDraws
+Draws: TypeAlias = "torch.Generator | EpisodeDraws"
 """One generator for all envs, or one for each episode."""
 
 

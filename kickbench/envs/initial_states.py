@@ -7,17 +7,19 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import torch
-from torch import Tensor
 
 from kickbench.config.task import BallSampling
 from kickbench.envs.tensors import across, sides_swapped
-from kickbench.symmetry.torch_ops import Mirror
 
 if TYPE_CHECKING:
-    from kickbench.envs.compiled_task import CompiledTask
+    from torch import Tensor
 
-Draw = Callable[..., Tensor]
+    from kickbench.envs.compiled_task import CompiledTask
+    from kickbench.symmetry.torch_ops import Mirror
+
+Draw = Callable[..., "Tensor"]
 """`draw(low, high, *shape)`: uniform numbers, float64, from the sampler's generator."""
 
 LEAST_FREE = 0.1
@@ -77,23 +79,23 @@ class InitialStates:
         return replace(self, by_side={**self.by_side, name: values})
 
 
-def overlaps(x: Tensor, y: Tensor, obstacles: Tensor, radius: float) -> Tensor:
-    """Whether a ball on the floor at (x, y) overlaps any rectangle of `SceneLayout.obstacles`, bool of their shape."""
-    low_x, high_x, low_y, high_y = obstacles.unbind(dim=1)
-    x, y = x.unsqueeze(-1), y.unsqueeze(-1)
-    dx = torch.maximum(low_x - x, x - high_x).clamp(min=0.0)
-    dy = torch.maximum(low_y - y, y - high_y).clamp(min=0.0)
-    return (dx.square() + dy.square() < radius**2).any(dim=-1)
+def overlaps(x: Any, y: Any, obstacles: Any, radius: float) -> Any:
+    """Whether a ball on the floor at (x, y) overlaps any rectangle of `SceneLayout.obstacles`, bool of their shape.
+
+    Places and obstacles are tensors or NumPy arrays.
+    """
+    low_x, high_x, low_y, high_y = obstacles.T
+    x, y = x[..., None], y[..., None]
+    # A place is on one side at most, so one of the two terms is 0.
+    dx = (low_x - x).clip(min=0.0) + (x - high_x).clip(min=0.0)
+    dy = (low_y - y).clip(min=0.0) + (y - high_y).clip(min=0.0)
+    return (dx**2 + dy**2 < radius**2).any(-1)
 
 
-def free_share(region: BallSampling, obstacles: Tensor, radius: float) -> float:
+def free_share(region: BallSampling, obstacles: np.ndarray, radius: float) -> float:
     """Share of a region in which a ball would not overlap the robot, from a grid of places."""
-    x, y = (
-        torch.linspace(*bounds, _GRID, dtype=torch.float64, device=obstacles.device)
-        for bounds in (region.x, region.y)
-    )
-    blocked = overlaps(x.unsqueeze(1).expand(-1, _GRID), y.expand(_GRID, -1), obstacles, radius)
-    return 1.0 - float(blocked.double().mean())
+    x, y = np.meshgrid(*(np.linspace(*bounds, _GRID) for bounds in (region.x, region.y)))
+    return 1.0 - float(overlaps(x, y, obstacles, radius).mean())
 
 
 class InitialStateSampler:
@@ -164,7 +166,7 @@ class InitialStateSampler:
         apart_y = (low_y - radius > region.y[1]) | (high_y + radius < region.y[0])
         if bool((apart_x | apart_y).all()):
             return 1
-        blocked = 1.0 - max(free_share(region, self._obstacles, radius), LEAST_FREE)
+        blocked = 1.0 - max(free_share(region, self._obstacles.numpy(force=True), radius), LEAST_FREE)
         enough = math.log(_LEFT_OVER) / math.log(blocked) if blocked > 0.0 else 1.0
         return max(_TRIES, math.ceil(enough))
 

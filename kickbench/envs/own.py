@@ -22,16 +22,18 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 from pydantic import ValidationError, create_model
-from torch import Tensor
 
 from kickbench.config.base import NameList, Range
 from kickbench.config.terms import JointName, JointNames, TermParams
 from kickbench.envs.term import COMMON, Kind, Term, observation, reward, termination
 from kickbench.errors import KickbenchError, Mark, Problem, SpecError, shown
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 _TYPES: dict[str, Any] = {
     **{kind.__name__: kind for kind in (float, int, bool, str)},
@@ -82,9 +84,11 @@ class OwnFunction:
     def _check(self, found: Any, envs: int) -> None:
         kind = torch.bool if self.kind == "termination" else torch.float32
         dims = 2 if self.kind == "observation" else 1
-        if isinstance(found, Tensor) and (found.dtype, found.dim(), len(found)) == (kind, dims, envs):
+        if isinstance(found, torch.Tensor) and (found.dtype, found.dim(), len(found)) == (kind, dims, envs):
             return
-        shape = f"{found.dtype} {list(found.shape)}" if isinstance(found, Tensor) else type(found).__name__
+        shape = (
+            f"{found.dtype} {list(found.shape)}" if isinstance(found, torch.Tensor) else type(found).__name__
+        )
         expected = f"{kind} [{envs}{', size' if dims == 2 else ''}]"
         raise KickbenchError(f"{shown(self.file)}: {self.name} returns {shape}; a {self.kind} is {expected}")
 

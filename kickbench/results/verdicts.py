@@ -15,7 +15,7 @@ from typing import Literal
 import pandas as pd
 from pydantic import Field, TypeAdapter, ValidationError
 
-from kickbench.config.experiment import AnyClaim, Operand, RatioAtLeast, RatioAtMost
+from kickbench.config.experiment import AnyClaim, Operand, Ratio
 from kickbench.errors import KickbenchError
 from kickbench.results.atomic import Record, problems_of
 from kickbench.results.contrast import (
@@ -240,7 +240,7 @@ def _each(contrast: Contrast, parts: Parts) -> tuple[Outcome, Estimated, str | N
 def _shown(claim: AnyClaim, estimated: Estimated, parts: Parts) -> tuple[float | None, Interval | None]:
     """The figure as people read it: of a ratio claim the ratio, of any other the contrast itself."""
     value, interval = estimated.value, estimated.interval
-    if isinstance(claim, RatioAtMost | RatioAtLeast):
+    if isinstance(claim, Ratio):
         runs = parts[claim.over.condition]
         figures = [t.figure.value for run in runs for t in run.terms if t.operand is claim.over]
         over = sum(figures) / len(figures)
@@ -267,7 +267,7 @@ def _reported_figure(claim: AnyClaim, contrast: Contrast, experiment: LoadedExpe
     known = [weight * value for weight, value in values if value is not None]
     if len(known) < len(values):
         return None
-    if isinstance(claim, RatioAtMost | RatioAtLeast):
+    if isinstance(claim, Ratio):
         over = values[1][1]
         return values[0][1] / over if values[0][1] is not None and over else None
     return sum(known)

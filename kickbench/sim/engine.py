@@ -8,14 +8,17 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 # pyright: reportAttributeAccessIssue=false
 import mujoco
 import numpy as np
 import torch
-from torch import Tensor
 
 from kickbench.errors import KickbenchError
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 HUGE = 1e6
 """A state whose norm (m, rad, m/s, rad/s) reaches this is an explosion, though finite."""

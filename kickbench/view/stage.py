@@ -66,13 +66,9 @@ class Stage:
         ball = qpos[self._ball : self._ball + 2]
         side = target[0] * ball[1] - target[1] * ball[0]  # positive: the ball is to the left of the line
         heading = np.degrees(np.arctan2(target[1], target[0])) - np.copysign(_ASIDE, side)
-        flag = _flag_height(self._radius)
-        points = [
-            *_box((0.0, 0.0), *_ROBOT),
-            *_box(ball, 0.2, 0.2),
-            *_box(target, self._radius, flag),
-        ]
-        return fit_camera(np.array(points), heading, _ELEVATION, self.width / self.height)
+        flag = _box(target, self._radius, _flag_height(self._radius))
+        points = np.concatenate([_box((0.0, 0.0), *_ROBOT), _box(ball, 0.2, 0.2), flag])
+        return fit_camera(points, heading, _ELEVATION, self.width / self.height)
 
     def picture(self, qpos: np.ndarray, target: np.ndarray, camera: mujoco.MjvCamera) -> np.ndarray:
         """Renders a state.

@@ -71,10 +71,10 @@ def test_a_profile_has_the_parts_of_an_iteration(experiment, method):
     small = ("algorithm.num_envs=4", "algorithm.steps_per_env=4")
     rows = profile_iteration(experiment("mini_general", method, *small), "cpu", 1).splitlines()
     calls = {row[:32].strip(): row.split()[-1] for row in rows if row.strip()}
-    assert calls["env step"] == calls["physics"] == calls["policy"] == "4"
-    assert calls["update"] == "1"
-    assert {"reset", "observations", "backward"} <= set(calls)
-    assert ("mirrored samples" in calls) == (method == "augmentation")
+    assert calls["KickEnv.step"] == calls["CpuEngine.step"] == calls["PPO.act"] == "4"
+    assert calls["BoundedPPO.update"] == "1"
+    assert {"KickEnv._reset", "KickEnv._observe", "backward"} <= set(calls)
+    assert any("augment_batch" in call for call in calls) == (method == "augmentation")
 
 
 def test_naming_the_parts_leaves_the_training_as_it_is(experiment):
@@ -156,9 +156,9 @@ def test_the_room_of_a_gpu_engine_is_read_and_its_steps_repeat_the_controls(expe
     for action in actions:
         env.step(action)
     torch.testing.assert_close(shadow.qpos, engine.qpos, rtol=1e-4, atol=1e-5)
-    room = measure.room_of(engine)
+    room = engine.take_load()
     assert room is not None
-    assert room.overflow == 0.0
+    assert room.short_share == 0.0
     assert 0 < room.contacts <= room.contact_room
     assert 0 < room.constraints <= room.constraint_room
 

@@ -1,6 +1,6 @@
 import pytest
 
-from kickbench.config.experiment import METRICS, OF_A_RUN, AtLeast, ExperimentSpec, RatioAtMost
+from kickbench.config.experiment import METRICS, OF_A_RUN, Bounded, ExperimentSpec, Ratio
 
 HEAD = """\
 task: table.yaml
@@ -16,7 +16,7 @@ TEXT = HEAD + CLAIM
 def test_what_is_not_written_is_the_plainest(read):
     spec = read(ExperimentSpec, TEXT)
     claim = spec.claims["c"]
-    assert isinstance(claim, AtLeast)
+    assert isinstance(claim, Bounded)
     assert (claim.seeds, claim.section, claim.value.side, claim.value.task) == (
         "mean",
         "",
@@ -32,7 +32,7 @@ def test_the_operands_of_a_claim_are_found_by_their_keys(read):
         "bound", "over: {condition: baseline, side: mirrored}, bound"
     )
     claim = read(ExperimentSpec, text).claims["c"]
-    assert isinstance(claim, RatioAtMost)
+    assert isinstance(claim, Ratio)
     assert {key: operand.side for key, operand in claim.operands().items()} == {
         "value": "in_distribution",
         "over": "mirrored",

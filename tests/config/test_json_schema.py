@@ -54,10 +54,11 @@ def test_the_schema_describes_every_key():
 
 def test_the_schema_of_a_range_is_a_number_or_two():
     entry = json_schema(Body)["properties"]["range"]
-    assert entry["anyOf"] == [
-        {"type": "number"},
-        {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2},
-    ]
+    for value in (0.5, 2, [0.0, 1.0]):
+        jsonschema.validate(value, entry)
+    for value in ([0.0], [0.0, 1.0, 2.0], "1", ["0", "1"]):
+        with pytest.raises(jsonschema.ValidationError):
+            jsonschema.validate(value, entry)
 
 
 def test_the_schema_requires_no_key_since_a_file_may_extend_another():

@@ -187,7 +187,7 @@ def test_rows_without_friction_stay_without(sample):
 def test_no_ball_overlaps_the_robot_though_most_of_its_region_does(sample, mini):
     crowded = region(x=(-0.1, 0.2), y=(-0.24, 0.24))
     obstacles = torch.as_tensor(mini.scene.layout.obstacles)
-    assert 0.1 < free_share(crowded.ball, obstacles, 0.08) < 0.25
+    assert 0.1 < free_share(crowded.ball, mini.scene.layout.obstacles, 0.08) < 0.25
     x, y = torch.as_tensor(ball(sample(crowded, count=20_000), mini)[:, :2]).T
     assert not overlaps(x, y, obstacles, 0.08).any()
 
@@ -199,7 +199,7 @@ def test_the_free_share_is_that_of_random_places(sample, mini):
         unit = torch.rand(2, 40_000, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
         x, y = (low + (high - low) * u for (low, high), u in zip(bounds, unit, strict=True))
         free = 1.0 - float(overlaps(x, y, obstacles, 0.08).double().mean())
-        assert free_share(ball, obstacles, 0.08) == pytest.approx(free, abs=0.02)
+        assert free_share(ball, obstacles.numpy(), 0.08) == pytest.approx(free, abs=0.02)
 
 
 class Counter:
