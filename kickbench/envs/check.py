@@ -48,15 +48,15 @@ def scene_problems(task: LoadedTask[Any], layout: SceneLayout) -> Iterator[Probl
 
 
 def _term_problems(task: LoadedTask[Any], path: KeyPath, term: Term, params: TermParams) -> Iterator[Problem]:
-    """Parameters that do not fit the task, joints that the robot does not drive, sensors that it lacks."""
+    """Parameters that do not fit the task, joints that it does not observe, sensors that it lacks."""
     document, robot = task.document, f"the robot {task.robot.document.file.name}"
     for key, message in params.misfits(task.spec):
         yield document.problem((*path, key), message)
-    observed = [spec.joint for spec in task.robot.spec.actuators.values() if spec.joint is not None]
+    observed = task.robot.spec.observed_joints
     for key, joint in params.named_joints():
         if joint not in observed:
             hint = did_you_mean(joint, observed) or f"it has: {', '.join(observed)}"
-            yield document.problem((*path, *key), f"{robot} drives no joint '{joint}'", hint)
+            yield document.problem((*path, *key), f"{robot} observes no joint '{joint}'", hint)
     if lacking := sorted(term.needs - available_groups(task.robot.spec)):
         what = f"'{term.name}' needs the sensors {', '.join(lacking)}, which the scene lacks"
         yield document.problem(path, what, f"{robot} names no `feet`")

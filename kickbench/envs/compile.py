@@ -21,7 +21,7 @@ from kickbench.sim.build import Scene, build_scene
 from kickbench.sim.layout import SceneLayout
 from kickbench.sim.sensors import SensorGroup, available_groups
 from kickbench.symmetry.mirror import mirror_actions, mirror_joints
-from kickbench.symmetry.representation import Representation
+from kickbench.symmetry.representation import REGULAR, Representation, direct_sum
 
 
 @dataclass(frozen=True)
@@ -94,11 +94,12 @@ def compile_task(task: LoadedTask[Any]) -> CompiledTask:
 
 
 def own_representations(robot: RobotSpec, layout: SceneLayout) -> dict[str, Representation]:
-    """How a robot's observed joints and its actions mirror, by the names that expressions have for them."""
+    """How a robot's observed joints, actions and feet mirror, by the names that expressions have for them."""
     image = robot.symmetry.image()
     return {
         "joints": mirror_joints(layout.joint_names, image),
         "actions": mirror_actions(robot.actuators, image),
+        "feet": direct_sum([REGULAR] * (len(layout.feet) // 2)),
     }
 
 

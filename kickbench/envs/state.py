@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -13,7 +14,6 @@ from kickbench.config.task import EpisodeSpec
 from kickbench.envs.tensors import Tensors
 from kickbench.sim.engine import Engine
 from kickbench.sim.layout import Indices, SceneLayout
-from kickbench.sim.sensors import SIDES
 
 
 class EpisodeState(Tensors):
@@ -26,7 +26,7 @@ class EpisodeState(Tensors):
         target: Target position in the world [B, 2], m.
         action: Action of the last control step [B, nu].
         previous_action: Action of the step before [B, nu].
-        air_time: Time since the left, the right foot last touched the floor [B, 2], s.
+        air_time: Time since each foot last touched the floor [B, F], s.
     """
 
     step: Tensor
@@ -37,18 +37,17 @@ class EpisodeState(Tensors):
     air_time: Tensor
 
     @staticmethod
-    def zeros(num_envs: int, num_actions: int, device: torch.device) -> EpisodeState:
+    def zeros(num_envs: int, num_actions: int, num_feet: int, device: torch.device) -> EpisodeState:
         """All counters and actions at zero."""
         count = torch.zeros(num_envs, dtype=torch.int64, device=device)
         action = torch.zeros(num_envs, num_actions, device=device)
-        pair = torch.zeros(num_envs, 2, device=device)
         return EpisodeState(
             step=count,
             contact_count=count.clone(),
-            target=pair,
+            target=torch.zeros(num_envs, 2, device=device),
             action=action,
             previous_action=action.clone(),
-            air_time=pair.clone(),
+            air_time=torch.zeros(num_envs, num_feet, device=device),
         )
 
 
@@ -68,8 +67,9 @@ class StateIndex:
         self.default_joint_pos = torch.as_tensor(default, dtype=torch.float32, device=device)
         self.ball_qpos, self.ball_qvel = layout.ball_qpos, layout.ball_qvel
         self.frames = {name: slice(int(c[0]), int(c[-1]) + 1) for name, c in layout.frames.items()}
+        self.feet = layout.feet
         self.foot_frames = {
-            what: Columns([*left, *right], device) for what, left, right in _by_foot(layout.frames)
+            what: Columns(np.concatenate(places), device) for what, places in _by_foot(layout.frames).items()
         }
         sensed = np.concatenate(list(layout.contacts.values()))
         first = int(sensed.min())
@@ -78,8 +78,8 @@ class StateIndex:
         beginning."""
         self.contacts = {name: Columns(places - first, device) for name, places in layout.contacts.items()}
         self.foot_contacts = {
-            what: FootContact(left - first, right - first, device)
-            for what, left, right in _by_foot(layout.contacts)
+            what: FootContact([foot - first for foot in places], device)
+            for what, places in _by_foot(layout.contacts).items()
         }
         self.forces = {
             name: [Columns(part, device) for part in parts] for name, parts in layout.forces.items()
@@ -98,13 +98,14 @@ class StateIndex:
         return self._columns[names]
 
 
-def _by_foot(channels: Mapping[str, Indices]) -> Iterator[tuple[str, Indices, Indices]]:
-    """What is sensed of both feet, with the places of the left and of the right one: `foot_pos`, ..."""
-    left, right = SIDES
+def _by_foot(channels: Mapping[str, Indices]) -> dict[str, list[Indices]]:
+    """What is sensed of the feet, with the places of each foot, in the feet's order: `foot_pos`, ..."""
+    found = defaultdict[str, list[Indices]](list)
     for name, places in channels.items():
-        if name.startswith(left):
-            what = name.removeprefix(f"{left}_")
-            yield what, places, channels[f"{right}_{what}"]
+        _, foot, what = name.partition("_foot_")
+        if foot:
+            found[f"foot_{what}"].append(places)
+    return found
 
 
 class Columns:
@@ -124,18 +125,18 @@ class Columns:
 
 
 class FootContact:
-    """Contact of the left and of the right foot with one thing; each foot may have several parts."""
+    """Contact of every foot with one thing; each foot may have several parts."""
 
-    def __init__(self, left: Indices, right: Indices, device: torch.device) -> None:
-        """Takes the places of the parts' contact counts."""
-        self._parts = max(len(left), len(right))
+    def __init__(self, feet: Sequence[Indices], device: torch.device) -> None:
+        """Takes the places of the contact counts of each foot's parts."""
+        self._parts = max(map(len, feet))
         # A part that is looked at twice changes nothing.
-        self._places = Columns([*np.resize(left, self._parts), *np.resize(right, self._parts)], device)
+        self._places = Columns(np.concatenate([np.resize(foot, self._parts) for foot in feet]), device)
 
     def of(self, touching: Tensor) -> Tensor:
-        """Whether any part touches [B, 2], from a table of all contacts [B, ...] bool."""
+        """Whether any part touches [B, F], from a table of all contacts [B, ...] bool."""
         found = self._places.of(touching)
-        return found if self._parts == 1 else found.view(-1, 2, self._parts).any(dim=2)
+        return found if self._parts == 1 else found.unflatten(1, (-1, self._parts)).any(dim=2)
 
 
 class State:
@@ -309,17 +310,17 @@ class State:
 
     @cached_property
     def foot_pos(self) -> Tensor:
-        """Centres of the left and the right sole [B, 2, 3], m."""
-        return self._index.foot_frames["foot_pos"].of(self._sensors).view(-1, 2, 3)
+        """Centres of the soles, in the order of the feet [B, F, 3], m."""
+        return self._index.foot_frames["foot_pos"].of(self._sensors).unflatten(1, (-1, 3))
 
     @cached_property
     def foot_vel(self) -> Tensor:
-        """Velocities of the left and the right sole [B, 2, 3], m/s."""
-        return self._index.foot_frames["foot_vel"].of(self._sensors).view(-1, 2, 3)
+        """Velocities of the soles [B, F, 3], m/s."""
+        return self._index.foot_frames["foot_vel"].of(self._sensors).unflatten(1, (-1, 3))
 
     @cached_property
     def foot_floor_contact(self) -> Tensor:
-        """Left, right foot touched the floor during the control step [B, 2] bool."""
+        """Each foot touched the floor during the control step [B, F] bool."""
         return self._index.foot_contacts["foot_floor"].of(self._touching)
 
     @cached_property
@@ -329,12 +330,12 @@ class State:
 
     @cached_property
     def foot_floor_force(self) -> Tensor:
-        """Mean force of the floor on the left and the right foot over the control step [B, 2, 3], N."""
-        return torch.stack([self._force(f"{side}_foot_floor") for side in SIDES], dim=1)
+        """Mean force of the floor on each foot over the control step [B, F, 3], N."""
+        return torch.stack([self._force(f"{foot}_foot_floor") for foot in self._index.feet], dim=1)
 
     @cached_property
     def foot_ball_contact(self) -> Tensor:
-        """Left, right foot touched the ball during the control step [B, 2] bool."""
+        """Each foot touched the ball during the control step [B, F] bool."""
         return self._index.foot_contacts["foot_ball"].of(self._touching)
 
     @cached_property
