@@ -300,7 +300,7 @@ MALFORMED = {
         [K1],
         (K1, "left: ALeft_Shoulder_Pitch", "left: Left_Shoulder_Pitch"),
         (K1, "¦left: Left_Shoulder_Pitch"),
-        "rewards.arm_swing.left: the robot robot.yaml drives no joint 'Left_Shoulder_Pitch' "
+        "rewards.arm_swing.left: the robot robot.yaml observes no joint 'Left_Shoulder_Pitch' "
         "(did you mean 'ALeft_Shoulder_Pitch'?)",
     ),
     "negative mass of the ball": Case(
