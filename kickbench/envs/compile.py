@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -137,6 +138,14 @@ def _fields(bounds: tuple[Bound, ...], own: Mapping[str, Representation]) -> tup
     for bound in bounds:
         assert isinstance(bound.params, ObservationParams)
         size = field_size(bound.term, own)
-        fields.append(Field(bound, bound.params, first, size))
+        fields.append(Field(_of_robot(bound, own), bound.params, first, size))
         first += size
     return tuple(fields)
+
+
+def _of_robot(bound: Bound, own: Mapping[str, Representation]) -> Bound:
+    """A term whose `feet` are written `regular` where there are two, as in the tables that runs have kept."""
+    stated = bound.term.representation
+    if isinstance(stated, int) or own["feet"] != REGULAR:
+        return bound
+    return replace(bound, term=replace(bound.term, representation=re.sub(r"\bfeet\b", "regular", stated)))

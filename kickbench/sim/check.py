@@ -302,8 +302,7 @@ def _feet_problems(robot: Loaded[RobotSpec], model: mujoco.MjModel, layout: Scen
         if not touching:
             what = f"no geom of the foot '{foot.body}' collides: it can touch neither floor nor ball"
             hint = (
-                "contype and conaffinity of its geoms are 0; "
-                "contact pairs of the MJCF do not name floor or ball"
+                "contype and conaffinity of its geoms are 0; the MJCF's contact pairs name no floor or ball"
             )
             yield robot.document.problem(("feet", place), what, hint)
         elif all({(0, b), (b, 0)} & excluded for b in model.geom_bodyid[touching].tolist()):
@@ -370,7 +369,6 @@ def _words(joint: str, partner: str, sign: int) -> str:
 
 
 def _contradicted_feet(robot: Loaded[RobotSpec], derivation: Derivation) -> Iterator[Problem]:
-    """The feet of a pair are mirror images of each other, the left one on the left."""
     feet, places = robot_feet(robot.spec), {b.name: b.get("place") for b in derivation.parts.bodies}
     for left, right in zip([*feet][::2], [*feet][1::2], strict=True):
         yield from _contradicted_pair(robot, derivation, left, right)
@@ -386,20 +384,17 @@ def _contradicted_pair(
     feet, parts = robot_feet(robot.spec), derivation.parts
     bodies = {match.name: match.partner for match in derivation.bodies}
     shapes = {match.name: match.partner for match in derivation.shapes}
-    words = right.replace("_", " ")
 
     def geoms(foot: FootSpec) -> set[str]:
-        """Names of a foot's geoms: those listed, or all of its body that can touch anything."""
         whole = {s.name for s in parts.shapes if s.touches and parts.bodies[s.body].name == foot.body}
         return set(foot.geoms) or whole
 
     partner = bodies.get(feet[left].body)
     if partner not in (None, feet[right].body):
-        declared = f"'{feet[right].body}' is declared the {words} foot"
-        what = f"{declared}, but the mirror image of the left one is '{partner}'"
+        what = f"'{feet[right].body}' is declared the {right.replace('_', ' ')} foot, but the mirror image of the left one is '{partner}'"
         yield robot.document.problem(("feet", right, "body"), what)
     images, found = {shapes.get(geom) for geom in geoms(feet[left])}, geoms(feet[right])
     if None not in images and images != found:
         theirs, wanted = (", ".join(sorted(map(str, names))) for names in (found, images))
-        what = f"the {words} foot's geoms are {theirs}; the mirror image of the left one's: {wanted}"
+        what = f"the {right.replace('_', ' ')} foot's geoms are {theirs}; the mirror image of the left one's: {wanted}"
         yield robot.document.problem(("feet", right), what)

@@ -39,7 +39,7 @@ def test_fields_carry_the_representations_that_their_terms_state(mini):
     stated = {field.name: field.representation for field in mini.groups["critic"]}
     assert stated["base_ang_vel"] == "sign + trivial + sign"
     assert stated["joint_pos"] == "joints"
-    assert stated["foot_position"] == "feet x (trivial + sign + trivial)"
+    assert stated["foot_position"] == "regular x (trivial + sign + trivial)"
 
 
 def test_rewards_carry_their_weights_in_the_order_of_the_yaml(mini):
