@@ -381,7 +381,7 @@ def _contradicted_feet(robot: Loaded[RobotSpec], derivation: Derivation) -> Iter
 def _contradicted_pair(
     robot: Loaded[RobotSpec], derivation: Derivation, left: str, right: str
 ) -> Iterator[Problem]:
-    feet, parts = robot_feet(robot.spec), derivation.parts
+    feet, parts, side = robot_feet(robot.spec), derivation.parts, right.replace("_", " ")
     bodies = {match.name: match.partner for match in derivation.bodies}
     shapes = {match.name: match.partner for match in derivation.shapes}
 
@@ -391,10 +391,10 @@ def _contradicted_pair(
 
     partner = bodies.get(feet[left].body)
     if partner not in (None, feet[right].body):
-        what = f"'{feet[right].body}' is declared the {right.replace('_', ' ')} foot, but the mirror image of the left one is '{partner}'"
+        what = f"'{feet[right].body}' is declared the {side} foot, but the mirror image of the left one is '{partner}'"
         yield robot.document.problem(("feet", right, "body"), what)
     images, found = {shapes.get(geom) for geom in geoms(feet[left])}, geoms(feet[right])
     if None not in images and images != found:
         theirs, wanted = (", ".join(sorted(map(str, names))) for names in (found, images))
-        what = f"the {right.replace('_', ' ')} foot's geoms are {theirs}; the mirror image of the left one's: {wanted}"
+        what = f"the {side} foot's geoms are {theirs}; the mirror image of the left one's: {wanted}"
         yield robot.document.problem(("feet", right), what)
