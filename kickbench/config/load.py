@@ -10,7 +10,7 @@ from typing import Any, Generic, Self, TypeVar, cast
 from kickbench.config.base import Spec
 from kickbench.config.method import MethodSpec, RepresentationSpec
 from kickbench.config.problems import validate
-from kickbench.config.robot import RobotSpec
+from kickbench.config.robot import RobotSpec, pairs_apart
 from kickbench.config.task import TaskSpec
 from kickbench.config.yamlio import Document, load_document
 from kickbench.errors import SpecError, did_you_mean
@@ -65,6 +65,8 @@ def load(
     """
     document = load_document(path, overrides)
     known = model if isinstance(model, type) else model(document)
+    if known is RobotSpec:
+        document = replace(document, tree=pairs_apart(document.tree))
     return Loaded(validate(cast("type[S]", known), document), document)
 
 

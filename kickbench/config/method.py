@@ -156,8 +156,8 @@ class MethodSpec(Spec):
     """Path of the field representation table."""
 
 
-NAMES = ("trivial", "sign", "regular", "regular_sign", "joints", "actions")
-"""The four representations of the reflection group that occur, and the robot's own two."""
+NAMES = ("trivial", "sign", "regular", "regular_sign", "joints", "actions", "feet")
+"""The four representations of the reflection group that occur, and the robot's own three."""
 
 
 @dataclass(frozen=True)

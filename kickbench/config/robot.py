@@ -2,29 +2,48 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, WithJsonSchema, model_validator
 
-from kickbench.config.base import FileRef, NameList, NonNegativeFloat, PositiveFloat, Range, Spec, Vector3
+from kickbench.config.base import (
+    FileRef,
+    NameList,
+    NonNegativeFloat,
+    PositiveFloat,
+    Range,
+    Spec,
+    Vector3,
+    distinct,
+)
+from kickbench.config.yamltree import Tree
+from kickbench.errors import Problem, SpecError
 
 BaseAxis = Literal["x", "y", "z", "rx", "ry", "rz"]
 """A force (x, y, z) or torque (rx, ry, rz) axis of the base frame."""
 
 
-class ActuatorSpec(Spec):
-    """One action: a position or velocity servo on a joint or along an axis of the base frame."""
+_NAMES = {"type": "array", "items": {"type": "string"}, "minItems": 2, "maxItems": 2}
+JointOrPair = Annotated[str | None, WithJsonSchema({"anyOf": [{"type": "string"}, _NAMES, {"type": "null"}]})]
+"""A joint; in a file also `[left, right]`, which `pairs_apart` makes two entries of."""
 
-    kind: Literal["position", "velocity"]
-    """position: tau = kp (u - q) - kd dq/dt. velocity: tau = kd (u - dq/dt)."""
-    joint: str | None = None
-    """Driven joint. Exactly one of `joint` and `base_axis` is given."""
+
+class ActuatorSpec(Spec):
+    """One action: a servo or a motor on a joint or along an axis of the base frame."""
+
+    kind: Literal["position", "velocity", "motor"]
+    """position: tau = kp (u - q) - kd dq/dt. velocity: tau = kd (u - dq/dt). motor: tau = u - kd dq/dt."""
+    joint: JointOrPair = None
+    """Driven joint. Exactly one of `joint` and `base_axis` is given. An entry with `[left, right]` stands for
+    two, named after the joints, which are equal in all else."""
     base_axis: BaseAxis | None = None
     """Driven axis of the base frame: a force for x, y, z, a torque for rx, ry, rz."""
     kp: PositiveFloat | None = None
     """Stiffness of a position servo, N m/rad (N/m on a slide)."""
-    kd: NonNegativeFloat
-    """Damping, N m s/rad (N s/m on a slide or a force axis)."""
+    kd: NonNegativeFloat = 0.0
+    """Damping, N m s/rad (N s/m on a slide or a force axis); only a motor may do without."""
     effort: PositiveFloat
     """Largest torque or force, N m or N."""
     velocity_limit: PositiveFloat | None = None
@@ -33,8 +52,9 @@ class ActuatorSpec(Spec):
     least effort / velocity_limit. Without it, the largest torque does not depend on speed."""
     friction_loss: NonNegativeFloat | None = None
     """Dry friction of the driven joint, N m (N on a slide); default: as in the MJCF."""
-    scale: PositiveFloat
-    """Action scale: target = default + scale * action, rad, m, rad/s or m/s."""
+    scale: PositiveFloat = Field(default_factory=lambda given: given.get("effort", 1.0))
+    """Action scale: target = default + scale * action, rad, m, rad/s or m/s. Of a motor, N m or N: without it
+    `effort`, so that an action of 1 is all its torque."""
     limits: Range | None = None
     """Lowest and highest target; targets outside are clamped. Without it, nothing is clamped."""
 
@@ -44,8 +64,11 @@ class ActuatorSpec(Spec):
             raise ValueError("exactly one of `joint` and `base_axis` names what the actuator drives")
         if self.kind == "position" and (self.kp is None or self.joint is None):
             raise ValueError("a position servo needs `kp` and `joint`")
-        if self.kind == "velocity" and self.kp is not None:
-            raise ValueError("a velocity servo has no `kp`")
+        words = "motor" if self.kind == "motor" else f"{self.kind} servo"
+        if self.kind != "position" and self.kp is not None:
+            raise ValueError(f"a {words} has no `kp`")
+        if self.kind != "motor" and (lack := {"kd", "scale"} - self.model_fields_set):
+            raise ValueError(f"a {words} needs `{min(lack)}`")
         if self.friction_loss is not None and self.joint is None:
             raise ValueError("only a joint has a `friction_loss`")
         if self.velocity_limit is not None and self.kind != "position":
@@ -67,12 +90,32 @@ class FootSpec(Spec):
 
 
 class FeetSpec(Spec):
-    """The two feet."""
+    """Two feet, or four: left-right pairs."""
 
-    left: FootSpec
-    """Left foot (positive y in the default pose)."""
-    right: FootSpec
-    """Right foot."""
+    left: FootSpec | None = None
+    """Left foot of two (positive y in the default pose)."""
+    right: FootSpec | None = None
+    """Right foot of two."""
+    front_left: FootSpec | None = None
+    """Left front foot of four."""
+    front_right: FootSpec | None = None
+    """Right front foot."""
+    hind_left: FootSpec | None = None
+    """Left hind foot."""
+    hind_right: FootSpec | None = None
+    """Right hind foot."""
+
+    @model_validator(mode="after")
+    def _two_or_four(self) -> FeetSpec:
+        if set(self.named()) not in ({"left", "right"}, {*type(self).model_fields} - {"left", "right"}):
+            found = ", ".join(self.named()) or "none"
+            four = "front_left, front_right, hind_left and hind_right"
+            raise ValueError(f"expected left and right, or {four}; found {found}")
+        return self
+
+    def named(self) -> dict[str, FootSpec]:
+        """Place and foot, pair after pair, the left one first."""
+        return {name: foot for name, foot in self if foot is not None}
 
 
 class InitialSpec(Spec):
@@ -82,6 +125,8 @@ class InitialSpec(Spec):
     """Base position of a robot with a free joint, m; default: as in the MJCF."""
     joints: dict[str, float] = Field(default_factory=dict)
     """Joint positions, rad or m; joints not named start at 0, or at their `ref` in the MJCF."""
+    mirrored: dict[str, float] | None = None
+    """Positions of joints of one side, rad or m: their mirror images start at the mirror image of each."""
 
 
 class JointPairs(Spec):
@@ -151,5 +196,56 @@ class RobotSpec(Spec):
     """Actuators by name, in the order of the action vector."""
     feet: FeetSpec | None = None
     """Feet; a robot without them has no foot sensors."""
+    observed: Literal["all", "driven"] | Annotated[NameList, distinct("joint")] | None = None
+    """Observed joints: those with an actuator (default), all, or a list, which
+    is its order. Of all, the driven ones come first, as in the action vector."""
     symmetry: JointSymmetrySpec
     """Left-right symmetry of the joints, stated once."""
+
+    @property
+    def driven_joints(self) -> tuple[str, ...]:
+        """Joints with an actuator, in the order of the action vector."""
+        return tuple(spec.joint for spec in self.actuators.values() if spec.joint is not None)
+
+    @property
+    def observed_joints(self) -> tuple[str, ...]:
+        """Observed joints in the order of the observation."""
+        if self.observed in (None, "driven"):
+            return self.driven_joints
+        if self.observed != "all":
+            return tuple(self.observed)
+        return tuple(dict.fromkeys((*self.driven_joints, *self.symmetry.names())))
+
+    @property
+    def pose(self) -> dict[str, float]:
+        """Positions of the joints that do not start at their reference, rad or m."""
+        image, pose = self.symmetry.image(), dict(self.initial.joints)
+        for name, value in (self.initial.mirrored or {}).items():
+            partner, sign = image.get(name, (name, 1))
+            pose |= {name: value, partner: sign * value}
+        return pose
+
+
+def pairs_apart(robot: Tree) -> Tree:
+    """Robot data with two entries for each actuator whose `joint` is `[left, right]`, named after the joints."""
+    actuators = robot.child("actuators")
+    if actuators is None or not isinstance(actuators.value, dict):
+        return robot
+    apart: dict[str, Tree] = {}
+    for key, tree in actuators.value.items():
+        for name, entry in _apart(key, tree):
+            if name in apart:
+                path = ("actuators", name)
+                raise SpecError([Problem(tree.key, path, f"there are two actuators of the name '{name}'")])
+            apart[name] = entry
+    return replace(robot, value={**robot.value, "actuators": replace(actuators, value=apart)})
+
+
+def _apart(name: str, entry: Tree) -> Iterator[tuple[str, Tree]]:
+    joint = entry.child("joint")
+    sides = joint.value if joint else None
+    if not isinstance(sides, list) or len(sides) != 2 or not all(isinstance(s.value, str) for s in sides):
+        yield name, entry
+        return
+    for side in sides:
+        yield side.value, replace(entry, value={**entry.value, "joint": side})

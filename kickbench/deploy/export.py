@@ -121,7 +121,10 @@ def _default_pose(layout: SceneLayout) -> tuple[float, ...]:
 
 def _observation(task: CompiledTask, field: Field) -> parts.Observation:
     term, layout = field.bound.term, task.scene.layout
-    names = {"joints": layout.joint_names, "actions": layout.actuator_names}.get(str(term.representation))
+    own = {"joints": layout.joint_names, "actions": layout.actuator_names, "feet": layout.feet}
+    names = own.get(str(term.representation))
+    if str(term.representation).startswith("feet x"):
+        names = tuple(f"{foot}_{axis}" for foot in layout.feet for axis in _AXES)
     return parts.Observation(
         name=field.name,
         description=" ".join(term.description.split()),

@@ -5,6 +5,7 @@ Checked is here what is wrong though every value by itself is right: regions wit
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -26,7 +27,7 @@ from kickbench.sim.build import Scene, build_scene
 from kickbench.sim.layout import SceneLayout
 from kickbench.sim.sensors import SensorGroup, available_groups
 from kickbench.symmetry.mirror import mirror_actions, mirror_joints
-from kickbench.symmetry.representation import Representation
+from kickbench.symmetry.representation import REGULAR, Representation, direct_sum
 
 
 @dataclass(frozen=True)
@@ -99,11 +100,12 @@ def compile_task(task: LoadedTask[Any]) -> CompiledTask:
 
 
 def own_representations(robot: RobotSpec, layout: SceneLayout) -> dict[str, Representation]:
-    """How a robot's observed joints and its actions mirror, by the names that expressions have for them."""
+    """How a robot's observed joints, actions and feet mirror, by the names that expressions have for them."""
     image = robot.symmetry.image()
     return {
         "joints": mirror_joints(layout.joint_names, image),
         "actions": mirror_actions(robot.actuators, image),
+        "feet": direct_sum([REGULAR] * (len(layout.feet) // 2)),
     }
 
 
@@ -141,9 +143,17 @@ def _fields(bounds: tuple[Bound, ...], own: Mapping[str, Representation]) -> tup
     for bound in bounds:
         assert isinstance(bound.params, ObservationParams)
         size = field_size(bound.term, own)
-        fields.append(Field(bound, bound.params, first, size))
+        fields.append(Field(_of_robot(bound, own), bound.params, first, size))
         first += size
     return tuple(fields)
+
+
+def _of_robot(bound: Bound, own: Mapping[str, Representation]) -> Bound:
+    """A term whose `feet` are written `regular` where there are two, as in the tables that runs have kept."""
+    stated = bound.term.representation
+    if isinstance(stated, int) or own["feet"] != REGULAR:
+        return bound
+    return replace(bound, term=replace(bound.term, representation=re.sub(r"\bfeet\b", "regular", stated)))
 
 
 def _task_problems(task: LoadedTask[Any], terms: Catalog) -> Iterator[Problem]:
@@ -173,15 +183,15 @@ def _scene_problems(task: LoadedTask[Any], layout: SceneLayout) -> Iterator[Prob
 
 
 def _term_problems(task: LoadedTask[Any], path: KeyPath, term: Term, params: TermParams) -> Iterator[Problem]:
-    """Parameters that do not fit the task, joints that the robot does not drive, sensors that it lacks."""
+    """Parameters that do not fit the task, joints that it does not observe, sensors that it lacks."""
     document, robot = task.document, f"the robot {task.robot.document.file.name}"
     for key, message in params.misfits(task.spec):
         yield document.problem((*path, key), message)
-    observed = [spec.joint for spec in task.robot.spec.actuators.values() if spec.joint is not None]
+    observed = task.robot.spec.observed_joints
     for key, joint in params.named_joints():
         if joint not in observed:
             hint = did_you_mean(joint, observed) or f"it has: {', '.join(observed)}"
-            yield document.problem((*path, *key), f"{robot} drives no joint '{joint}'", hint)
+            yield document.problem((*path, *key), f"{robot} observes no joint '{joint}'", hint)
     if lacking := sorted(term.needs - available_groups(task.robot.spec)):
         what = f"'{term.name}' needs the sensors {', '.join(lacking)}, which the scene lacks"
         yield document.problem(path, what, f"{robot} names no `feet`")

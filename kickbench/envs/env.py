@@ -95,7 +95,7 @@ class KickEnv(VecEnv):
         task, envs = self.task, self.num_envs
         groups = {name: torch.zeros(envs, task.width(name), device=self.device) for name in task.groups}
         return Tensors(
-            episode=EpisodeState.zeros(envs, self.num_actions, self.device),
+            episode=EpisodeState.zeros(envs, self.num_actions, len(task.scene.layout.feet), self.device),
             record=EpisodeRecord.empty(envs, len(task.rewards), self.device),
             totals=Totals.zeros(len(task.terminations), self._weights),
             by_side=Tensors(),
@@ -113,8 +113,8 @@ class KickEnv(VecEnv):
         concludes = [not bound.term.truncates for bound in task.terminations]
         self._concludes = torch.tensor(concludes, device=self.device)
         self._observer = Observer(task.groups, self.device, noise=self._noise)
-        self._senses_floor = "left_foot_floor" in layout.contacts
-        self._has_feet = bool(layout.foot_geoms)
+        self._senses_floor = any(name.endswith("_foot_floor") for name in layout.contacts)
+        self._has_feet = bool(layout.feet)
         self._variation = ModelVariation(task.scene, self.device)
         time = task.spec.simulation
         target, envs = self._default_target, self.num_envs

@@ -11,7 +11,7 @@ from kickbench.envs.state import State
 from kickbench.envs.tensors import Tensors
 
 NO_FOOT, LEFT, RIGHT, BOTH, OTHER = 0, 1, 2, 3, 4
-"""Codes of what touched the ball first: the sum of the feet that did, or OTHER, a part that is no foot."""
+"""Codes of what touched the ball first: the sum of the sides whose feet did, or OTHER, a part that is no foot."""
 FOOT_NAMES = ("none", "left", "right", "other", "other")
 """Names of the codes in tables of episodes; both feet at once count as other."""
 
@@ -57,7 +57,7 @@ class EpisodeRecord(Tensors):
         """
         first = state.ball_contact & (self.kick_step < 0)
         if has_feet:
-            left, right = state.foot_ball_contact.unbind(dim=1)
+            left, right = state.foot_ball_contact.unflatten(1, (-1, 2)).any(dim=1).unbind(dim=1)
             code = left + RIGHT * right
             self.kick_foot = torch.where(first, torch.where(code > 0, code, OTHER), self.kick_foot)
         else:

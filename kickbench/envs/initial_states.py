@@ -41,7 +41,9 @@ class InitialStates:
         target: Target position on the floor [N, 2], m, float64.
         joints: Places of the observed joints in qpos.
         by_side: What differs from the compiled model, by name of its randomisation: one column each for the
-            left and the right side, and where the term has it for the middle [N, 2 or 3], float64.
+            left and the right side, and where the term has it for the middle [N, 2 or 3], or one each foot
+            [N, F], float64.
+        feet: Number of feet F.
     """
 
     qpos: Tensor
@@ -49,6 +51,7 @@ class InitialStates:
     target: Tensor
     joints: Tensor
     by_side: Mapping[str, Tensor] = field(default_factory=dict)
+    feet: int = 0
 
     def __len__(self) -> int:
         """Number of initial states."""
@@ -58,7 +61,7 @@ class InitialStates:
         """The initial states of the given row numbers."""
         by_side = {name: values.index_select(0, rows) for name, values in self.by_side.items()}
         qpos, qvel, target = (table.index_select(0, rows) for table in (self.qpos, self.qvel, self.target))
-        return InitialStates(qpos, qvel, target, self.joints, by_side)
+        return replace(self, qpos=qpos, qvel=qvel, target=target, by_side=by_side)
 
     def put(self, rows: Tensor, others: InitialStates, first: int) -> None:
         """Overwrites the given rows with as many of others, from their row `first` on."""
@@ -72,7 +75,8 @@ class InitialStates:
     def mirrored(self, qpos: Mirror, qvel: Mirror) -> InitialStates:
         """Reflects every state in the xz plane; `qpos` and `qvel` are the model's mirror maps."""
         by_side = {name: sides_swapped(values) for name, values in self.by_side.items()}
-        return InitialStates(qpos(self.qpos), qvel(self.qvel), across(self.target), self.joints, by_side)
+        images = {"qpos": qpos(self.qpos), "qvel": qvel(self.qvel), "target": across(self.target)}
+        return replace(self, **images, by_side=by_side)
 
     def varied(self, name: str, values: Tensor) -> InitialStates:
         """The same states with values by side [N, 2 or 3] of a randomisation."""
@@ -118,7 +122,7 @@ class InitialStateSampler:
         self._place, self._nv = layout.ball_qpos, task.scene.model.nv
         self._default = torch.as_tensor(layout.default_qpos, device=device)
         self._obstacles = torch.as_tensor(layout.obstacles, device=device)
-        self._joints = torch.as_tensor(layout.joint_qpos, device=device)
+        self._joints, self._feet = torch.as_tensor(layout.joint_qpos, device=device), len(layout.feet)
         self._candidates = self._tries()
         self.generator = generator
 
@@ -139,7 +143,7 @@ class InitialStateSampler:
         qpos[:, self._place + 2].fill_(self._radius)
         distance, angle = self.draw(*target.distance, count), self.draw(*target.angle, count)
         goal = torch.stack([distance * angle.cos(), distance * angle.sin()], dim=1)
-        states = InitialStates(qpos, qpos.new_zeros(count, self._nv), goal, self._joints)
+        states = InitialStates(qpos, qpos.new_zeros(count, self._nv), goal, self._joints, feet=self._feet)
         for randomize in self._randomizers:
             states = randomize(states, self.draw)
         return states

@@ -23,8 +23,8 @@ _POLAR = "trivial + sign + trivial"
 """A position, velocity, force or direction: the reflection y -> -y changes the sign of y."""
 _AXIAL = "sign + trivial + sign"
 """An angular velocity: the reflection changes the signs of x and z."""
-_POLAR_OF_FEET = f"regular x ({_POLAR})"
-"""Of the left and of the right foot, which swap."""
+_POLAR_OF_FEET = f"feet x ({_POLAR})"
+"""Of each foot; the feet of a pair swap."""
 
 
 @observation(_POLAR, "m/s", "Table 3.2", frame="base")
@@ -87,9 +87,9 @@ def ball_touched(state: State, params: ObservationParams) -> Tensor:
     return state.ball_touched.float().unsqueeze(1)
 
 
-@observation("regular", "true/false", "Table 3.2, critic only", needs=("foot_ball",))
+@observation("feet", "true/false", "Table 3.2, critic only", needs=("foot_ball",))
 def foot_ball_contact(state: State, params: ObservationParams) -> Tensor:
-    """Left, right foot touched the ball during the last control step."""
+    """Left, right foot touched the ball during the last control step; of four feet, the front pair comes first."""
     return state.foot_ball_contact.float()
 
 
@@ -101,19 +101,19 @@ def foot_position(state: State, params: ObservationParams) -> Tensor:
     return state.in_base_frame(state.foot_pos - state.base_pos.unsqueeze(1)).flatten(1)
 
 
-@observation("regular", "m", "Table 3.2, critic only", needs=("foot_frame",), frame="world")
+@observation("feet", "m", "Table 3.2, critic only", needs=("foot_frame",), frame="world")
 def foot_height(state: State, params: ObservationParams) -> Tensor:
     """Height of the left and the right sole above the floor."""
     return state.foot_pos[:, :, 2]
 
 
-@observation("regular", "s", "Table 3.2, critic only", needs=("foot_floor",))
+@observation("feet", "s", "Table 3.2, critic only", needs=("foot_floor",))
 def foot_air_time(state: State, params: ObservationParams) -> Tensor:
     """Time since the left, the right foot last touched the floor; 0 while it does."""
     return state.episode.air_time
 
 
-@observation("regular", "true/false", "Table 3.2, critic only", needs=("foot_floor",))
+@observation("feet", "true/false", "Table 3.2, critic only", needs=("foot_floor",))
 def foot_contact(state: State, params: ObservationParams) -> Tensor:
     """Left, right foot touched the floor during the last control step."""
     return state.foot_floor_contact.float()

@@ -36,7 +36,7 @@ class FootFriction(RandomizationParams):
 @randomization("3.1", units="1", needs=("foot_ball",))
 def foot_friction(states: InitialStates, params: FootFriction, draw: Draw) -> InitialStates:
     """Sliding friction of each foot, uniform, drawn anew for every foot and episode."""
-    return states.varied("foot_friction", draw(*params.range, len(states), 2))
+    return states.varied("foot_friction", draw(*params.range, len(states), states.feet))
 
 
 class FactorsBySide(RandomizationParams):
@@ -81,7 +81,7 @@ def servo_damping(states: InitialStates, params: FactorsBySide, draw: Draw) -> I
 
 @randomization("5.1 (future work: asymmetric hardware)", units="1")
 def motor_strength(states: InitialStates, params: FactorsBySide, draw: Draw) -> InitialStates:
-    """Factor of the effort limit of all servos of a side, drawn anew for every side and episode.
+    """Factor of the effort limit of all servos and of the torque of all motors of a side, drawn anew likewise.
 
     The no-load speed stays, so the torque at every speed scales alike; gains are `servo_stiffness` and
     `servo_damping`.
@@ -139,8 +139,7 @@ class ModelVariation:
         def real(values: object) -> Tensor:
             return torch.as_tensor(values, dtype=torch.float64, device=device)
 
-        sides = [torch.full((len(geoms),), side) for side, geoms in enumerate(layout.foot_geoms)]
-        self._foot_sides = torch.cat(sides).to(device) if sides else whole([])
+        self._foot_of_geom = whole([foot for foot, geoms in enumerate(layout.foot_geoms) for _ in geoms])
         self._foot_geoms = whole([geom for geoms in layout.foot_geoms for geom in geoms])
         self._bodies = whole([body for body, side in enumerate(layout.body_sides) if side != NO_SIDE])
         self._body_sides = whole(layout.body_sides)[self._bodies]
@@ -151,6 +150,7 @@ class ModelVariation:
         self._is_velocity = torch.as_tensor(servos.is_velocity, device=device)
         self._kp, self._kd = real(servos.kp), real(servos.kd)
         self._effort, self._velocity_limit = real(servos.effort), real(servos.velocity_limit)
+        self._torque = real(servos.torque)
 
     def __call__(self, by_side: Mapping[str, Tensor]) -> tuple[ModelField, ...]:
         """The fields that follow from values by side, each [N, 2 or 3]."""
@@ -158,7 +158,7 @@ class ModelVariation:
 
     def _fields(self, by_side: Mapping[str, Tensor]) -> Iterator[ModelField]:
         if "foot_friction" in by_side:
-            friction = by_side["foot_friction"][:, self._foot_sides]
+            friction = by_side["foot_friction"][:, self._foot_of_geom]
             yield ModelField("geom_friction", self._foot_geoms, friction, column=0)
         if "link_mass" in by_side:
             factor = by_side["link_mass"][:, self._body_sides]
@@ -173,7 +173,8 @@ class ModelVariation:
             by_side[name][:, self._actuator_sides] if name in by_side else one for name in _SERVO
         )
         kp, kd, effort = stiffness * self._kp, damping * self._kd, strength * self._effort
-        law = servo_law(Servo(self._is_velocity, kp, kd, effort, self._velocity_limit))
+        servos = Servo(self._is_velocity, kp, kd, effort, self._velocity_limit, strength * self._torque)
+        law = servo_law(servos)
         envs = max(len(values) for values in by_side.values())
         for (name, column), values in law.items():
             yield ModelField(name, self._actuators, values.expand(envs, -1), column)

@@ -13,7 +13,6 @@ from kickbench.config.task import EpisodeSpec
 from kickbench.envs.tensors import Tensors
 from kickbench.sim.engine import Engine
 from kickbench.sim.layout import SceneLayout
-from kickbench.sim.sensors import SIDES
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -29,7 +28,7 @@ class EpisodeState(Tensors):
         target: Target position in the world [B, 2], m.
         action: Action of the last control step [B, nu].
         previous_action: Action of the step before [B, nu].
-        air_time: Time since the left, the right foot last touched the floor [B, 2], s.
+        air_time: Time since each foot last touched the floor [B, F], s.
     """
 
     step: Tensor
@@ -40,7 +39,7 @@ class EpisodeState(Tensors):
     air_time: Tensor
 
     @staticmethod
-    def zeros(num_envs: int, num_actions: int, device: torch.device) -> EpisodeState:
+    def zeros(num_envs: int, num_actions: int, num_feet: int, device: torch.device) -> EpisodeState:
         """All counters and actions at zero."""
 
         def zeros(*shape: int, dtype: torch.dtype = torch.float32) -> Tensor:
@@ -52,7 +51,7 @@ class EpisodeState(Tensors):
             target=zeros(2),
             action=zeros(num_actions),
             previous_action=zeros(num_actions),
-            air_time=zeros(2),
+            air_time=zeros(num_feet),
         )
 
 
@@ -72,6 +71,7 @@ class StateIndex:
         self.default_joint_pos = torch.as_tensor(default, dtype=torch.float32, device=device)
         self.ball_qpos, self.ball_qvel = layout.ball_qpos, layout.ball_qvel
         self.frames = {name: slice(int(c[0]), int(c[-1]) + 1) for name, c in layout.frames.items()}
+        self.feet = layout.feet
         sensed = np.concatenate(list(layout.contacts.values()))
         first = int(sensed.min())
         self.counts = slice(first, int(sensed.max()) + 1)
@@ -151,8 +151,8 @@ class State:
         return -(parts[0] if len(parts) == 1 else torch.stack(parts).sum(dim=0))
 
     def _of_feet(self, read: Callable[[str], Tensor], what: str) -> Tensor:
-        """What a method reads of the left and of the right foot [B, 2, ...]."""
-        return torch.stack([read(f"{side}_foot_{what}") for side in SIDES], dim=1)
+        """What a method reads of each foot, in their order [B, F, ...]."""
+        return torch.stack([read(f"{foot}_foot_{what}") for foot in self._index.feet], dim=1)
 
     @cached_property
     def base_pos(self) -> Tensor:
@@ -282,17 +282,17 @@ class State:
 
     @cached_property
     def foot_pos(self) -> Tensor:
-        """Centres of the left and the right sole [B, 2, 3], m."""
+        """Centres of the soles, in the order of the feet [B, F, 3], m."""
         return self._of_feet(self._frame, "pos")
 
     @cached_property
     def foot_vel(self) -> Tensor:
-        """Velocities of the left and the right sole [B, 2, 3], m/s."""
+        """Velocities of the soles [B, F, 3], m/s."""
         return self._of_feet(self._frame, "vel")
 
     @cached_property
     def foot_floor_contact(self) -> Tensor:
-        """Left, right foot touched the floor during the control step [B, 2] bool."""
+        """Each foot touched the floor during the control step [B, F] bool."""
         return self._of_feet(self._touches, "floor")
 
     @cached_property
@@ -302,12 +302,12 @@ class State:
 
     @cached_property
     def foot_floor_force(self) -> Tensor:
-        """Mean force of the floor on the left and the right foot over the control step [B, 2, 3], N."""
+        """Mean force of the floor on each foot over the control step [B, F, 3], N."""
         return self._of_feet(self._force, "floor")
 
     @cached_property
     def foot_ball_contact(self) -> Tensor:
-        """Left, right foot touched the ball during the control step [B, 2] bool."""
+        """Each foot touched the ball during the control step [B, F] bool."""
         return self._of_feet(self._touches, "ball")
 
     @cached_property

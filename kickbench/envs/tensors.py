@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, Self
 
@@ -121,8 +122,13 @@ def across(vectors: Tensor) -> Tensor:
 
 
 def sides_swapped(values: Tensor) -> Tensor:
-    """Values of the left and of the right side, and where there is one of the middle [N, 2 or 3], reflected."""
-    return torch.cat([values[:, :2].flip(1), values[:, 2:]], dim=1)
+    """Values of the left and of the right side, or of pairs of feet, and where there is one of the middle, reflected.
+
+    Args:
+        values: Left and right in turn [N, 2 or 4], or left, right, middle [N, 3].
+    """
+    pairs = values[:, : values.shape[1] // 2 * 2]
+    return torch.cat([pairs.unflatten(1, (-1, 2)).flip(2).flatten(1), values[:, pairs.shape[1] :]], dim=1)
 
 
 def _feet_swapped(codes: Tensor) -> Tensor:
@@ -131,12 +137,11 @@ def _feet_swapped(codes: Tensor) -> Tensor:
 
 
 def _other_side(channel: str) -> str:
-    """`left_foot_ball` -> `right_foot_ball`; a channel of no side is its own image.
+    """`hind_left_foot_ball` -> `hind_right_foot_ball`; a channel of no side is its own image.
 
     The parts of a channel keep their order: a state view reads their sum, or whether any of them touches.
     """
-    side, separator, rest = channel.partition("_")
-    return _SWAPPED[side] + separator + rest if side in _SWAPPED else channel
+    return re.sub(r"(left|right)(?=_foot_)", lambda side: _SWAPPED[side[0]], channel)
 
 
 def _mapped(

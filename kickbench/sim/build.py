@@ -120,7 +120,7 @@ def _strip(body: mujoco.MjSpec, robot: RobotSpec) -> None:
 
 
 def _foot_geoms(body: mujoco.MjSpec, robot: RobotSpec) -> list[mujoco.MjsGeom]:
-    feet = [foot for _, foot in robot_feet(robot)]
+    feet = robot_feet(robot).values()
     named = {name for foot in feet for name in foot.geoms}
     whole = {foot.body for foot in feet if not foot.geoms}
     return [geom for geom in body.geoms if geom.name in named or geom.parent.name in whole]
@@ -208,7 +208,7 @@ def _add_target(scene: mujoco.MjSpec, radius: float) -> None:
 
 def _add_sites(body: mujoco.MjSpec, robot: RobotSpec) -> None:
     """Marks the soles, and the base's origin for the drives along its axes."""
-    sites = [(sole_site(side), foot.body, foot.offset) for side, foot in robot_feet(robot)]
+    sites = [(sole_site(place), foot.body, foot.offset) for place, foot in robot_feet(robot).items()]
     for name, owner, offset in (*sites, (_BASE_SITE, robot.base, (0.0, 0.0, 0.0))):
         # Stated in full: what is left out would come from the robot's own defaults.
         body.body(owner).add_site(name=name, pos=offset, quat=[1.0, 0.0, 0.0, 0.0])
@@ -240,10 +240,10 @@ def servo_law(servo: Servo) -> dict[tuple[str, int | None], Any]:
     Returns:
         (array of the model, column or None) -> its numbers.
     """
-    is_velocity, kp, kd, effort, velocity_limit = servo
+    is_velocity, kp, kd, effort, velocity_limit, torque = servo
     slope = effort / velocity_limit
     return {
-        ("actuator_gainprm", 0): kp + kd * is_velocity,
+        ("actuator_gainprm", 0): kp + kd * is_velocity + torque,
         ("actuator_biasprm", 1): -kp,
         # MuJoCo would read a positive velocity coefficient as a damping ratio, so a servo damps no less than
         # its back-EMF.

@@ -14,7 +14,7 @@ from kickbench.config.load import Loaded
 from kickbench.config.robot import FootSpec, RobotSpec
 from kickbench.errors import KeyPath, Problem, SpecError, nearest, shown
 from kickbench.sim.layout import SceneLayout
-from kickbench.sim.read_parts import read_parts
+from kickbench.sim.read_parts import name_joints, part_name, read_parts, unsupported
 from kickbench.sim.sensors import ROBOT, SIDES, robot_feet
 from kickbench.symmetry.derive import Derivation, derive
 from kickbench.symmetry.representation import kind_of_coordinate
@@ -43,8 +43,9 @@ def read_robot(robot: Loaded[RobotSpec]) -> tuple[mujoco.MjSpec, mujoco.MjModel]
         raise model_error(robot, "read this model", error) from None
     # Bodies that the robot file names would be merged into their parents.
     spec.compiler.fusestatic = False
+    name_joints(spec)
     _raise([*_model_problems(robot, spec), *_name_problems(robot, spec), *_joint_problems(robot, spec)])
-    _raise(_drive_problems(robot))  # a misspelt joint would seem to lack a drive
+    _raise([*_drive_problems(robot), *_pose_problems(robot)])  # a misspelt joint would seem to lack a drive
     try:
         native = spec.copy().compile()
     except ValueError as error:
@@ -82,13 +83,8 @@ def _model_problems(robot: Loaded[RobotSpec], model: mujoco.MjSpec) -> Iterator[
     if model.compiler.settotalmass > 0.0:
         what = "the compiler setting `settotalmass` does not reach a scene"
         yield problem(f"{what}; expected masses of the bodies")
+    yield from map(problem, unsupported(model))
     for joint in model.joints:
-        if not joint.name and joint.type != _FREE:
-            where = f"the body '{joint.parent.name}'" if joint.parent.name else "a body without a name"
-            what = f"a joint of {where} has no name"
-            yield problem(f"{what}; pose, actuators and symmetry address joints by name")
-        if joint.type == mujoco.mjtJoint.mjJNT_BALL:
-            yield problem(f"the joint '{joint.name}' is a ball joint; expected hinge, slide or free joints")
         if joint.name == "ball":
             yield problem("a joint of the robot is named 'ball', which is the name of the scene's ball")
 
@@ -110,10 +106,13 @@ def _name_problems(robot: Loaded[RobotSpec], model: mujoco.MjSpec) -> Iterator[P
 def _names(robot: RobotSpec) -> Iterator[tuple[KeyPath, str, str]]:
     """Where a robot file names something of the MJCF, what kind of thing, and its name."""
     yield ("base",), "body", robot.base
-    for side, foot in robot_feet(robot):
-        yield ("feet", side, "body"), "body", foot.body
-        yield from ((("feet", side, "geoms", i), "geom", geom) for i, geom in enumerate(foot.geoms))
+    for place, foot in robot_feet(robot).items():
+        yield ("feet", place, "body"), "body", foot.body
+        yield from ((("feet", place, "geoms", i), "geom", geom) for i, geom in enumerate(foot.geoms))
     yield from ((("initial", "joints", name), "joint", name) for name in robot.initial.joints)
+    yield from ((("initial", "mirrored", name), "joint", name) for name in robot.initial.mirrored or ())
+    if isinstance(robot.observed, tuple):
+        yield from ((("observed", i), "joint", name) for i, name in enumerate(robot.observed))
     for name, actuator in robot.actuators.items():
         if actuator.joint is not None:
             yield ("actuators", name, "joint"), "joint", actuator.joint
@@ -137,7 +136,7 @@ def _joint_problems(robot: Loaded[RobotSpec], model: mujoco.MjSpec) -> Iterator[
         yield robot.document.problem(("initial", "position"), what)
     declared = set(robot.spec.symmetry.names())
     names = [joint.name for joint in model.joints if joint.type != _FREE]
-    if missing := [name for name in names if name and name not in declared]:
+    if missing := [name for name in names if name not in declared]:
         joints = f"{'joints' if len(missing) > 1 else 'joint'} {', '.join(missing)}"
         yield robot.document.problem(("symmetry",), f"the symmetry table lacks {joints}")
 
@@ -156,48 +155,54 @@ def _drive_problems(robot: Loaded[RobotSpec]) -> Iterator[Problem]:
         if partner not in drivers:
             what = f"the joint '{joint}' is driven, but its mirror image '{partner}' is not"
             yield robot.document.problem(("actuators", name, "joint"), what)
+    observed = robot.spec.observed
+    for place, joint in enumerate(observed if isinstance(observed, tuple) else ()):
+        if (partner := image[joint][0]) not in observed:
+            what = f"the joint '{joint}' is observed, but its mirror image '{partner}' is not"
+            yield robot.document.problem(("observed", place), what)
+
+
+def _pose_problems(robot: Loaded[RobotSpec]) -> Iterator[Problem]:
+    """A position under `initial.mirrored` is that of a joint of one side, and the only one of it and its image."""
+    image, given = robot.spec.symmetry.image(), {*robot.spec.initial.joints}
+    for joint in robot.spec.initial.mirrored or ():
+        partner = image[joint][0]
+        if partner == joint:
+            what = f"the joint '{joint}' is its own mirror image; its position belongs to `joints`"
+            yield robot.document.problem(("initial", "mirrored", joint), what)
+        elif {joint, partner} & given:
+            what = f"the positions of '{joint}' and of its mirror image '{partner}' are given twice"
+            yield robot.document.problem(("initial", "mirrored", joint), what)
+        given.add(joint)
 
 
 # What a scene keeps of the MJCF: nothing may get lost silently, so what it cannot keep is an error
 
 
 def _lost(spec: mujoco.MjSpec) -> Iterator[str]:
-    """References to geoms and sites of the MJCF's world body, which a scene omits, and unsupported drives."""
+    """References to geoms and sites of the MJCF's world body, which a scene omits."""
     world = spec.worldbody
     own = {"geom": {geom.name for geom in world.geoms}, "site": {site.name for site in world.sites}}
     for what, kind, names in _references(spec):
         if lost := next((name for name in names if name in own[kind]), None):
             place = f"{kind} '{lost}' of the MJCF's world"
             yield f"the {what} refers to the {place}, which is no part of the robot"
-    drives = {
-        mujoco.mjtTrn.mjTRN_TENDON: "the tendon",
-        mujoco.mjtTrn.mjTRN_SLIDERCRANK: "a slider-crank",
-    }
-    for index, actuator in enumerate(spec.actuators):
-        if drive := drives.get(actuator.trntype):
-            name = _name(actuator, index)
-            yield f"the actuator {name} drives {drive}; the servos of a robot file drive joints or the base"
 
 
 def _references(spec: mujoco.MjSpec) -> Iterator[tuple[str, str, list[str]]]:
     """What refers to geoms or sites, to which of the two, and their names."""
     for index, pair in enumerate(spec.pairs):
-        yield f"contact pair {_name(pair, index)}", "geom", [pair.geomname1, pair.geomname2]
+        yield f"contact pair {part_name(pair, index)}", "geom", [pair.geomname1, pair.geomname2]
     for index, equality in enumerate(spec.equalities):
         if equality.objtype == mujoco.mjtObj.mjOBJ_SITE:
             kind = mujoco.mjtEq(equality.type).name.removeprefix("mjEQ_").lower()
-            what = f"{kind} constraint {_name(equality, index)}"
+            what = f"{kind} constraint {part_name(equality, index)}"
             yield what, "site", [equality.name1, equality.name2]
     for index, tendon in enumerate(spec.tendons):
         for wrap in tendon.path:
             kinds = {mujoco.MjsSite: "site", mujoco.MjsGeom: "geom"}
             if kind := kinds.get(type(wrap.target)):
-                yield f"tendon {_name(tendon, index)}", kind, [wrap.target.name]
-
-
-def _name(part: mujoco.MjsElement, index: int) -> str:
-    """A name in quotes, or the number of what has none."""
-    return f"'{part.name}'" if part.name else f"number {index}"
+                yield f"tendon {part_name(tendon, index)}", kind, [wrap.target.name]
 
 
 def differences(native: mujoco.MjModel, scene: mujoco.MjModel) -> Iterator[str]:
@@ -282,7 +287,7 @@ def _range_problems(
         low, high = model.jnt_range[joint]
         value = layout.default_qpos[model.jnt_qposadr[joint]]
         if not low - _AT_LIMIT <= value <= high + _AT_LIMIT:
-            named = name in robot.spec.initial.joints
+            named = name in robot.spec.pose
             path = ("initial", "joints", name) if named else ("initial",)
             what = f"the joint '{name}' starts at {value:g}, outside its range of {low:g} to {high:g}"
             hint = None if named else f"give it a position: initial.joints.{name}"
@@ -292,18 +297,17 @@ def _range_problems(
 def _feet_problems(robot: Loaded[RobotSpec], model: mujoco.MjModel, layout: SceneLayout) -> Iterator[Problem]:
     """A foot has a geom that collides, and nothing keeps it from touching floor and ball."""
     excluded = {(int(sign) >> 16, int(sign) & 0xFFFF) for sign in model.exclude_signature}
-    for (side, foot), geoms in zip(robot_feet(robot.spec), layout.foot_geoms, strict=True):
+    for (place, foot), geoms in zip(robot_feet(robot.spec).items(), layout.foot_geoms, strict=True):
         touching = [g for g in geoms if model.geom_contype[g] or model.geom_conaffinity[g]]
         if not touching:
             what = f"no geom of the foot '{foot.body}' collides: it can touch neither floor nor ball"
             hint = (
-                "contype and conaffinity of its geoms are 0; "
-                "contact pairs of the MJCF do not name floor or ball"
+                "contype and conaffinity of its geoms are 0; the MJCF's contact pairs name no floor or ball"
             )
-            yield robot.document.problem(("feet", side), what, hint)
+            yield robot.document.problem(("feet", place), what, hint)
         elif all({(0, b), (b, 0)} & excluded for b in model.geom_bodyid[touching].tolist()):
             what = f"a contact exclusion keeps the foot '{foot.body}' from touching the floor"
-            yield robot.document.problem(("feet", side), what)
+            yield robot.document.problem(("feet", place), what)
 
 
 # The declared reflection against the one that follows from the geometry
@@ -365,29 +369,32 @@ def _words(joint: str, partner: str, sign: int) -> str:
 
 
 def _contradicted_feet(robot: Loaded[RobotSpec], derivation: Derivation) -> Iterator[Problem]:
-    feet, parts = robot.spec.feet, derivation.parts
-    if feet is None:
-        return
+    feet, places = robot_feet(robot.spec), {b.name: b.get("place") for b in derivation.parts.bodies}
+    for left, right in zip([*feet][::2], [*feet][1::2], strict=True):
+        yield from _contradicted_pair(robot, derivation, left, right)
+    for index, (place, foot) in enumerate(feet.items()):
+        if (1, -1)[index % 2] * float(places[foot.body][1]) < 0.0:
+            what = f"'{foot.body}' lies on the other side: left is y > 0"
+            yield robot.document.problem(("feet", place, "body"), what)
+
+
+def _contradicted_pair(
+    robot: Loaded[RobotSpec], derivation: Derivation, left: str, right: str
+) -> Iterator[Problem]:
+    feet, parts, side = robot_feet(robot.spec), derivation.parts, right.replace("_", " ")
     bodies = {match.name: match.partner for match in derivation.bodies}
     shapes = {match.name: match.partner for match in derivation.shapes}
 
     def geoms(foot: FootSpec) -> set[str]:
-        """Names of a foot's geoms: those listed, or all of its body that can touch anything."""
         whole = {s.name for s in parts.shapes if s.touches and parts.bodies[s.body].name == foot.body}
         return set(foot.geoms) or whole
 
-    partner = bodies.get(feet.left.body)
-    if partner not in (None, feet.right.body):
-        declared = f"'{feet.right.body}' is declared the right foot"
-        what = f"{declared}, but the mirror image of the left one is '{partner}'"
-        yield robot.document.problem(("feet", "right", "body"), what)
-    images, right = {shapes.get(geom) for geom in geoms(feet.left)}, geoms(feet.right)
-    if None not in images and images != right:
-        found, wanted = (", ".join(sorted(map(str, names))) for names in (right, images))
-        what = f"the right foot's geoms are {found}; the mirror image of the left one's: {wanted}"
-        yield robot.document.problem(("feet", "right"), what)
-    places = {body.name: body.get("place") for body in parts.bodies}
-    for (side, foot), sign in zip(robot_feet(robot.spec), (1, -1), strict=True):
-        if sign * float(places[foot.body][1]) < 0.0:
-            what = f"'{foot.body}' lies on the other side: left is y > 0"
-            yield robot.document.problem(("feet", side, "body"), what)
+    partner = bodies.get(feet[left].body)
+    if partner not in (None, feet[right].body):
+        what = f"'{feet[right].body}' is declared the {side} foot, but the mirror image of the left one is '{partner}'"
+        yield robot.document.problem(("feet", right, "body"), what)
+    images, found = {shapes.get(geom) for geom in geoms(feet[left])}, geoms(feet[right])
+    if None not in images and images != found:
+        theirs, wanted = (", ".join(sorted(map(str, names))) for names in (found, images))
+        what = f"the {side} foot's geoms are {theirs}; the mirror image of the left one's: {wanted}"
+        yield robot.document.problem(("feet", right), what)

@@ -23,14 +23,15 @@ LEFT, RIGHT, MIDDLE, NO_SIDE = 0, 1, 2, -1
 
 
 class Servo(NamedTuple):
-    """Gains and limits of a servo: numbers, or arrays with one entry an actuator.
+    """Gains and limits of a servo or motor: numbers, or arrays with one entry an actuator.
 
     Attributes:
         is_velocity: Whether it is a velocity servo.
-        kp: Stiffness; 0 for velocity servos.
+        kp: Stiffness; 0 for all but position servos.
         kd: Damping.
         effort: Largest torque or force.
         velocity_limit: No-load speed; infinite without one.
+        torque: Torque or force per unit of the control, for a motor; 0 for servos.
     """
 
     is_velocity: Any
@@ -38,12 +39,14 @@ class Servo(NamedTuple):
     kd: Any
     effort: Any
     velocity_limit: Any
+    torque: Any = 0.0
 
     @staticmethod
     def of(spec: ActuatorSpec) -> Servo:
         """The servo that a robot file describes."""
         limit = spec.velocity_limit or np.inf
-        return Servo(spec.kind == "velocity", spec.kp or 0.0, spec.kd, spec.effort, limit)
+        torque = float(spec.kind == "motor")
+        return Servo(spec.kind == "velocity", spec.kp or 0.0, spec.kd, spec.effort, limit, torque)
 
 
 @dataclass(frozen=True)
@@ -53,7 +56,7 @@ class SceneLayout:
     Attributes:
         coordinates: Every joint of the model with its place in qpos and qvel.
         actuator_names: Actuators in the order of the action vector.
-        joint_names: Observed joints: those with an actuator, in the actuators' order.
+        joint_names: Observed joints, in the order of the observation.
         joint_qpos: Their places in qpos.
         joint_qvel: Their places in qvel.
         joint_range: Lowest and highest position of each [joints, 2]; infinite without limits.
@@ -65,7 +68,8 @@ class SceneLayout:
         frames: Frame channel -> consecutive places in sensordata, for channels without contact.
         contacts: Contact channel -> places of the `found` counts.
         forces: Contact channel -> places of the net forces [parts, 3], where the channel reports them.
-        foot_geoms: Geoms of the left and of the right foot.
+        feet: Places of the feet, pair after pair, the left one first: left, right, front_left, ...
+        foot_geoms: Geoms of each foot.
         base_body: Body id of the base.
         body_sides: Side of every body [nbody]: that of the nearest joint towards the root.
         actuator_sides: Side of every actuator [nu]: that of its joint.
@@ -88,6 +92,7 @@ class SceneLayout:
     frames: Mapping[str, Indices]
     contacts: Mapping[str, Indices]
     forces: Mapping[str, Indices]
+    feet: tuple[str, ...]
     foot_geoms: tuple[Indices, ...]
     base_body: int
     body_sides: Indices
@@ -110,8 +115,8 @@ def read_layout(
     coordinates = tuple(_coordinate(model, j) for j in range(model.njnt))
     by_name = {c.name: c for c in coordinates}
     actuators = list(robot.actuators.values())
-    driven = [spec.joint for spec in actuators if spec.joint is not None]
-    joints = np.array([model.joint(ROBOT + name).id for name in driven], dtype=np.int64)
+    observed, feet = robot.observed_joints, robot_feet(robot)
+    joints = np.array([model.joint(ROBOT + name).id for name in observed], dtype=np.int64)
     default = _default_qpos(model, robot, by_name)
     joint_sides = _joint_sides(robot)
     sides = _body_sides(model, joint_sides)
@@ -121,7 +126,7 @@ def read_layout(
     return SceneLayout(
         coordinates=coordinates,
         actuator_names=tuple(robot.actuators),
-        joint_names=tuple(driven),
+        joint_names=observed,
         joint_qpos=model.jnt_qposadr[joints].astype(np.int64),
         joint_qvel=model.jnt_dofadr[joints].astype(np.int64),
         joint_range=np.where(model.jnt_limited[joints][:, None], model.jnt_range[joints], [-np.inf, np.inf]),
@@ -135,7 +140,8 @@ def read_layout(
         frames=frames,
         contacts=contacts,
         forces=forces,
-        foot_geoms=tuple(_foot_geoms(model, foot) for _, foot in robot_feet(robot)),
+        feet=tuple(feet),
+        foot_geoms=tuple(_foot_geoms(model, foot) for foot in feet.values()),
         base_body=model.body(ROBOT + robot.base).id,
         body_sides=sides,
         actuator_sides=np.array([joint_sides.get(str(spec.joint), MIDDLE) for spec in actuators]),
@@ -152,7 +158,7 @@ def _coordinate(model: mujoco.MjModel, joint: int) -> Coordinate:
 
 def _default_qpos(model: mujoco.MjModel, robot: RobotSpec, by_name: Mapping[str, Coordinate]) -> np.ndarray:
     qpos = model.qpos0.copy()
-    for name, value in robot.initial.joints.items():
+    for name, value in robot.pose.items():
         qpos[by_name[name].qpos] = value
     base = next((c for c in by_name.values() if c.free and c.name != "ball"), None)
     if base is not None and robot.initial.position is not None:

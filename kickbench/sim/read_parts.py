@@ -55,6 +55,10 @@ _LOCAL = {
 }
 """Sensors whose vector is in the frame of their site."""
 _UNLIMITED = np.array([-np.inf, np.inf])
+_UNSUPPORTED_DRIVES = {
+    mujoco.mjtTrn.mjTRN_TENDON: "the tendon",
+    mujoco.mjtTrn.mjTRN_SLIDERCRANK: "a slider-crank",
+}
 
 
 def read_parts(model: mujoco.MjModel, prefix: str = "") -> ModelParts:
@@ -74,17 +78,45 @@ def compile_parts(path: str | Path) -> ModelParts:
     """Reads the parts of an MJCF file.
 
     Raises:
-        KickbenchError: MuJoCo cannot read or compile the model, or it has no body.
+        KickbenchError: MuJoCo cannot read or compile the model, it has no body, or what no robot file can say.
     """
     try:
-        model = mujoco.MjSpec.from_file(str(path)).compile()
+        spec = mujoco.MjSpec.from_file(str(path))
+        name_joints(spec)
+        model = spec.compile()
     except ValueError as error:
         reason = " ".join(str(error).split())
         raise KickbenchError(f"{path}: MuJoCo cannot read this model: {reason}") from None
+    if what := next(unsupported(spec), None):
+        raise KickbenchError(f"{path}: {what}")
     parts = read_parts(model)
     if not parts.bodies:
         raise KickbenchError(f"{path}: the model has no body")
     return parts
+
+
+def name_joints(spec: mujoco.MjSpec) -> None:
+    """Gives joints without a name one: `body:0`, the first joint of that body; `body 3` is a nameless body."""
+    for index, body in enumerate(spec.bodies):
+        for rank, joint in enumerate(body.joints):
+            if joint.type != mujoco.mjtJoint.mjJNT_FREE:
+                joint.name = joint.name or f"{body.name or f'body {index}'}:{rank}"
+
+
+def unsupported(spec: mujoco.MjSpec) -> Iterator[str]:
+    """What no robot file can say of a model: joints without a coordinate of their own, drives of no joint."""
+    for joint in spec.joints:
+        if joint.type == mujoco.mjtJoint.mjJNT_BALL:
+            yield f"the joint '{joint.name}' is a ball joint; expected hinge, slide or free joints"
+    for index, actuator in enumerate(spec.actuators):
+        if drive := _UNSUPPORTED_DRIVES.get(actuator.trntype):
+            name = part_name(actuator, index)
+            yield f"the actuator {name} drives {drive}; the servos of a robot file drive joints or the base"
+
+
+def part_name(part: mujoco.MjsElement, index: int) -> str:
+    """A name in quotes, or the number of what has none."""
+    return f"'{part.name}'" if part.name else f"number {index}"
 
 
 class _Reader:

@@ -114,21 +114,21 @@ def _base(body: str) -> list[SensorPlan]:
 
 
 def _feet(robot: RobotSpec, groups: frozenset[SensorGroup]) -> Iterator[SensorPlan]:
-    """Left and right side by side: what is read of both feet is then one slice of sensordata."""
+    """All feet side by side: what is read of them is then one slice of sensordata."""
     frames = {"pos": _Sensor.mjSENS_FRAMEPOS, "vel": _Sensor.mjSENS_FRAMELINVEL}
     for what, kind in frames.items() if "foot_frame" in groups else ():
-        for side, _ in robot_feet(robot):
-            yield SensorPlan(f"{side}_foot_{what}", 0, kind, _Obj.mjOBJ_SITE, ROBOT + sole_site(side))
+        for place in robot_feet(robot):
+            yield SensorPlan(f"{place}_foot_{what}", 0, kind, _Obj.mjOBJ_SITE, ROBOT + sole_site(place))
     for other in ("ball", "floor"):
-        for side, foot in robot_feet(robot) if f"foot_{other}" in groups else ():
+        for place, foot in robot_feet(robot).items() if f"foot_{other}" in groups else ():
             geoms = [(_Obj.mjOBJ_GEOM, ROBOT + geom) for geom in foot.geoms]
             for part, thing in enumerate(geoms or [(_Obj.mjOBJ_BODY, ROBOT + foot.body)]):
-                yield _touch(f"{side}_foot_{other}", part, thing, other, force=other == "floor")
+                yield _touch(f"{place}_foot_{other}", part, thing, other, force=other == "floor")
 
 
-def robot_feet(robot: RobotSpec) -> list[tuple[str, FootSpec]]:
-    """Side and foot, left before right; empty for a robot without feet."""
-    return [(side, getattr(robot.feet, side)) for side in SIDES] if robot.feet else []
+def robot_feet(robot: RobotSpec) -> dict[str, FootSpec]:
+    """Place and foot, pair after pair, the left one first; empty for a robot without feet."""
+    return robot.feet.named() if robot.feet else {}
 
 
 def _touch(
@@ -137,6 +137,6 @@ def _touch(
     return SensorPlan(channel, part, _Sensor.mjSENS_CONTACT, *thing, other, force)
 
 
-def sole_site(side: str) -> str:
+def sole_site(place: str) -> str:
     """Name of the site at the centre of a sole, added to the robot."""
-    return f"kickbench_{side}_sole"
+    return f"kickbench_{place}_sole"

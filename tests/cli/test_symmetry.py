@@ -30,6 +30,25 @@ def test_a_model_with_a_joint_that_has_no_image_is_printed_and_fails(capsys):
     assert "lamp_tilt" not in str(yaml.safe_load(out))
 
 
+@pytest.mark.parametrize(
+    ("joint", "after", "what"),
+    [
+        ('type="ball"', "", "the joint 'hip' is a ball joint; expected hinge, slide or free joints"),
+        (
+            "",
+            '<tendon><fixed name="cord"><joint joint="hip" coef="1"/></fixed></tendon>'
+            '<actuator><motor name="pull" tendon="cord"/></actuator>',
+            "the actuator 'pull' drives the tendon; the servos of a robot file drive joints or the base",
+        ),
+    ],
+)
+def test_ball_joints_and_actuated_tendons_are_refused_with_a_reason(place, capsys, joint, after, what):
+    body = f'<body name="leg"><joint name="hip" {joint}/><geom size="1"/></body>'
+    Path("a.xml").write_text(f"<mujoco><worldbody>{body}</worldbody>{after}</mujoco>")
+    assert main(["symmetry", "derive", "a.xml"]) == 2
+    assert capsys.readouterr().err == f"a.xml: {what}\n"
+
+
 def test_a_missing_model_and_one_that_is_none_are_errors(place, capsys):
     assert main(["symmetry", "derive", "none.xml"]) == 2
     assert capsys.readouterr().err == "none.xml: no such file\n"

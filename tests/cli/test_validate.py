@@ -213,8 +213,8 @@ MALFORMED = {
         [BASELINE],
         (TABLE, "\nactions:", "\nfields:\n  foot_position: regular x (trivial + sign\nactions:"),
         (TABLE, "¦regular x (trivial + sign"),
-        "fields.foot_position: expected names (trivial, sign, regular, regular_sign, joints, actions) joined by '+' "
-        "and 'x', and parentheses, found 'regular x (trivial + sign'",
+        "fields.foot_position: expected names (trivial, sign, regular, regular_sign, joints, actions, feet) joined by "
+        "'+' and 'x', and parentheses, found 'regular x (trivial + sign'",
     ),
     "pair of unequal length": Case(
         [ROBOT],
@@ -300,7 +300,7 @@ MALFORMED = {
         [K1],
         (K1, "left: ALeft_Shoulder_Pitch", "left: Left_Shoulder_Pitch"),
         (K1, "¦left: Left_Shoulder_Pitch"),
-        "rewards.arm_swing.left: the robot robot.yaml drives no joint 'Left_Shoulder_Pitch' "
+        "rewards.arm_swing.left: the robot robot.yaml observes no joint 'Left_Shoulder_Pitch' "
         "(did you mean 'ALeft_Shoulder_Pitch'?)",
     ),
     "negative mass of the ball": Case(
@@ -428,7 +428,7 @@ def test_entries_of_a_table_that_differ_from_what_the_terms_state_are_noted(plac
     wrong, misspelt = (f"{table}:{line}:3: fields" for line in (5, 7))
     assert [note.partition("note: ")[2] for note in notes] == [
         f"{wrong}.foot_contact_forces: 'trivial + trivial + trivial + trivial + trivial + trivial', "
-        "but the term states 'regular x (trivial + sign + trivial)'",
+        "but the term states 'feet x (trivial + sign + trivial)'",
         f"{misspelt}.ball_velocty: no observation has this name (did you mean 'ball_velocity'?)",
     ]
 

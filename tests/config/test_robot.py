@@ -59,8 +59,95 @@ def test_a_foot_without_geoms_and_offset_is_its_body(read):
 
 def test_one_foot_alone_is_an_error(complaints):
     text = ROBOT + "feet: {left: {body: a}}\n"
-    hint = "Right foot."
-    assert complaints(RobotSpec, text) == [f"a.yaml:11:1: feet.right: missing key 'right' ({hint})"]
+    expected = "expected left and right, or front_left, front_right, hind_left and hind_right"
+    assert complaints(RobotSpec, text) == [f"a.yaml:11:1: feet: {expected}; found left"]
+
+
+@pytest.mark.parametrize(
+    "feet", ["front_left, front_right", "left, right, hind_left, hind_right", "left, hind_right"]
+)
+def test_feet_are_one_pair_or_two(complaints, feet):
+    text = ROBOT + "feet: {" + ", ".join(f"{foot}: {{body: a}}" for foot in feet.split(", ")) + "}\n"
+    (complaint,) = complaints(RobotSpec, text)
+    assert complaint.endswith(f"; found {feet}")
+
+
+def test_four_feet_come_pair_after_pair(read):
+    feet = (
+        "feet: {hind_right: {body: d}, front_right: {body: b}, hind_left: {body: c}, front_left: {body: a}}\n"
+    )
+    named = read(RobotSpec, ROBOT + feet).feet.named()
+    assert [(place, foot.body) for place, foot in named.items()] == [
+        ("front_left", "a"),
+        ("front_right", "b"),
+        ("hind_left", "c"),
+        ("hind_right", "d"),
+    ]
+
+
+def test_left_and_right_in_one_entry_are_two_actuators_of_the_joints_names(read):
+    text = ROBOT.replace(
+        "  knee: {kind: position, joint: knee,", "  knees: {kind: position, joint: [knee, knee_r],"
+    )
+    actuators = read(RobotSpec, text).actuators
+    assert list(actuators) == ["knee", "knee_r", "drive"]
+    assert actuators["knee"].model_dump() | {"joint": "knee_r"} == actuators["knee_r"].model_dump()
+
+
+def test_what_is_wrong_in_an_entry_of_two_is_reported_where_it_stands(complaints):
+    text = ROBOT.replace(
+        "knee: {kind: position, joint: knee, kp: 20.0", "both: {kind: position, joint: [knee, knee_r], kp: 0"
+    )
+    found = [line.split(" actuators.")[1].split(":")[0] for line in complaints(RobotSpec, text)]
+    assert found == ["knee.kp", "knee_r.kp"]
+    assert all(line.startswith("a.yaml:4:") for line in complaints(RobotSpec, text))
+
+
+def test_an_actuator_of_the_name_of_a_joint_of_a_pair_is_an_error(complaints):
+    text = ROBOT.replace("  drive:", "  pair: {kind: motor, joint: [knee, knee_r], effort: 3}\n  drive:")
+    (complaint,) = complaints(RobotSpec, text)
+    assert complaint == "a.yaml:5:3: actuators.knee: there are two actuators of the name 'knee'"
+
+
+def test_an_action_of_1_is_all_the_torque_of_a_motor_unless_it_has_a_scale(read):
+    def knee(motor: str):
+        text = ROBOT.replace(
+            "kind: position, joint: knee, kp: 20.0, kd: 1.0, effort: 15.0, scale: 0.5", motor
+        )
+        return read(RobotSpec, text).actuators["knee"]
+
+    assert (
+        knee("kind: motor, joint: knee, effort: 15.0").scale,
+        knee("kind: motor, joint: knee, effort: 15.0").kd,
+    ) == (15, 0)
+    assert knee("kind: motor, joint: knee, effort: 15.0, scale: 4").scale == 4
+
+
+def test_mirrored_positions_are_those_of_both_sides(read):
+    pose = "initial: {joints: {waist: 0.1}, mirrored: {knee: 0.5, hip_r: 0.2}}\n"
+    assert read(RobotSpec, ROBOT + pose).pose == {
+        "waist": 0.1,
+        "knee": 0.5,
+        "knee_r": 0.5,
+        "hip_r": 0.2,
+        "hip": -0.2,
+    }
+
+
+@pytest.mark.parametrize(
+    ("observed", "joints"),
+    [
+        ("", ["knee"]),
+        ("observed: driven\n", ["knee"]),
+        ("observed: [waist, hip, hip_r]\n", ["waist", "hip", "hip_r"]),
+        (
+            "observed: all\n",
+            ["knee", "neck_pitch", "neck_yaw", "waist", "toe", "knee_r", "toe_r", "hip", "hip_r"],
+        ),
+    ],
+)
+def test_observed_joints_are_the_driven_ones_all_or_those_named(read, observed, joints):
+    assert list(read(RobotSpec, ROBOT + observed).observed_joints) == joints
 
 
 def test_a_pair_of_unequal_length_names_both_sides(complaints):
@@ -105,6 +192,8 @@ def test_a_joint_named_twice_is_an_error(complaints, old, new, joint):
             "kind: velocity, joint: knee, base_axis: x, kd: 1.0",
             "exactly one of `joint` and `base_axis` names what the actuator drives",
         ),
+        ("kind: motor, joint: knee, kp: 20.0", "a motor has no `kp`"),
+        ("kind: velocity, joint: knee", "a velocity servo needs `kd`"),
         (f"kind: position, {KNEE}, limits: 0.5", "`limits` are two numbers, the lower one first"),
     ],
 )
@@ -123,7 +212,7 @@ def test_a_servo_must_make_sense(complaints, servo, what):
         (
             "kind: position",
             "kind: positon",
-            "kind: expected one of: position, velocity, found the string 'positon' (did you mean 'position'?)",
+            "kind: expected one of: position, velocity, motor, found the string 'positon' (did you mean 'position'?)",
         ),
     ],
 )

@@ -183,9 +183,52 @@ def test_a_joint_that_may_not_be_at_zero_needs_a_position(complaints):
     assert "(give it a position: initial.joints.right_hip)" in complaint
 
 
-def test_a_joint_without_a_name_is_refused_with_its_body(complaints):
-    found = complaints(mjcf(more='<body name="tail"><joint/><geom size=".05" mass=".1"/></body>'), robot())
-    assert found[0].startswith("robot.yaml:1:1: model: a joint of the body 'tail' has no name")
+def test_a_joint_without_a_name_is_addressed_by_its_body_and_place(build, complaints):
+    tail = '<body name="tail"><joint name="wag"/><joint axis="0 1 0"/><geom size=".05" mass=".1"/></body>'
+    (complaint,) = complaints(mjcf(more=tail), robot().replace("symmetry: {", "symmetry: {sign: [wag], "))
+    assert complaint == "robot.yaml:8:1: symmetry: the symmetry table lacks joint tail:1"
+    whole = robot().replace("symmetry: {", 'observed: all\nsymmetry: {sign: [wag], trivial: ["tail:1"], ')
+    scene = build(mjcf(more=tail), whole)
+    assert scene.layout.joint_names == ("left_hip", "right_hip", "tail:1", "wag")
+    assert scene.model.joint("robot/tail:1").axis.tolist() == [0, 1, 0]
+
+
+def test_a_listed_joint_is_observed_with_its_mirror_image(complaints):
+    text = robot().replace("symmetry:", "observed: [left_hip]\nsymmetry:")
+    (complaint,) = complaints(mjcf(), text)
+    assert complaint.startswith(
+        "robot.yaml:8:12: observed.0: the joint 'left_hip' is observed, but its mirror image"
+    )
+
+
+@pytest.mark.parametrize(
+    ("pose", "what"),
+    [
+        ("joints: {right_hip: 0.1}, mirrored: {left_hip: 0.1}", "are given twice"),
+        ("mirrored: {left_hip: 0.1, right_hip: 0.1}", "are given twice"),
+        ("mirrored: {lft_hip: 0.1}", "(did you mean 'left_hip'?)"),
+    ],
+)
+def test_a_position_of_a_pair_is_given_once(complaints, pose, what):
+    (complaint,) = complaints(mjcf(), robot().replace("joints: {left_hip: 0.0}", pose))
+    assert complaint.startswith("robot.yaml:3:")
+    assert what in complaint
+
+
+def test_a_motor_gives_the_torque_of_its_control_within_its_effort(build):
+    motors = (
+        robot()
+        .replace("kind: position", "kind: motor")
+        .replace("kp: 50, kd: 2, ", "")
+        .replace(", scale: 0.3", "")
+    )
+    scene = build(mjcf(), motors)
+    data = mujoco.MjData(scene.model)
+    data.ctrl[:] = 7.0, -50.0
+    mujoco.mj_forward(scene.model, data)
+    assert data.actuator_force.tolist() == [7.0, -20.0]
+    assert scene.layout.action_scale.tolist() == [20.0, 20.0]
+    assert scene.layout.default_target.tolist() == [0.0, 0.0]
 
 
 def test_bodies_without_a_joint_stay_where_the_mjcf_asks_to_fuse_them(build):

@@ -159,7 +159,7 @@ def test_without_a_kick_trajectories_stay_together_for_fifty_control_steps(name)
 def state_of(task, engine) -> State:
     """The view of an engine's state in the middle of an episode."""
     draw = torch.Generator().manual_seed(0)
-    episode = EpisodeState.zeros(WORLDS, task.scene.model.nu, torch.device("cpu"))
+    episode = EpisodeState.zeros(WORLDS, task.scene.model.nu, 2, torch.device("cpu"))
     episode.target = torch.rand(WORLDS, 2, generator=draw) * 2.0
     episode.action = torch.randn(episode.action.shape, generator=draw)
     episode.previous_action = torch.randn(episode.action.shape, generator=draw)
