@@ -23,7 +23,7 @@ from kickbench.results.notes import (
     setting_lines,
     unplanned_lines,
 )
-from kickbench.results.progress import read_progress
+from kickbench.results.progress_table import read_progress
 from kickbench.results.store import RunDirectory
 from kickbench.results.verdicts import Verdict, judge
 from kickbench.trials.experiment import Condition, LoadedExperiment
@@ -168,8 +168,7 @@ def _files(runs: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
     for _, run in runs[runs.counted | unfinished].iterrows():
         directory, own = RunDirectory(run.path), {name: run[name] for name in ("condition", "seed", "path")}
         if directory.progress.exists():
-            progress = read_progress(directory.progress)
-            curves.append(pd.DataFrame({**own, "iteration": progress.iteration, **progress.columns}))
+            curves.append(read_progress(directory.progress).assign(**own))
         sides = read_episodes(directory.episodes) if directory.episodes.exists() else ()
         for side, table in zip(SIDES, sides, strict=False):
             if table is not None:

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import csv
-import gzip
 import io
-import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -15,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kickbench.errors import KickbenchError
-from kickbench.results.atomic import atomic_write_bytes, read_regular
+from kickbench.results.atomic import atomic_write_text, read_text
 
 NON_FINITE = "non_finite"
 """What ended an episode whose state became NaN or infinite, in the place of a termination's name."""
@@ -114,31 +112,25 @@ _KINDS: dict[str, type[np.generic]] = {
 }
 
 
-def episodes_file(folder: Path) -> Path:
-    """The table of a run's episodes: `episodes.csv`, or `episodes.csv.gz` where that alone is there."""
-    plain, packed = folder / "episodes.csv", folder / "episodes.csv.gz"
-    return packed if packed.exists() and not plain.exists() else plain
-
-
-def write_episodes(path: Path, sides: EpisodeSides) -> None:
+def write_episodes(path: Path, sides: EpisodeSides, decimals: int = _DECIMALS) -> None:
     """Write both sides to one CSV file, atomically.
 
     The first column, `side`, is `in_distribution` or `mirrored`; the others are those of `EpisodeTable`.
     Floats have six decimals (a micrometre), truth values are 0 or 1: equal tables give equal bytes.
 
     Args:
-        path: the file, as `episodes_file` names it; `.gz` is compressed.
+        path: the file; `.gz` is compressed.
         sides: the episodes.
+        decimals: digits of floats after the point.
     """
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
     writer.writerow(["side", *sides.in_distribution.columns()])
     for side, table in zip(_SIDES, sides, strict=True):
         if table is not None:
-            texts = [_format_column(column) for column in table.columns().values()]
+            texts = [_format_column(column, decimals) for column in table.columns().values()]
             writer.writerows([side, *row] for row in zip(*texts, strict=True))
-    data = buffer.getvalue().encode()
-    atomic_write_bytes(path, gzip.compress(data, mtime=0) if path.suffix == ".gz" else data)
+    atomic_write_text(path, buffer.getvalue())
 
 
 def read_episodes(path: Path) -> EpisodeSides:
@@ -154,10 +146,8 @@ def read_episodes(path: Path) -> EpisodeSides:
         KickbenchError: the file is missing or is no episode table; the message names the file and the line.
     """
     try:
-        data = read_regular(path)
-        text = (gzip.decompress(data) if path.suffix == ".gz" else data).decode("utf-8")
-        header, *rows = csv.reader(io.StringIO(text, newline=""))
-    except (OSError, EOFError, zlib.error, ValueError, csv.Error) as error:
+        header, *rows = csv.reader(io.StringIO(read_text(path), newline=""))
+    except (OSError, ValueError, csv.Error) as error:
         raise KickbenchError(f"{path}: cannot read the episode table: {error}") from error
     _check_rows(path, header, rows)
     cells = dict(zip(header, np.array(rows, dtype=str).reshape(-1, len(header)).T, strict=True))
@@ -193,10 +183,10 @@ def _parsed(cells: Mapping[str, NDArray[np.str_]], rows: NDArray[np.bool_]) -> E
     return EpisodeTable(**columns)
 
 
-def _format_column(column: NDArray[Any]) -> list[str]:
+def _format_column(column: NDArray[Any], decimals: int) -> list[str]:
     if column.dtype.kind == "f":
         # Adding zero turns the -0.0 that rounding leaves into 0.0.
-        return [f"{value:.{_DECIMALS}f}" for value in (np.round(column, _DECIMALS) + 0.0).tolist()]
+        return [f"{value:.{decimals}f}" for value in (np.round(column, decimals) + 0.0).tolist()]
     if column.dtype.kind == "b":
         return ["1" if value else "0" for value in column.tolist()]
     return [str(value) for value in column.tolist()]

@@ -23,7 +23,7 @@ from kickbench.config.experiment import AnyClaim, Metric, Operand
 from kickbench.errors import KickbenchError
 from kickbench.results.frame import known
 from kickbench.results.notes import lack, unfinished_words
-from kickbench.results.progress import read_progress
+from kickbench.results.progress_table import read_progress
 from kickbench.results.statistics import Interval, wilson
 from kickbench.results.store import RunDirectory
 
@@ -227,11 +227,11 @@ def _of_curves(figure: Callable[[Curve, Curve], float | None], name: str, other:
         path = RunDirectory(row.path).progress
         if not path.exists():
             return None
-        columns = read_progress(path).columns
+        table = read_progress(path)
         names = (f"{name}{claim.reward}" if name.endswith("/") else name, other)
-        if missing := [column for column in names if column not in columns]:
+        if missing := [column for column in names if column not in table]:
             raise KickbenchError(f"{path}: no column {missing[0]}")
-        value = figure(*(columns[column] for column in names))
+        value = figure(*(table[column].to_numpy() for column in names))
         return None if value is None else Figure(value)
 
     return measure

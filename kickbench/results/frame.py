@@ -45,7 +45,7 @@ from kickbench.results.episodes import NON_FINITE
 from kickbench.results.identity import read_identity
 from kickbench.results.integrity import check
 from kickbench.results.metrics import Asymmetry, EvaluationMetrics, Metrics, load_metrics
-from kickbench.results.progress import read_done
+from kickbench.results.progress_table import read_done
 from kickbench.results.store import RunDirectory, find_begun_runs
 
 if TYPE_CHECKING:

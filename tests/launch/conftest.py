@@ -11,7 +11,7 @@ from kickbench.results.episodes import EpisodeSides, EpisodeTable
 from kickbench.results.integrity import with_digest
 from kickbench.results.measure import summarise_sides
 from kickbench.results.metrics import Metrics
-from kickbench.results.progress import row_check
+from kickbench.results.progress_table import row_check
 from kickbench.results.provenance import Provenance
 from kickbench.results.store import RunDirectory
 

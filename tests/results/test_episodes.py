@@ -11,10 +11,10 @@ from kickbench.errors import KickbenchError
 from kickbench.results.episodes import (
     EpisodeSides,
     EpisodeTable,
-    episodes_file,
     read_episodes,
     write_episodes,
 )
+from kickbench.results.store import RunDirectory
 
 
 def make_table(episodes: int = 5, seed: int = 0) -> EpisodeTable:
@@ -180,9 +180,9 @@ def test_a_compressed_table_is_the_same_table(tmp_path: Path) -> None:
     folder = tmp_path / "run"
     folder.mkdir()
     sides = EpisodeSides(make_table(5), None)
-    assert episodes_file(folder).name == "episodes.csv"
+    assert RunDirectory(folder).episodes.name == "episodes.csv"
     write_episodes(folder / "episodes.csv.gz", sides)
-    assert episodes_file(folder).name == "episodes.csv.gz"
+    assert RunDirectory(folder).episodes.name == "episodes.csv.gz"
     write_episodes(folder / "plain.csv", sides)
     data = (folder / "episodes.csv.gz").read_bytes()
     assert gzip.decompress(data) == (folder / "plain.csv").read_bytes()

@@ -17,7 +17,7 @@ import pytest
 from kickbench.errors import KickbenchError
 from kickbench.evaluation import progress as console
 from kickbench.evaluation.progress import Steps, duration, percent, tracked
-from kickbench.results.progress import checked_rows
+from kickbench.results.progress_table import checked_rows
 from kickbench.training.progress import CsvProgress, Record, RunProgress, TensorBoardProgress, describe
 
 FIRST = {
