@@ -12,8 +12,7 @@ import pandas as pd
 
 from kickbench.config.experiment import Side
 from kickbench.errors import KickbenchError
-from kickbench.results.episodes import read_episodes
-from kickbench.results.figures import Quantity, over_seeds
+from kickbench.results.episode_table import read_episodes
 from kickbench.results.frame import SIDES, load_runs, runs_of
 from kickbench.results.notes import (
     group_lines,
@@ -24,6 +23,7 @@ from kickbench.results.notes import (
     unplanned_lines,
 )
 from kickbench.results.progress_table import read_progress
+from kickbench.results.quantities import Quantity, over_seeds
 from kickbench.results.store import RunDirectory
 from kickbench.results.verdicts import Verdict, judge
 from kickbench.trials.experiment import Condition, LoadedExperiment

@@ -20,10 +20,10 @@ import numpy as np
 from kickbench.errors import KickbenchError, shown
 from kickbench.results import identity
 from kickbench.results.atomic import TEMPORARY_PREFIX, atomic_write_bytes, plain_or_packed, sync_folder
-from kickbench.results.episodes import EpisodeSides, EpisodeTable, read_episodes
-from kickbench.results.measure import figures_of, mirrored_pairs
+from kickbench.results.episode_table import EpisodeSides, EpisodeTable, read_episodes
 from kickbench.results.metrics import Metrics, load_metrics
 from kickbench.results.progress_table import checked_rows
+from kickbench.results.summary import figures_of, mirrored_pairs
 
 FILE = "SHA256SUMS"
 MODEL_FOLDER = "specs/model/"

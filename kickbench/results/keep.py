@@ -12,7 +12,7 @@ from pathlib import Path
 from kickbench.errors import KickbenchError
 from kickbench.results import integrity
 from kickbench.results.atomic import atomic_write_text, plain_or_packed, read_text
-from kickbench.results.episodes import EpisodeSides, EpisodeTable, read_episodes, write_episodes
+from kickbench.results.episode_table import EpisodeSides, EpisodeTable, read_episodes, write_episodes
 from kickbench.results.progress_table import checked_rows
 from kickbench.results.store import RunDirectory, find_begun_runs
 
@@ -83,8 +83,9 @@ def _thin_episodes(source: Path, target: Path) -> None:
     if every == 1:
         atomic_write_text(target, read_text(source))
     else:
-        kept = [None if side is None else _every(side, every) for side in sides]
-        write_episodes(target, EpisodeSides(*kept), _DECIMALS)
+        home, mirrored = sides
+        kept = EpisodeSides(_every(home, every), None if mirrored is None else _every(mirrored, every))
+        write_episodes(target, kept, _DECIMALS)
 
 
 def _every(table: EpisodeTable, every: int) -> EpisodeTable:

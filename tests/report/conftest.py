@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kickbench.results.episodes import EpisodeSides, EpisodeTable, write_episodes
-from kickbench.results.measure import summarise_sides
+from kickbench.results.episode_table import EpisodeSides, EpisodeTable, write_episodes
 from kickbench.results.metrics import Metrics
 from kickbench.results.provenance import Provenance
+from kickbench.results.summary import summarise_sides
 
 from ..conftest import write_result
 

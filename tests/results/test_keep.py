@@ -10,13 +10,13 @@ import pandas as pd
 import pytest
 
 from kickbench.errors import KickbenchError
-from kickbench.results.episodes import EpisodeSides, read_episodes, write_episodes
+from kickbench.results.episode_table import EpisodeSides, read_episodes, write_episodes
 from kickbench.results.integrity import damage, seal
 from kickbench.results.keep import keep
-from kickbench.results.measure import summarise_sides
 from kickbench.results.metrics import load_metrics, write_metrics
 from kickbench.results.progress_table import read_progress
 from kickbench.results.store import RunDirectory
+from kickbench.results.summary import summarise_sides
 
 MEASURED = Path(__file__).parents[2] / "results/measured/mini_home_field/baseline/seed0"
 COUNT = 1000

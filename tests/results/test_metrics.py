@@ -9,11 +9,11 @@ import pytest
 from pydantic import ValidationError
 
 from kickbench.errors import KickbenchError
-from kickbench.results.episodes import EpisodeSides, EpisodeTable
-from kickbench.results.measure import summarise, summarise_sides
+from kickbench.results.episode_table import EpisodeSides, EpisodeTable
 from kickbench.results.metrics import Metrics, load_metrics, metrics_json_schema, write_metrics
 from kickbench.results.provenance import Provenance
 from kickbench.results.statistics import wilson
+from kickbench.results.summary import summarise, summarise_sides
 
 FEET = ["left", "left", "right", "none", "right", "right", "left", "other"]
 BALL_Y = [0.1, 0.0, 0.2, 0.1, -0.1, -0.2, -0.1, -0.1]

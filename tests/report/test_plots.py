@@ -8,10 +8,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from kickbench.report import figures, tables
+from kickbench.report import plots, tables
 from kickbench.report.study import Study, studies
 from kickbench.report.style import Picture, looks_of, style, subplots
-from kickbench.results.figures import DISTANCE, SUCCESS, over_seeds
+from kickbench.results.quantities import DISTANCE, SUCCESS, over_seeds
 
 SVG = "{http://www.w3.org/2000/svg}"
 HIT = "termination/target_hit"
@@ -72,7 +72,7 @@ def test_numbers_are_written_in_one_way():
 def test_success_in_bins_counts_every_episode_once(study):
     angle = np.degrees(np.arctan2(study.episodes.target_y, study.episodes.target_x))
     for values in (np.hypot(study.episodes.target_x, study.episodes.target_y), angle):
-        found = figures.binned(study.episodes, values, 2)
+        found = plots.binned(study.episodes, values, 2)
         assert found.groupby(["condition", "side"]).episodes.sum().max() <= 120
         assert (found.episodes >= 20).all()
         assert ((found.low <= found.rate) & (found.rate <= found.high)).all()
@@ -95,16 +95,16 @@ def curves(*iterations: int) -> pd.DataFrame:
 
 def drawn(table: pd.DataFrame):
     with style():
-        return figures.learning_curves(table, looks_of(["baseline"]))
+        return plots.learning_curves(table, looks_of(["baseline"]))
 
 
 def test_smoothing_is_a_mean_over_what_is_known():
     table = curves(30)
     table.loc[table.iteration == 10, "mean_return"] = np.nan
-    found = figures.smoothed(table, "mean_return", range(30)).seed0
+    found = plots.smoothed(table, "mean_return", range(30)).seed0
     assert found[10] == pytest.approx(10.0)
     assert found[0] == pytest.approx(2.0), "shorter at the ends"
-    assert figures.smoothed(table.assign(mean_return=np.nan), "mean_return", range(30)).seed0.isna().all()
+    assert plots.smoothed(table.assign(mean_return=np.nan), "mean_return", range(30)).seed0.isna().all()
 
 
 def test_curves_are_split_at_iteration_300():
@@ -133,7 +133,7 @@ def test_the_mean_goes_as_far_as_all_seeds():
 
 
 def test_long_lines_are_thinned():
-    assert len(figures.smoothed(curves(15000), "mean_return", range(300, 15000))) <= 200
+    assert len(plots.smoothed(curves(15000), "mean_return", range(300, 15000))) <= 200
 
 
 def test_every_figure_can_be_drawn(study):
@@ -141,13 +141,13 @@ def test_every_figure_can_be_drawn(study):
     found = {measure: study.estimates(measure) for measure in (SUCCESS, DISTANCE)}
     with style():
         for figure in (
-            figures.dots(found, study.measured, looks, 600),
-            figures.slopes(figures.both_sides(found[SUCCESS]), study.measured, looks, 600),
-            figures.learning_curves(study.curves, looks),
-            figures.resting_places(study.episodes, looks),
-            figures.success_by_target(study.episodes, looks),
-            figures.kicking_feet(kicks),
-            figures.first_touches(tables.first_touches(study.measured), 600),
+            plots.dots(found, study.measured, looks, 600),
+            plots.slopes(plots.both_sides(found[SUCCESS]), study.measured, looks, 600),
+            plots.learning_curves(study.curves, looks),
+            plots.resting_places(study.episodes, looks),
+            plots.success_by_target(study.episodes, looks),
+            plots.kicking_feet(kicks),
+            plots.first_touches(tables.first_touches(study.measured), 600),
         ):
             ElementTree.fromstring(Picture("a", figure).svg())
 
@@ -155,7 +155,7 @@ def test_every_figure_can_be_drawn(study):
 def test_a_figure_shows_what_was_reported_and_every_seed(study):
     found = study.estimates(SUCCESS).assign(reported=0.5, reported_std=0.1)
     with style():
-        (axes,) = figures.dots({SUCCESS: found}, study.measured, looks_of(study.conditions), 600).axes
+        (axes,) = plots.dots({SUCCESS: found}, study.measured, looks_of(study.conditions), 600).axes
     marks = [line.get_xdata() for line in axes.lines if line.get_marker() not in ("None", "", "|")]
     assert np.concatenate(marks) == pytest.approx([200 / 3] * 6)
     assert [line.get_xdata()[0] for line in axes.lines if line.get_marker() == "|"] == [50.0] * 4
@@ -163,7 +163,7 @@ def test_a_figure_shows_what_was_reported_and_every_seed(study):
 
 def test_the_pitch_is_as_wide_to_the_left_as_to_the_right(study):
     with style():
-        first, *_ = figures.resting_places(study.episodes, looks_of(study.conditions)).axes
+        first, *_ = plots.resting_places(study.episodes, looks_of(study.conditions)).axes
     left, right = first.get_xlim()
     assert left == -right > 0
     assert len(first.collections[0].get_offsets()) == 120, "seeds are pooled"
@@ -172,7 +172,7 @@ def test_the_pitch_is_as_wide_to_the_left_as_to_the_right(study):
 def test_feet_mirror_with_a_symmetric_policy(study):
     own = study.episodes[study.episodes.condition == "equivariant"]
     with style():
-        mesh = figures.kicking_feet(own).axes[0].collections[0]
+        mesh = plots.kicking_feet(own).axes[0].collections[0]
     share = np.ma.filled(mesh.get_array(), np.nan)
     assert np.isfinite(share).any()
     np.testing.assert_allclose(share + share[:, ::-1], np.where(np.isnan(share), np.nan, 100.0))
@@ -190,7 +190,7 @@ def test_first_touches_add_up_both_sides(study):
 def test_an_error_of_nothing_can_be_drawn():
     table = pd.DataFrame({"condition": ["a", "b"], "equivariance/relative": [0.0, 1.2]})
     with style():
-        (axes,) = figures.equivariance_errors(table, looks_of(["a", "b"])).axes
+        (axes,) = plots.equivariance_errors(table, looks_of(["a", "b"])).axes
     assert [line.get_xdata()[0] for line in axes.lines[:2]] == [1e-9, 1.2]
 
 

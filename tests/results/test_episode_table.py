@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from kickbench.errors import KickbenchError
-from kickbench.results.episodes import (
+from kickbench.results.episode_table import (
     EpisodeSides,
     EpisodeTable,
     read_episodes,

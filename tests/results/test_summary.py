@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from kickbench.results.episodes import EpisodeSides, EpisodeTable
+from kickbench.results.episode_table import EpisodeSides, EpisodeTable
 from kickbench.results.frame import frame_of
-from kickbench.results.measure import measure_asymmetry, measure_kick
 from kickbench.results.metrics import EquivarianceError, KickFigures
 from kickbench.results.statistics import mcnemar, wilson
+from kickbench.results.summary import measure_asymmetry, measure_kick
 from kickbench.results.tables import render_table
 
 SWAP = {"left": "right", "right": "left"}

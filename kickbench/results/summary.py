@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kickbench.results.episodes import NON_FINITE, EpisodeSides, EpisodeTable
+from kickbench.results.episode_table import NON_FINITE, EpisodeSides, EpisodeTable
 from kickbench.results.metrics import (
     Asymmetry,
     EquivarianceError,

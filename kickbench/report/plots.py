@@ -11,7 +11,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from kickbench.report.style import INK, LEFT_FOOT, MUTED, OTHER, RIGHT_FOOT, Look, subplots
-from kickbench.results.figures import Quantity
+from kickbench.results.quantities import Quantity
 from kickbench.results.statistics import wilson
 
 if TYPE_CHECKING:

@@ -331,7 +331,7 @@ def figure_of(run: pd.DataFrame, claim: AnyClaim, operand: Operand) -> Figure | 
     """The figure that an operand of a claim means, from one run; None if the run does not have it.
 
     Args:
-        run: The rows of a run of the operand's arm (`kickbench.results.frame`).
+        run: The rows of a run of the operand's condition (`kickbench.results.frame`).
         claim: Says which metric.
         operand: Says which side, and which task.
 
