@@ -14,7 +14,7 @@ import pytest
 from scipy import stats
 
 from kickbench.evaluation.rollouts import run_sides
-from kickbench.results.episodes import EpisodeTable
+from kickbench.results.episode_table import EpisodeTable
 from kickbench.results.metrics import EvaluationMetrics, load_metrics
 from kickbench.training.trained import load_run
 

@@ -48,7 +48,7 @@ RunMetric = Literal[
     "return_trough",
 ]
 Metric = Literal[SideMetric, RunMetric]
-"""What a claim may be about; `kickbench.results.figures` says how each follows from a run."""
+"""What a claim may be about; `kickbench.results.quantities` says how each follows from a run."""
 
 OF_A_RUN: frozenset[Metric] = frozenset(get_args(RunMetric))
 """Metrics of a run as a whole: they have no sides and no transfer tasks."""

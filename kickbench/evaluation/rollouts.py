@@ -23,7 +23,7 @@ from kickbench.envs.initial_states import InitialStates, InitialStateSampler
 from kickbench.evaluation.probes import EquivarianceProbe, KickRecord
 from kickbench.evaluation.progress_bar import EVALUATING, Steps
 from kickbench.nets.build import torch_threads
-from kickbench.results.episodes import NON_FINITE, EpisodeSides, EpisodeTable
+from kickbench.results.episode_table import NON_FINITE, EpisodeSides, EpisodeTable
 from kickbench.results.frame import SIDES
 from kickbench.results.metrics import EquivarianceError
 from kickbench.symmetry.torch_ops import Mirror

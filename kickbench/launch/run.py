@@ -18,12 +18,12 @@ from kickbench.envs.env import KickEnv
 from kickbench.errors import KickbenchError, SpecError, shown
 from kickbench.evaluation.rollouts import Policy, run_sides, success_by_side
 from kickbench.nets.build import build_actor, update_threads
-from kickbench.results.episodes import EpisodeSides, write_episodes
-from kickbench.results.measure import summarise_sides
+from kickbench.results.episode_table import EpisodeSides, write_episodes
 from kickbench.results.metrics import EquivarianceError, Evaluation, Metrics, load_metrics
 from kickbench.results.provenance import ExperimentRef, RunHistory, earlier_parts
 from kickbench.results.specs import update_specs
 from kickbench.results.store import RunDirectory
+from kickbench.results.summary import summarise_sides
 from kickbench.sim.engine import check_device, usable_cores
 from kickbench.training.checkpoint import Checkpoints, save_policy
 from kickbench.training.iteration_log import Progress, RunProgress

@@ -14,7 +14,7 @@ import pandas as pd
 from kickbench.evaluation.progress_bar import EVALUATING, duration, percent
 from kickbench.results.frame import known, load_runs, runs_of
 from kickbench.results.integrity import find_damage
-from kickbench.results.progress import last_rows
+from kickbench.results.progress_table import last_rows
 from kickbench.results.store import RunDirectory
 from kickbench.results.tables import NOTHING, Row, render_block
 from kickbench.training.checkpoint import Checkpoints, is_whole, iteration_of

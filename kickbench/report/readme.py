@@ -14,13 +14,13 @@ from pathlib import Path
 import pandas as pd
 
 from kickbench.errors import KickbenchError
-from kickbench.report import figures, tables
+from kickbench.report import plots, tables
 from kickbench.report.remarks import evidence, verdict_words, warnings
 from kickbench.report.study import Study, studies
 from kickbench.report.style import Picture, looks_of, style
 from kickbench.results.atomic import atomic_write_text
-from kickbench.results.figures import DISTANCE, SUCCESS, Quantity
 from kickbench.results.frame import HOME, SIDES
+from kickbench.results.quantities import DISTANCE, SUCCESS, Quantity
 from kickbench.results.verdicts import Verdict
 from kickbench.trials.experiment import load_experiment
 
@@ -95,20 +95,20 @@ def pictures(results: Sequence[Study]) -> dict[str, Picture]:
     estimates = pd.concat([study.estimates(SUCCESS) for study in results])
     runs, estimates = (of.assign(label=of.study + ": " + of.label) for of in (runs, estimates))
     estimates = estimates[estimates.seeds > 0]
-    planned = figures.both_sides(
+    planned = plots.both_sides(
         estimates[estimates.study.isin([study.name for study in results if study.plans])]
     )
     counts = tables.first_touches(runs)
     return {
         "home-field": Picture(
             "Success in distribution (left end) and from the mirror images of the same starts (right end)",
-            figures.slopes(planned, runs, looks, _WIDTH),
+            plots.slopes(planned, runs, looks, _WIDTH),
             _means(planned, SUCCESS),
         ),
         "success": Picture(
-            SUCCESS.title, figures.dots({SUCCESS: estimates}, runs, looks, _WIDTH), _means(estimates, SUCCESS)
+            SUCCESS.title, plots.dots({SUCCESS: estimates}, runs, looks, _WIDTH), _means(estimates, SUCCESS)
         ),
-        "feet": Picture("Which foot kicks", figures.first_touches(counts, _WIDTH), tables.words(counts)),
+        "feet": Picture("Which foot kicks", plots.first_touches(counts, _WIDTH), tables.words(counts)),
     }
 
 

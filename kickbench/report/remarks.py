@@ -7,9 +7,9 @@ from typing import Any, get_args
 import pandas as pd
 
 from kickbench.report.study import SIDE_WORDS, Study
-from kickbench.results.figures import SUCCESS, non_finite_note
-from kickbench.results.frame import known
+from kickbench.results.frame import known, size_differences
 from kickbench.results.notes import unfinished_words
+from kickbench.results.quantities import SUCCESS, non_finite_note
 from kickbench.results.verdicts import Outcome, Verdict
 
 
@@ -66,12 +66,10 @@ def remarks(study: Study, run: pd.Series, commit: str | None = None) -> list[str
     if run.state != "finished":
         return [f"{unfinished_words(run)}, not evaluated", *filter(None, [run.deviation])]
     planned, ran = known(run, "iterations_planned"), known(run, "schedule_iterations")
-    smaller = not study.plans and planned not in (None, run.iterations)
+    smaller = [] if study.plans else size_differences(run, iterations=planned)
     made_by = run.provenance.commit or "unknown"
     found = [
         (run.deviation is not None, str(run.deviation)),
-        (run.scale > 0 and not study.plans, f"scaled down to {run.scale:g} of its size"),
-        (smaller, f"{run.iterations:,.0f} of {planned or 0:,.0f} iterations"),
         (run.copy_of is not None, "a copy of another run, counted once"),
         (run.contradicts is not None, "another result than a run of the same seed"),
         (not run.counted and run.copy_of is None, "not counted"),
@@ -84,7 +82,7 @@ def remarks(study: Study, run: pd.Series, commit: str | None = None) -> list[str
         f"episodes {SIDE_WORDS[of.side]}:{non_finite_note(of.non_finite)}"
         for _, of in rows[rows.non_finite > 0].iterrows()
     )
-    return [*(words for holds, words in found if holds), *lost]
+    return [*smaller, *(words for holds, words in found if holds), *lost]
 
 
 def listed(runs: pd.DataFrame) -> str:

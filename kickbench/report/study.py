@@ -12,8 +12,7 @@ import pandas as pd
 
 from kickbench.config.experiment import Side
 from kickbench.errors import KickbenchError
-from kickbench.results.episodes import read_episodes
-from kickbench.results.figures import Quantity, over_seeds
+from kickbench.results.episode_table import read_episodes
 from kickbench.results.frame import SIDES, load_runs, runs_of
 from kickbench.results.notes import (
     group_lines,
@@ -23,7 +22,8 @@ from kickbench.results.notes import (
     setting_lines,
     unplanned_lines,
 )
-from kickbench.results.progress import read_progress
+from kickbench.results.progress_table import read_progress
+from kickbench.results.quantities import Quantity, over_seeds
 from kickbench.results.store import RunDirectory
 from kickbench.results.verdicts import Verdict, judge
 from kickbench.trials.experiment import Condition, LoadedExperiment
@@ -168,8 +168,7 @@ def _files(runs: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
     for _, run in runs[runs.counted | unfinished].iterrows():
         directory, own = RunDirectory(run.path), {name: run[name] for name in ("condition", "seed", "path")}
         if directory.progress.exists():
-            progress = read_progress(directory.progress)
-            curves.append(pd.DataFrame({**own, "iteration": progress.iteration, **progress.columns}))
+            curves.append(read_progress(directory.progress).assign(**own))
         sides = read_episodes(directory.episodes) if directory.episodes.exists() else ()
         for side, table in zip(SIDES, sides, strict=False):
             if table is not None:

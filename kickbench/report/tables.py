@@ -6,9 +6,9 @@ import pandas as pd
 
 from kickbench.report.remarks import remarks
 from kickbench.report.study import SIDE_WORDS, Study
-from kickbench.results.figures import DISTANCE, SUCCESS, Quantity
 from kickbench.results.frame import HOME, known
 from kickbench.results.provenance import Provenance
+from kickbench.results.quantities import DISTANCE, SUCCESS, Quantity
 
 
 def comparison(study: Study) -> pd.DataFrame:

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 from kickbench import __version__
 from kickbench.errors import printable, require
-from kickbench.report import figures, tables
+from kickbench.report import plots, tables
 from kickbench.report.remarks import evidence, listed, outcome, verdict_words, warnings
 from kickbench.report.study import Study, studies
 from kickbench.report.style import Picture, looks_of, style
 from kickbench.results.atomic import atomic_write_text
-from kickbench.results.figures import ASYMMETRY, DISTANCE, KICK, SUCCESS
 from kickbench.results.provenance import code_state
+from kickbench.results.quantities import ASYMMETRY, DISTANCE, KICK, SUCCESS
 from kickbench.trials.experiment import LoadedExperiment
 
 if TYPE_CHECKING:
@@ -75,18 +75,18 @@ def _figures(study: Study) -> dict[str, Figure]:
     found = {measure: study.estimates(measure) for measure in (SUCCESS, DISTANCE)}
     drawn = {}
     if any(map(len, found.values())):
-        drawn["dots"] = figures.dots(found, runs, looks, _WIDTH)
-    if len(both := figures.both_sides(found[SUCCESS])):
-        drawn["slopes"] = figures.slopes(both, runs, looks, _WIDTH)
+        drawn["dots"] = plots.dots(found, runs, looks, _WIDTH)
+    if len(both := plots.both_sides(found[SUCCESS])):
+        drawn["slopes"] = plots.slopes(both, runs, looks, _WIDTH)
     if len(study.curves):
-        drawn["curves"] = figures.learning_curves(study.curves, looks)
+        drawn["curves"] = plots.learning_curves(study.curves, looks)
     if len(episodes):
-        drawn["pitch"] = figures.resting_places(episodes, looks)
-        drawn["targets"] = figures.success_by_target(episodes, looks)
+        drawn["pitch"] = plots.resting_places(episodes, looks)
+        drawn["targets"] = plots.success_by_target(episodes, looks)
         if len(kicks := episodes[episodes.kick_foot.isin(["left", "right"])]):
-            drawn["feet"] = figures.kicking_feet(kicks)
+            drawn["feet"] = plots.kicking_feet(kicks)
     if len(known := runs[(runs.side == "in_distribution") & runs["equivariance/relative"].notna()]):
-        drawn["errors"] = figures.equivariance_errors(known, looks)
+        drawn["errors"] = plots.equivariance_errors(known, looks)
     return drawn
 
 

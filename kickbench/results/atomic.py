@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import errno
+import gzip
 import os
 import secrets
 import tempfile
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -109,6 +111,26 @@ def read_regular(path: Path) -> bytes:
     return path.read_bytes()
 
 
+def plain_or_packed(path: Path) -> Path:
+    """A file, or the same compressed (`.gz`) where that alone is there."""
+    packed = path.with_name(f"{path.name}.gz")
+    return packed if packed.exists() and not path.exists() else path
+
+
+def read_text(path: Path) -> str:
+    """Reads a regular file in UTF-8, a compressed one (`.gz`) as well.
+
+    Raises:
+        OSError: It cannot be read, or not be decompressed.
+        UnicodeDecodeError: It is not UTF-8.
+    """
+    data = read_regular(path)
+    try:
+        return (gzip.decompress(data) if path.suffix == ".gz" else data).decode("utf-8")
+    except (EOFError, zlib.error) as error:
+        raise OSError(errno.EIO, str(error)) from error
+
+
 def atomic_write_bytes(path: Path, data: bytes) -> None:
     """Replace the content of `path` with `data`, all or nothing; missing parents are made."""
     with atomic_file(path) as file:
@@ -116,8 +138,12 @@ def atomic_write_bytes(path: Path, data: bytes) -> None:
 
 
 def atomic_write_text(path: Path, text: str) -> None:
-    """Replace the content of `path` with `text` in UTF-8, all or nothing; missing parents are made."""
-    atomic_write_bytes(path, text.encode("utf-8"))
+    """Replace the content of `path` with `text` in UTF-8, all or nothing; missing parents are made.
+
+    A file whose name ends in `.gz` is compressed: equal texts give equal bytes.
+    """
+    data = text.encode("utf-8")
+    atomic_write_bytes(path, gzip.compress(data, mtime=0) if path.suffix == ".gz" else data)
 
 
 def sync_folder(folder: Path) -> None:

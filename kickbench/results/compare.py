@@ -25,10 +25,10 @@ import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
 from kickbench.config.experiment import Side
-from kickbench.results.episodes import EpisodeSides, EpisodeTable, read_episodes
-from kickbench.results.figures import DISTANCE, PERCENT, SUCCESS, Quantity, Unit, non_finite_note
+from kickbench.results.episode_table import EpisodeSides, EpisodeTable, read_episodes
 from kickbench.results.frame import HOME
 from kickbench.results.notes import remark_lines
+from kickbench.results.quantities import DISTANCE, PERCENT, SUCCESS, Quantity, Unit, non_finite_note
 from kickbench.results.statistics import (
     Estimate,
     Interval,
@@ -251,7 +251,7 @@ def _score_blocks(name: str, groups: Groups, score: Score, episodes: Episodes) -
     if len(having) < 2:
         return []
     scores = {label: (score.unit.factor * runs[score.column]).tolist() for label, runs in having.items()}
-    rows = [_method_row(label, groups[label], scores[label], score.unit.decimals) for label in scores]
+    rows = [_method_row(label, having[label], scores[label], score) for label in scores]
     lines = [render_block(f"task: {name}: {score.name}", _METHOD_HEADER, [rows], groups=None)]
     lines += [
         f"{label}: left out, it has runs without this figure" for label in groups if label not in scores
@@ -268,13 +268,13 @@ def _score_blocks(name: str, groups: Groups, score: Score, episodes: Episodes) -
     return blocks
 
 
-def _method_row(label: str, runs: pd.DataFrame, scores: Sequence[float], decimals: int) -> Row:
+def _method_row(label: str, runs: pd.DataFrame, scores: Sequence[float], score: Score) -> Row:
     middle = NOTHING
     if len(scores) > 1:
         interval = bootstrap([scores], iqm, np.random.default_rng(_METHOD_SEED))
-        middle = _estimate(Estimate(float(iqm(scores)), interval), decimals)
+        middle = _estimate(Estimate(float(iqm(scores)), interval), score.unit.decimals)
     iterations = f"{runs.iterations.iloc[0]:,.0f}" + " scaled" * bool(runs.scale.notna().any())
-    return label, str(len(scores)), iterations, *mean_and_spread(scores, decimals), middle
+    return label, str(len(scores)), iterations, *mean_and_spread(runs[score.column], score.unit), middle
 
 
 def _non_finite(runs: pd.DataFrame, label: str) -> list[str]:

@@ -3,11 +3,10 @@
 Every claim says that a sum of weighted figures lies in a range: `value - minus` in [bound, inf), `value -
 bound over` in (-inf, 0]. So one calculus serves them all.
 
-Two or more seeds an arm: Student's interval of the mean over seeds, and Welch's where two arms are compared.
-What the episodes of a seed leave open is part of the spread over seeds. With one seed an arm nothing is known
-of other
-trainings: the interval is then that of the episodes (square-and-add, Zou & Donner 2008), for *this* policy,
-and says so.
+Two or more seeds a condition: Student's interval of the mean over seeds, and Welch's where two conditions are
+compared. What the episodes of a seed leave open is part of the spread over seeds. With one seed a condition
+nothing is known of other trainings: the interval is then that of the episodes (square-and-add, Zou & Donner
+2008), for *this* policy, and says so.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ import numpy as np
 import pandas as pd
 
 from kickbench.config.experiment import AnyClaim, Operand
-from kickbench.results.figures import Figure, figure_of, pair_correlation, row_of
+from kickbench.results.quantities import Figure, figure_of, pair_correlation, row_of
 from kickbench.results.statistics import Interval, student, welch
 
 
@@ -108,7 +107,7 @@ class RunTerms(NamedTuple):
 
 
 Parts = Mapping[str, Sequence[RunTerms]]
-"""For each arm that a claim is about what its runs give."""
+"""For each condition that a claim is about what its runs give."""
 
 
 def run_terms(run: pd.DataFrame, claim: AnyClaim, contrast: Contrast) -> RunTerms | None:
@@ -148,7 +147,7 @@ class Estimated(NamedTuple):
 
 
 def estimate(parts: Parts) -> Estimated:
-    """A contrast over all seeds, of at least one run per arm."""
+    """A contrast over all seeds, of at least one run per condition."""
     samples = [[run.value for run in runs] for runs in parts.values()]
     seeds = min(len(sample) for sample in samples)
     value = sum(float(np.mean(sample)) for sample in samples)
@@ -162,7 +161,7 @@ def estimate(parts: Parts) -> Estimated:
     return Estimated(value, interval, f"{seeds} seeds")
 
 
-def over_episodes(arms: Sequence[Sequence[RunTerms]]) -> Interval | None:
+def over_episodes(conditions: Sequence[Sequence[RunTerms]]) -> Interval | None:
     """The interval of a contrast of given policies, by square-and-add of the intervals of its figures.
 
     With l_i and u_i the distances from a figure to the ends of its interval, taken the other way round where
@@ -171,7 +170,7 @@ def over_episodes(arms: Sequence[Sequence[RunTerms]]) -> Interval | None:
     is the special case of a difference of two proportions.
 
     Args:
-        arms: What the runs of each arm give.
+        conditions: What the runs of each condition give.
 
     Returns:
         The interval; None if that of a figure is not known.
@@ -181,7 +180,7 @@ def over_episodes(arms: Sequence[Sequence[RunTerms]]) -> Interval | None:
     2008.
     """
     value, below, above = 0.0, 0.0, 0.0
-    for runs in arms:
+    for runs in conditions:
         value += sum(run.value for run in runs) / len(runs)
         for run in runs:
             if any(term.figure.interval is None for term in run.terms):

@@ -41,11 +41,11 @@ from pydantic import BaseModel
 from kickbench.config.experiment import Side
 from kickbench.config.load import load_method
 from kickbench.errors import KickbenchError, shown
-from kickbench.results.episodes import NON_FINITE
+from kickbench.results.episode_table import NON_FINITE
 from kickbench.results.identity import read_identity
 from kickbench.results.integrity import check
 from kickbench.results.metrics import Asymmetry, EvaluationMetrics, Metrics, load_metrics
-from kickbench.results.progress import read_done
+from kickbench.results.progress_table import read_done
 from kickbench.results.store import RunDirectory, find_begun_runs
 
 if TYPE_CHECKING:
@@ -258,14 +258,15 @@ def _transfer_rows(directory: RunDirectory, own: Row, metrics: Metrics) -> Itera
 
 def _planned_rows(root: Path, experiment: LoadedExperiment) -> Iterator[Row]:
     """The rows of every planned run, compared with the plan."""
-    for arm in experiment.conditions.values():
-        planned = _Planned(arm)
-        for seed in arm.seeds:
-            rows = _rows(RunDirectory(run_path(root, arm.name, seed)))
-            found, trained = rows[0]["seed"], {"condition": arm.name, "seed": seed}
-            trained["iterations_planned"] = arm.iterations
+    for condition in experiment.conditions.values():
+        planned = _Planned(condition)
+        for seed in condition.seeds:
+            rows = _rows(RunDirectory(run_path(root, condition.name, seed)))
+            found, trained = rows[0]["seed"], {"condition": condition.name, "seed": seed}
+            trained["iterations_planned"] = condition.iterations
             if rows[0]["state"] != "finished":
-                trained |= {"task": arm.task.name, "method": arm.method.name, "evaluated_on": arm.task.name}
+                task = condition.task.name
+                trained |= {"task": task, "evaluated_on": task, "method": condition.method.name}
             elif words := planned.deviation(rows[0], found, seed):
                 trained["deviation"] = words
             for row in rows:
@@ -278,8 +279,8 @@ def _planned_rows(root: Path, experiment: LoadedExperiment) -> Iterator[Row]:
 class _Planned:
     """A condition as planned; it is compiled only if there is a run to compare with it."""
 
-    def __init__(self, arm: Condition) -> None:
-        self._arm = arm
+    def __init__(self, condition: Condition) -> None:
+        self._condition = condition
 
     @cached_property
     def specs(self) -> Specs:
@@ -287,20 +288,15 @@ class _Planned:
         from kickbench.results.specs import planned_specs
         from kickbench.trials.trial import load_trial
 
-        arm = self._arm
-        return planned_specs(load_trial(arm.task.document.file, arm.method.document.file, arm.overrides))
+        task, method = self._condition.task.document.file, self._condition.method.document.file
+        return planned_specs(load_trial(task, method, self._condition.overrides))
 
     def deviation(self, row: Row, seed: int, planned_seed: int) -> str | None:
         """In what a finished run differs from the plan, in words; None: in nothing."""
-        arm, parts = self._arm, []
-        if seed != planned_seed:
-            parts.append(f"its seed is {seed}")
-        if row["scale"] is not None:
-            parts.append(f"scaled to {row['scale']:g}")
-        if row["iterations"] != arm.iterations:
-            parts.append(f"{row['iterations']:,} of {arm.iterations:,} iterations")
-        if row["episodes"] != arm.episodes:
-            parts.append(f"{row['episodes']:,} of {arm.episodes:,} episodes")
+        parts = [] if seed == planned_seed else [f"its seed is {seed}"]
+        parts += size_differences(
+            row, iterations=self._condition.iterations, episodes=self._condition.episodes
+        )
         if row["identity"] != self.specs.fingerprint:
             parts += self._differences(RunDirectory(row["path"]))
         return ", ".join(parts) or None
@@ -314,6 +310,19 @@ class _Planned:
         except KickbenchError:
             return ["another identity"]
         return differences([found, self.specs], "{0[0]} (planned {0[1]})".format, without=(EPISODES,))
+
+
+def size_differences(run: Mapping[str, Any] | pd.Series, **planned: float | None) -> list[str]:
+    """In what size a finished run differs from a plan: `scaled to 0.1`, `45 of 390 iterations`.
+
+    Args:
+        run: A row of the table, or what one is made of.
+        planned: Size by column, such as `iterations` or `episodes`; None: not known.
+    """
+    scale = run["scale"]
+    smaller = [f"scaled to {scale:g}"] if scale and scale > 0 else []
+    unequal = {name: size for name, size in planned.items() if size not in (None, run[name])}
+    return [*smaller, *(f"{run[name]:,.0f} of {size:,.0f} {name}" for name, size in unequal.items())]
 
 
 def _with_repeats(frame: pd.DataFrame) -> pd.DataFrame:

@@ -19,11 +19,11 @@ import numpy as np
 
 from kickbench.errors import KickbenchError, shown
 from kickbench.results import identity
-from kickbench.results.atomic import TEMPORARY_PREFIX, atomic_write_bytes, sync_folder
-from kickbench.results.episodes import EpisodeSides, EpisodeTable, episodes_file, read_episodes
-from kickbench.results.measure import figures_of, mirrored_pairs
+from kickbench.results.atomic import TEMPORARY_PREFIX, atomic_write_bytes, plain_or_packed, sync_folder
+from kickbench.results.episode_table import EpisodeSides, EpisodeTable, read_episodes
 from kickbench.results.metrics import Metrics, load_metrics
-from kickbench.results.progress import checked_rows
+from kickbench.results.progress_table import checked_rows
+from kickbench.results.summary import figures_of, mirrored_pairs
 
 FILE = "SHA256SUMS"
 MODEL_FOLDER = "specs/model/"
@@ -34,7 +34,7 @@ RESULTS = ("metrics.json", "episodes.csv", "episodes.csv.gz", "policy.pt")
 """What a run makes again from its last checkpoint."""
 _YAML = ("task.yaml", "method.yaml", "robot.yaml", "representations.yaml")
 SPECS = tuple(f"specs/{name}" for name in (*_YAML, "robot.xml", "initial_policy.pt", "terms.py"))
-FIXED = (*SPECS, identity.FILE, "progress.csv", *RESULTS)
+FIXED = (*SPECS, identity.FILE, "progress.csv", "progress.csv.gz", *RESULTS)
 """Files that every run may have, what is kept when it goes on first."""
 
 _LINE = re.compile(r"([0-9a-f]{64})  (.+)")
@@ -263,15 +263,21 @@ def _sum_damages(path: Path, finished: bool) -> Iterator[Damage]:
 
 def _figure_damages(path: Path) -> Iterator[Damage]:
     """Whether the result can be read and agrees with its episodes."""
-    table = episodes_file(path)
+    table = plain_or_packed(path / "episodes.csv")
     metrics = _read(path, "metrics.json", load_metrics)
     sides = _read(path, table.name, read_episodes) if table.is_file() else None
     yield from (wrong := _only_damage(metrics, sides))
-    if sides and not wrong:
+    is_sample = sides and not wrong and _is_sample(table, metrics, sides)
+    if sides and not wrong and not is_sample:
         unequal = _read(path, table.name, lambda _: next(_unequal(metrics, sides), None))
         if unequal is not None:
             words = f"{unequal} does not agree with {table.name}"
             yield unequal if isinstance(unequal, Damage) else Damage(path, "metrics.json", words)
+
+
+def _is_sample(table: Path, metrics: Metrics, sides: EpisodeSides) -> bool:
+    """Whether a compressed table has been thinned (`kickbench.results.keep`)."""
+    return table.suffix == ".gz" and len(sides.in_distribution) < metrics.evaluation.in_distribution.episodes
 
 
 def _unequal(metrics: Metrics, sides: EpisodeSides) -> Iterator[str]:

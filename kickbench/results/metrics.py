@@ -1,4 +1,4 @@
-"""The models that are `metrics.json`; `measure.py` says how they follow from a table of episodes.
+"""The models that are `metrics.json`; `summary.py` says how they follow from a table of episodes.
 
 Rates are fractions, distances metres, times seconds. Proportions have 95 % Wilson intervals, mean and median
 of a distance 95 % percentile bootstrap intervals.

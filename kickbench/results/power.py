@@ -17,7 +17,7 @@ import numpy as np
 
 from kickbench.config.experiment import AnyClaim, Operand
 from kickbench.results.contrast import RunTerms, Term, contrast_of
-from kickbench.results.figures import Figure
+from kickbench.results.quantities import Figure
 from kickbench.results.statistics import wilson
 from kickbench.results.tables import render_block
 from kickbench.results.verdicts import judge_parts
@@ -102,10 +102,11 @@ def _met(experiment: LoadedExperiment, claim: AnyClaim, world: str, draws: int) 
             mean, deviation = _reported(experiment, operand, claim) or (0.0, 0.0)
             mean = middle if world == "equal" else mean
             mean += WORSE[claim.metric] if world == "worse" and operand == claim.value else 0.0
-            arm = experiment.conditions[operand.condition]
-            drawn = rng.normal(mean, deviation, len(arm.seeds))
+            planned = experiment.conditions[operand.condition]
+            drawn = rng.normal(mean, deviation, len(planned.seeds))
             parts[operand.condition] = [
-                RunTerms((Term(weight, operand, _figure(claim, seed, arm.episodes, rng)),)) for seed in drawn
+                RunTerms((Term(weight, operand, _figure(claim, seed, planned.episodes, rng)),))
+                for seed in drawn
             ]
         count += judge_parts(claim, contrast, parts)[0] == "met"
     return count / draws

@@ -48,14 +48,6 @@ class TwoProportions(NamedTuple):
     p_value: float
 
 
-class SeedSummary(NamedTuple):
-    """A figure over training seeds: mean, sample standard deviation (None for one seed), number of seeds."""
-
-    mean: float
-    std: float | None
-    seeds: int
-
-
 class RankTest(NamedTuple):
     """A test of equal distributions: its p-value, and the smallest that this number of scores allows."""
 
@@ -157,29 +149,14 @@ def bootstrap(
     return Interval(float(low), float(high))
 
 
-def mean_std_over_seeds(values: Sequence[float]) -> SeedSummary:
-    """Mean and sample standard deviation (divisor: seeds - 1) of one figure per seed.
-
-    The thesis gives "mean ± standard deviation calculated across three independent seeds" (Table 4.2) but
-    neither the divisor nor the seeds' own figures. If it divided by the number of seeds, its three-seed
-    figures are sqrt(2/3) =
-    0.82 of what they would be here.
-
-    Args:
-        values: one finite figure for each training seed, at least one.
-    """
-    std = float(np.std(values, ddof=1)) if len(values) > 1 else None
-    return SeedSummary(float(np.mean(values)), std, len(values))
-
-
 def student(values: Sequence[float]) -> Interval:
     """Student's interval of the mean of a figure over seeds: mean ± t s / sqrt(n), n - 1 degrees of freedom.
 
     Args:
         values: one figure per seed [n], n >= 2.
     """
-    mean, std, count = mean_std_over_seeds(values)
-    half = _quantile_of_t(count - 1) * (std or 0.0) / sqrt(count)
+    mean, std = float(np.mean(values)), float(np.std(values, ddof=1))
+    half = _quantile_of_t(len(values) - 1) * std / sqrt(len(values))
     return Interval(mean - half, mean + half)
 
 

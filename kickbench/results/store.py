@@ -12,8 +12,7 @@ from pathlib import Path
 
 from kickbench.errors import KickbenchError
 from kickbench.results import integrity
-from kickbench.results.atomic import TEMPORARY_PREFIX, atomic_write_bytes, sync_folder
-from kickbench.results.episodes import episodes_file
+from kickbench.results.atomic import TEMPORARY_PREFIX, atomic_write_bytes, plain_or_packed, sync_folder
 from kickbench.results.metrics import Metrics, metrics_bytes
 
 _BESIDE, _READY = f"{TEMPORARY_PREFIX}force", f"{TEMPORARY_PREFIX}finished"
@@ -42,7 +41,6 @@ class RunDirectory:
         initial_policy: the policy that the run began with, if that was another run's.
         model: folder of the robot's MJCF and of every file it reads, as the run used them.
         metrics: the result; written last, so its presence says that the run is finished.
-        progress: one row per training iteration.
         checkpoints: folder of the checkpoints: everything that training needs to go on.
         policy: the trained policy.
         tensorboard: folder of the TensorBoard event files.
@@ -60,7 +58,6 @@ class RunDirectory:
         self.initial_policy = self.specs / "initial_policy.pt"
         self.model = self.path / integrity.MODEL_FOLDER
         self.metrics = self.path / "metrics.json"
-        self.progress = self.path / "progress.csv"
         self.checkpoints = self.path / "checkpoints"
         self.policy = self.path / "policy.pt"
         self.tensorboard = self.path / "tensorboard"
@@ -79,8 +76,13 @@ class RunDirectory:
 
     @property
     def episodes(self) -> Path:
-        """The per-episode table of the evaluation."""
-        return episodes_file(self.path)
+        """The per-episode table of the evaluation; compressed in a run that a repository keeps."""
+        return plain_or_packed(self.path / "episodes.csv")
+
+    @property
+    def progress(self) -> Path:
+        """The table of the training, one row per iteration; compressed in a run that a repository keeps."""
+        return plain_or_packed(self.path / "progress.csv")
 
     def also(self, task: str) -> Path:
         """The metrics of the run's policy on a task that it was not trained on (not metrics.json: it is no run)."""

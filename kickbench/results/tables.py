@@ -9,18 +9,18 @@ from typing import Literal
 import pandas as pd
 
 from kickbench.errors import printable
-from kickbench.results.figures import (
+from kickbench.results.frame import HOME, known
+from kickbench.results.notes import remark_lines
+from kickbench.results.quantities import (
     ASYMMETRY,
     DISTANCE,
     KICK,
     PERCENT,
     SUCCESS,
     Quantity,
+    Unit,
     non_finite_note,
 )
-from kickbench.results.frame import HOME, known
-from kickbench.results.notes import remark_lines
-from kickbench.results.statistics import mean_std_over_seeds
 
 NOTHING = "-"
 """What stands for a figure that is not there."""
@@ -72,12 +72,15 @@ def _line(cells: Row, widths: Sequence[int]) -> str:
     return "  ".join(padded).rstrip()
 
 
-def mean_and_spread(values: Sequence[float], decimals: int) -> tuple[str, str]:
-    """Mean and sample standard deviation over seeds as text."""
-    if not values:
-        return NOTHING, NOTHING
-    mean, std, _ = mean_std_over_seeds(values)
-    return f"{mean:z.{decimals}f}", NOTHING if std is None else f"{std:.{decimals}f}"
+def mean_and_spread(values: pd.Series, unit: Unit) -> tuple[str, str]:
+    """Mean and standard deviation over seeds as text, without the unit.
+
+    The divisor is seeds - 1. The thesis gives "mean ± standard deviation calculated across three independent
+    seeds" (Table 4.2) but neither the divisor nor the seeds' own figures: if it divided by the number of seeds,
+    its figures are sqrt(2/3) = 0.82 of what they would be here.
+    """
+    mean, std = (NOTHING if pd.isna(of) else unit.text(of) for of in (values.mean(), values.std()))
+    return mean, std
 
 
 def probability(p: float) -> str:
@@ -117,10 +120,9 @@ class Column:
             if self.title == "p":
                 return NOTHING, NOTHING
             return f"{values.iloc[0]:,.0f}" if values.nunique() == 1 else NOTHING, ""
-        values, unit = runs[self.of.column], self.of.unit
+        values = runs[self.of.column]
         # A mean over some of the seeds would not belong beside a mean over all of them.
-        whole = list(unit.factor * values) if values.notna().all() else []
-        mean, spread = mean_and_spread(whole, unit.decimals)
+        mean, spread = mean_and_spread(values if values.notna().all() else values[:0], self.of.unit)
         return mean + (non_finite_note(runs[self.non_finite].mean()) if self.non_finite else ""), spread
 
 

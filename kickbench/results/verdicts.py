@@ -28,7 +28,7 @@ from kickbench.results.contrast import (
     over_episodes,
     run_terms,
 )
-from kickbench.results.figures import Unit, lack_of, non_finite_note, non_finite_share, unit_of
+from kickbench.results.quantities import Unit, lack_of, non_finite_note, non_finite_share, unit_of
 from kickbench.results.statistics import Interval
 from kickbench.results.tables import NOTHING, Row, render_block
 from kickbench.trials.experiment import LoadedExperiment
@@ -189,19 +189,19 @@ def judge_parts(
 def _parts(
     claim: AnyClaim, contrast: Contrast, measured: pd.DataFrame
 ) -> tuple[dict[str, list[RunTerms]], list[str]]:
-    """What the runs of each arm give, and in words what is missing."""
+    """What the runs of each condition give, and in words what is missing."""
     parts: dict[str, list[RunTerms]] = {}
     lacks: list[str] = []
-    for arm in dict.fromkeys(operand.condition for _, operand in contrast.terms):
-        own = [operand for _, operand in contrast.terms if operand.condition == arm]
-        parts[arm], without = [], {}
-        for seed, run in measured[measured.condition == arm].groupby("seed", sort=False):
+    for condition in dict.fromkeys(operand.condition for _, operand in contrast.terms):
+        own = [operand for _, operand in contrast.terms if operand.condition == condition]
+        parts[condition], without = [], {}
+        for seed, run in measured[measured.condition == condition].groupby("seed", sort=False):
             terms = run_terms(run, claim, contrast) if run.counted.any() else None
-            parts[arm] += [] if terms is None else [terms]
+            parts[condition] += [] if terms is None else [terms]
             if words := lack_of(run, own) or (None if terms else f"no {claim.metric}"):
                 without.setdefault(words, []).append(str(seed))
         for words, seeds in without.items():
-            lacks.append(f"{arm} seed{'s' * (len(seeds) > 1)} {', '.join(seeds)}: {words}")
+            lacks.append(f"{condition} seed{'s' * (len(seeds) > 1)} {', '.join(seeds)}: {words}")
     return parts, lacks
 
 

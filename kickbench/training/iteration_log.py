@@ -37,7 +37,7 @@ from typing import IO, Any, TextIO
 from kickbench.errors import KickbenchError, printable
 from kickbench.evaluation.progress_bar import Steps, percent
 from kickbench.results.atomic import atomic_write_text
-from kickbench.results.progress import CHECK, checked_rows, row_check
+from kickbench.results.progress_table import CHECK, checked_rows, row_check
 
 Record = Mapping[str, float]
 

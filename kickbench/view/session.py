@@ -16,7 +16,7 @@ from kickbench.envs.episode import Outcome
 from kickbench.envs.initial_states import InitialStates
 from kickbench.errors import KickbenchError
 from kickbench.evaluation.rollouts import Policy, draw_initial_states
-from kickbench.results.episodes import NON_FINITE
+from kickbench.results.episode_table import NON_FINITE
 from kickbench.symmetry.torch_ops import Mirror
 from kickbench.training.trained import Run
 from kickbench.trials.trial import state_symmetry

@@ -7,12 +7,12 @@ from pathlib import Path
 import pytest
 
 from kickbench.results.atomic import atomic_write_bytes, atomic_write_text
-from kickbench.results.episodes import EpisodeSides, EpisodeTable
+from kickbench.results.episode_table import EpisodeSides, EpisodeTable
 from kickbench.results.integrity import with_digest
-from kickbench.results.measure import summarise_sides
 from kickbench.results.metrics import Metrics
-from kickbench.results.progress import row_check
+from kickbench.results.progress_table import row_check
 from kickbench.results.store import RunDirectory
+from kickbench.results.summary import summarise_sides
 
 from ..made_up import made_up_metrics, write_result
 

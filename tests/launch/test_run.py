@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from kickbench.cli import main
-from kickbench.results.episodes import read_episodes
+from kickbench.results.episode_table import read_episodes
 from kickbench.results.metrics import load_metrics
 from kickbench.results.store import RunDirectory, find_begun_runs
 

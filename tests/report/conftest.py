@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kickbench.results.episodes import EpisodeSides, EpisodeTable, write_episodes
-from kickbench.results.measure import summarise_sides
+from kickbench.results.episode_table import EpisodeSides, EpisodeTable, write_episodes
 from kickbench.results.metrics import Metrics
+from kickbench.results.summary import summarise_sides
 
 from ..made_up import made_up_metrics, write_result
 

@@ -11,11 +11,11 @@ from scipy import stats
 
 from kickbench.cli import main
 from kickbench.results.compare import SeedComparison, StartComparison, compare_on_starts, compare_seeds
-from kickbench.results.episodes import EpisodeSides, EpisodeTable, write_episodes
+from kickbench.results.episode_table import EpisodeSides, EpisodeTable, write_episodes
 from kickbench.results.integrity import seal
-from kickbench.results.measure import summarise_sides
 from kickbench.results.metrics import load_metrics
 from kickbench.results.statistics import mcnemar, welch
+from kickbench.results.summary import summarise_sides
 
 from ..made_up import made_up_metrics, write_result
 

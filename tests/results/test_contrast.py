@@ -19,8 +19,8 @@ from kickbench.results.contrast import (
     over_episodes,
     run_terms,
 )
-from kickbench.results.figures import Figure
 from kickbench.results.frame import frame_of
+from kickbench.results.quantities import Figure
 from kickbench.results.statistics import Interval, student, two_proportions, wilson
 
 ARM = Operand(condition="a")

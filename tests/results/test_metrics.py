@@ -9,10 +9,10 @@ import pytest
 from pydantic import ValidationError
 
 from kickbench.errors import KickbenchError
-from kickbench.results.episodes import EpisodeSides, EpisodeTable
-from kickbench.results.measure import summarise, summarise_sides
+from kickbench.results.episode_table import EpisodeSides, EpisodeTable
 from kickbench.results.metrics import Metrics, load_metrics, metrics_json_schema, write_metrics
 from kickbench.results.statistics import wilson
+from kickbench.results.summary import summarise, summarise_sides
 
 from ..made_up import made_up_metrics
 

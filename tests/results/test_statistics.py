@@ -16,7 +16,6 @@ from kickbench.results.statistics import (
     improvement,
     iqm,
     mcnemar,
-    mean_std_over_seeds,
     rank_test,
     student,
     two_proportions,
@@ -133,17 +132,6 @@ def test_samples_are_drawn_each_by_itself() -> None:
 
 def test_one_value_has_an_interval_of_width_zero() -> None:
     assert bootstrap([[0.3]], mean, rng()) == Interval(0.3, 0.3)
-
-
-def test_spread_over_seeds_uses_the_sample_standard_deviation() -> None:
-    summary = mean_std_over_seeds([0.7, 0.8, 0.9])
-    assert summary.mean == pytest.approx(0.8)
-    assert summary.std == pytest.approx(0.1)
-    assert summary.seeds == 3
-
-
-def test_a_single_seed_has_no_spread() -> None:
-    assert mean_std_over_seeds([0.7]) == (0.7, None, 1)
 
 
 counts = st.integers(1, 3000).flatmap(lambda n: st.tuples(st.integers(0, n), st.just(n)))

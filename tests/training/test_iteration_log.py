@@ -17,7 +17,7 @@ import pytest
 from kickbench.errors import KickbenchError
 from kickbench.evaluation import progress_bar as console
 from kickbench.evaluation.progress_bar import Steps, duration, percent, tracked
-from kickbench.results.progress import checked_rows
+from kickbench.results.progress_table import checked_rows
 from kickbench.training.iteration_log import CsvProgress, Record, RunProgress, TensorBoardProgress, describe
 
 FIRST = {

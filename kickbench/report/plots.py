@@ -1,0 +1,334 @@
+"""The figures: functions from tables of figures to a matplotlib figure, to be called within `style()`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from math import sqrt
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike
+
+from kickbench.report.style import INK, LEFT_FOOT, MUTED, OTHER, RIGHT_FOOT, Look, subplots
+from kickbench.results.quantities import Quantity
+from kickbench.results.statistics import wilson
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Looks = Mapping[Any, Look]
+"""The look of each condition."""
+
+SPLIT = 300
+"""Iteration at which the thesis splits its curves in two panels (4.3.1)."""
+_LEAST_WINDOW, _POINTS = 9, 150
+LEAST_EPISODES = 20
+"""A bin with fewer says nothing and is left out."""
+_OUTSIDE = 0.002
+"""Share of the balls, at each edge of the pitch, that may be left out so that the others are seen."""
+FEET = {"left foot": LEFT_FOOT, "no foot": OTHER, "right foot": RIGHT_FOOT}
+QUANTITIES = {
+    "mean_return": "Return of an episode",
+    "evaluation/in_distribution": "Success in evaluation",
+    "evaluation/mirrored": "Success in evaluation, mirrored",
+    "termination/target_hit": "Hit",
+    "termination/target_missed": "Missed",
+    "termination/double_touch": "Double touch",
+    "termination/time_out": "Time out",
+    "termination/fell_down": "Fall down",
+    "termination/fell_over": "Fell over",
+}
+"""Columns of `progress.csv` that the thesis shows, in its order (Figs. 4.5 to 4.7); and evaluations."""
+
+
+def dots(found: Mapping[Quantity, pd.DataFrame], runs: pd.DataFrame, looks: Looks, width: float) -> Figure:
+    """A row per condition and side: seeds with their intervals, their mean, and in black what was reported.
+
+    Args:
+        found: Of each figure the rows of `Study.estimates`.
+        runs: Rows of the runs, with the same labels.
+        looks: The look of each condition.
+        width: CSS pixels.
+    """
+    count = max(map(len, found.values()))
+    figure, (panels,) = subplots(width, 60 + 30 * count, 1, len(found), sharey=True)
+    for axes, (quantity, estimates) in zip(panels, found.items(), strict=True):
+        for y, (_, row) in enumerate(estimates.iterrows()):
+            _draw_seeds(axes, y, runs[runs.label == row.label], quantity, looks[row.condition])
+            _draw_mean(axes, y, row, quantity, looks[row.condition])
+        axes.set_xlabel(f"{quantity.title.lower()}, {quantity.unit.name}")
+        axes.set_xlim((-2, 102) if quantity.unit.name == "%" else (0, None))
+        _name_rows(axes, estimates.label)
+    return figure
+
+
+def _draw_seeds(axes: Any, y: float, runs: pd.DataFrame, quantity: Quantity, look: Look) -> None:
+    """Seeds one below the other within a row, hollow on the mirrored side."""
+    runs = runs[runs[quantity.column].notna()]
+    names = (quantity.column, f"{quantity.ends}_low", f"{quantity.ends}_high")
+    value, low, high = (quantity.unit.factor * runs[name] for name in names)
+    places = y + (np.linspace(-0.22, 0.22, len(runs)) if len(runs) > 1 else np.zeros(len(runs)))
+    face = "white" if (runs.side == "mirrored").any() else look.colour
+    errors = [value - low, high - value]
+    axes.errorbar(
+        value, places, xerr=errors, fmt=look.marker, color=look.colour, mfc=face, ms=4.5, elinewidth=1
+    )
+
+
+def _draw_mean(axes: Any, y: float, row: pd.Series, quantity: Quantity, look: Look) -> None:
+    if row.seeds > 1:
+        axes.vlines(quantity.unit.factor * row["mean"], y - 0.3, y + 0.3, color=look.colour)
+    if pd.notna(row.reported):
+        std = None if pd.isna(row.reported_std) else quantity.unit.factor * row.reported_std
+        axes.errorbar(
+            quantity.unit.factor * row.reported, y, xerr=std, fmt="|", color=INK, ms=18, elinewidth=1
+        )
+
+
+def _name_rows(axes: Any, names: Sequence[str] | pd.Index | pd.Series) -> None:
+    """Names on the vertical axis, from the top."""
+    axes.set_yticks(range(len(names)), list(names))
+    axes.tick_params(axis="y", length=0)
+    axes.spines["left"].set_visible(False)
+    axes.grid(visible=False, axis="y")
+    axes.set_ylim(len(names) - 0.4, -0.6)
+
+
+def both_sides(estimates: pd.DataFrame) -> pd.DataFrame:
+    """The rows of conditions that were measured in distribution and mirrored."""
+    known = estimates[estimates.seeds > 0]
+    return known[known.groupby(["study", "condition"]).side.transform("size") == 2]
+
+
+def slopes(estimates: pd.DataFrame, runs: pd.DataFrame, looks: Looks, width: float) -> Figure:
+    """What conditions lose on the mirrored side: thin lines are seeds, thick ones means with 95 % intervals.
+
+    Args:
+        estimates: Rows of `both_sides`, of success.
+        runs: Rows of the runs.
+        looks: The look of each condition.
+        width: CSS pixels.
+    """
+    figure, ((axes,),) = subplots(width, 260)
+    place, ticks = 0.0, {}
+    for study, of_study in estimates.groupby("study", sort=False):
+        middle = place + (of_study.condition.nunique() - 1) / 2
+        axes.text(middle, 1.02, study, ha="center", va="bottom", transform=axes.get_xaxis_transform())
+        for condition, sides in of_study.groupby("condition", sort=False):
+            own = runs[(runs.study == study) & (runs.condition == condition)]
+            _draw_slope(axes, place, sides, own, looks[condition])
+            ticks[place] = str(condition).replace("_", "_\n")
+            place += 1.0
+        place += 0.4
+    axes.set_xticks(list(ticks), list(ticks.values()))
+    axes.tick_params(axis="x", length=0)
+    axes.grid(visible=False, axis="x")
+    axes.set(ylim=(-2, 102), ylabel="success, %")
+    return figure
+
+
+def _draw_slope(axes: Any, place: float, sides: pd.DataFrame, runs: pd.DataFrame, look: Look) -> None:
+    ends, means = [place - 0.22, place + 0.22], 100 * sides["mean"].to_numpy()
+    by_seed = 100 * runs.pivot(index="side", columns="path", values="success_rate").dropna(axis=1)
+    axes.plot(ends, by_seed.loc[list(sides.side)], color=look.colour, linewidth=0.9, alpha=0.45)
+    axes.plot(ends, means, color=look.colour, linewidth=2.4, zorder=3)
+    axes.vlines(ends, 100 * sides.low, 100 * sides.high, color=INK, linewidth=1.0, zorder=4)
+    for x, mean, face in zip(ends, means, (look.colour, "white"), strict=True):
+        axes.plot(x, mean, look.marker, color=look.colour, ms=7, mfc=face, zorder=5)
+
+
+def learning_curves(curves: pd.DataFrame, looks: Looks) -> Figure:
+    """A row per quantity: up to iteration 300, from there on, and over the samples.
+
+    Args:
+        curves: Rows of `Study.curves`.
+        looks: The look of each condition.
+    """
+    # A task without falls has no falls to show.
+    shown, last = [name for name in QUANTITIES if name in curves], int(curves.iteration.max()) + 1
+    spans = [("iteration", 0, min(SPLIT, last)), ("iteration", SPLIT, last), ("env_steps", 0, last)]
+    spans = [(x, range(*span)) for x, *span in spans if x in curves and range(*span)]
+    figure, panels = subplots(330 * len(spans), 40 + 170 * len(shown), len(shown), len(spans))
+    for row, column in zip(panels, shown, strict=True):
+        for axes, (x, span) in zip(row, spans, strict=True):
+            for condition, own in curves.groupby("condition", sort=False):
+                _draw_curve(axes, own, x, smoothed(own, column, span), looks[condition], str(condition))
+            axes.set(title=QUANTITIES[column], xlabel=x.replace("_", " "))
+    figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside upper left", ncols=4)
+    return figure
+
+
+def smoothed(curves: pd.DataFrame, column: str, span: range) -> pd.DataFrame:
+    """Centred moving means of the runs of a condition over about a hundredth of the span, NaN left out.
+
+    Args:
+        curves: Rows of `Study.curves` of one condition.
+        column: What is shown.
+        span: Iterations.
+
+    Returns:
+        A row per iteration, thinned; a column per run, NaN from where it ends.
+    """
+    window = max(_LEAST_WINDOW, len(span) // 100) | 1
+    runs = curves.pivot(index="iteration", columns="path", values=column)
+    means = runs.rolling(window, center=True, min_periods=1).mean().where(runs.bfill().notna())
+    return means[means.index.isin(span)].iloc[:: max(1, len(span) // _POINTS)]
+
+
+def _draw_curve(axes: Any, curves: pd.DataFrame, x: str, runs: pd.DataFrame, look: Look, label: str) -> None:
+    """Thin lines are seeds; the thick one is their mean, as far as all of them have come."""
+    places = curves.assign(place=curves[x]).groupby("iteration").place.max()
+    if len(runs.columns) > 1:
+        axes.plot(places[runs.index], runs, color=look.colour, linewidth=0.7, alpha=0.55)
+    mean = runs.dropna().mean(axis=1)
+    axes.plot(places[mean.index], mean, color=look.colour, linewidth=2.0, linestyle=look.line, label=label)
+
+
+def resting_places(episodes: pd.DataFrame, looks: Looks) -> Figure:
+    """The pitch from above, a panel per condition and side: where balls came to rest.
+
+    Args:
+        episodes: Rows of `Study.episodes`.
+        looks: The look of each condition.
+    """
+    groups = list(episodes.groupby(["condition", "side"], sort=False))
+    figure, panels = _panels(len(groups), episodes.side.nunique(), 330, 280)
+    for axes, ((condition, side), own) in zip(panels.flat, groups, strict=False):
+        own = own.sort_values("success", kind="stable")
+        colours = np.where(own.success, looks[condition].colour, OTHER)
+        size = float(np.clip(6000 / len(own), 0.6, 7.0))
+        axes.scatter(
+            own.final_ball_y, own.final_ball_x, size, colours, alpha=0.6, linewidth=0, rasterized=True
+        )
+        axes.plot(0.0, 0.0, "^", ms=8, color=INK)
+        axes.set(title=f"{condition}, {str(side).replace('_', ' ')}", aspect="equal")
+    low, high = np.quantile(episodes.final_ball_x, [_OUTSIDE, 1 - _OUTSIDE])
+    reach = 1.05 * max(np.quantile(episodes.final_ball_y.abs(), 1 - _OUTSIDE), 0.1)
+    # As wide to the left as to the right: the eye compares the two.
+    panels[0, 0].set(xlim=(reach, -reach), ylim=(min(low, 0) - 0.2, max(high, 0) + 0.2))
+    figure.supxlabel("y, m (left)")
+    figure.supylabel("x, m (forward)")
+    return figure
+
+
+def _panels(count: int, columns: int, width: float, height: float) -> tuple[Figure, Any]:
+    """So many maps of one size side by side, and the rest of the grid empty."""
+    rows = -(-count // columns)
+    figure, panels = subplots(width * columns, height * rows, rows, columns, sharex=True, sharey=True)
+    for axes in panels.flat[count:]:
+        axes.set_axis_off()
+    return figure, panels
+
+
+def success_by_target(episodes: pd.DataFrame, looks: Looks) -> Figure:
+    """Success by distance and by angle of the target; bands are 95 % intervals.
+
+    Args:
+        episodes: Rows of `Study.episodes`.
+        looks: The look of each condition.
+    """
+    figure, (panels,) = subplots(760, 280, 1, 2, sharey=True)
+    distance = np.hypot(episodes.target_x, episodes.target_y)
+    angle = np.degrees(np.arctan2(episodes.target_y, episodes.target_x))
+    for axes, values, count in zip(panels, (distance, angle), (8, 12), strict=True):
+        for (condition, side), bins in binned(episodes, values, count).groupby(
+            ["condition", "side"], sort=False
+        ):
+            look, hollow = looks[condition], side == "mirrored"
+            line, face = ("--", "white") if hollow else ("-", look.colour)
+            label = f"{condition}, mirrored" if hollow else condition
+            axes.fill_between(bins.middle, bins.low, bins.high, color=look.colour, alpha=0.15, linewidth=0)
+            axes.plot(
+                bins.middle, bins.rate, line, color=look.colour, marker=look.marker, mfc=face, label=label
+            )
+    panels[0].set(ylabel="success, %", ylim=(-2, 102), xlabel="distance of the target, m")
+    panels[1].set(xlabel="angle of the target, ° (left is positive)")
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside right upper")
+    return figure
+
+
+def binned(episodes: pd.DataFrame, values: ArrayLike, count: int) -> pd.DataFrame:
+    """Success of every condition and side, seeds pooled, in bins that all of them share.
+
+    Args:
+        episodes: Rows of `Study.episodes`.
+        values: What the bins are of [episodes].
+        count: Number of bins.
+
+    Returns:
+        Columns condition, side, middle, episodes; rate, low and high (Wilson's 95 % interval) in percent.
+    """
+    values = np.asarray(values, float)
+    edges = np.linspace(values.min(), values.max(), count + 1)
+    bins = np.digitize(values, edges[1:-1], right=True)
+    middle = pd.Series(edges[bins] + (edges[1] - edges[0]) / 2, name="middle")
+    groups = episodes.groupby(["condition", "side", middle], sort=False).success
+    found = groups.agg(episodes="count", hits="sum").reset_index()
+    found = found[found.episodes >= LEAST_EPISODES].sort_values("middle", kind="stable")
+    ends = [wilson(int(hits), int(n)) for hits, n in zip(found.hits, found.episodes, strict=True)]
+    found[["low", "high"]] = 100 * np.reshape(ends, (-1, 2))
+    return found.assign(rate=100 * found.hits / found.episodes)
+
+
+def kicking_feet(kicks: pd.DataFrame) -> Figure:
+    """Which foot kicks by where the ball lay, a panel per run, since seeds may prefer different legs.
+
+    Args:
+        kicks: Rows of `Study.episodes` in which a foot kicked.
+    """
+    runs = list(kicks.groupby(["condition", "seed"], sort=False, dropna=False))
+    figure, panels = _panels(len(runs), min(4, len(runs)), 230, 190)
+    reach = max(kicks.start_ball_y.abs().max(), 1e-3)
+    edges, size = np.linspace(-reach, reach, 13, retstep=True)
+    ahead = np.arange(kicks.start_ball_x.min(), kicks.start_ball_x.max() + 2 * size, size)
+    for axes, ((condition, seed), own) in zip(panels.flat, runs, strict=False):
+        pairs = (own, own[own.kick_foot == "left"])
+        total, left = (np.histogram2d(of.start_ball_x, of.start_ball_y, (ahead, edges))[0] for of in pairs)
+        share = np.divide(100 * left, total, out=np.full_like(total, np.nan), where=total > 0)
+        mesh = axes.pcolormesh(edges, ahead, share, cmap="PuOr", vmin=0, vmax=100, rasterized=True)
+        axes.set(title=f"{condition}, seed {seed}", aspect="equal")
+    panels[0, 0].invert_xaxis()
+    figure.supxlabel("ball y, m (left)")
+    figure.supylabel("ball x, m (forward)")
+    figure.colorbar(mesh, ax=panels, location="top", shrink=0.5, label="% with the left foot")
+    return figure
+
+
+def first_touches(counts: pd.DataFrame, width: float) -> Figure:
+    """Which foot kicks, in shares of the balls that were touched; a column per side of the ball.
+
+    Args:
+        counts: What `tables.first_touches` returns.
+        width: CSS pixels.
+    """
+    figure, (panels,) = subplots(width, 70 + 22 * len(counts), 1, 2, sharey=True)
+    for axes, ball in zip(panels, ("left", "right"), strict=True):
+        touched = sum(counts[f"ball {ball}, {foot}"] for foot in FEET)
+        edge = pd.Series(0.0, counts.index)
+        for foot, colour in FEET.items():
+            share = 100 * counts[f"ball {ball}, {foot}"] / touched
+            axes.barh(range(len(counts)), share, 0.7, edge, color=colour, label=foot)
+            edge = edge + share
+        axes.set_title(f"ball on the {ball}: % of first touches")
+        _name_rows(axes, counts.index)
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    return figure
+
+
+def equivariance_errors(runs: pd.DataFrame, looks: Looks) -> Figure:
+    """The equivariance error of every run's policy; at the broken line two actions have nothing in common.
+
+    Args:
+        runs: Rows of the runs.
+        looks: The look of each condition.
+    """
+    conditions = list(runs.condition.unique())
+    figure, ((axes,),) = subplots(380, 70 + 30 * len(conditions))
+    for y, condition in enumerate(conditions):
+        errors, look = runs["equivariance/relative"][runs.condition == condition], looks[condition]
+        axes.plot(errors.clip(lower=1e-9), [y] * len(errors), look.marker, color=look.colour, mfc="none")
+    axes.axvline(sqrt(2.0), color=MUTED, linestyle="--", linewidth=1.0)
+    axes.set(xscale="log", xlim=(5e-10, 4.0), xlabel="equivariance error, relative to the actions")
+    _name_rows(axes, conditions)
+    return figure

@@ -1,0 +1,220 @@
+"""What figures are drawn from, and that they show it."""
+
+from __future__ import annotations
+
+from xml.etree import ElementTree
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from kickbench.report import plots, tables
+from kickbench.report.study import Study, studies
+from kickbench.report.style import Picture, looks_of, style, subplots
+from kickbench.results.quantities import DISTANCE, SUCCESS, over_seeds
+
+SVG = "{http://www.w3.org/2000/svg}"
+HIT = "termination/target_hit"
+
+
+@pytest.fixture(scope="module")
+def study(make_folder) -> Study:
+    folder = make_folder()
+    folder.add("baseline", 0)
+    folder.add("baseline", 1)
+    folder.add("equivariant", 0)
+    (study,) = studies(folder.path)
+    return study
+
+
+def runs(*values: float) -> pd.DataFrame:
+    """Rows of one condition and side whose success rates are these."""
+    return pd.DataFrame(
+        {
+            "condition": "a",
+            "side": "in_distribution",
+            "success_rate": values,
+            "success_low": 0.1,
+            "success_high": 0.9,
+            "non_finite": 0.0,
+        }
+    )
+
+
+def test_estimates_hold_every_condition_and_side(study):
+    found = study.estimates(SUCCESS)
+    assert list(found.label) == ["baseline", "baseline, mirrored", "equivariant", "equivariant, mirrored"]
+    assert list(found.seeds) == [2, 2, 1, 1]
+    assert found["mean"].tolist() == pytest.approx([2 / 3] * 4)
+    assert found["std"][:2].tolist() == pytest.approx([0.0, 0.0])
+    assert study.estimates(DISTANCE)["mean"][0] == pytest.approx(np.mean([0.8, 0.2, 0.2]))
+
+
+def test_the_interval_over_seeds_is_students():
+    (found,) = over_seeds(runs(0.4, 0.5, 0.6), SUCCESS).to_dict("records")
+    half = 4.302653 * 0.1 / 3**0.5  # t(0.975, 2) = 4.302653; s = 0.1
+    assert (found["low"], found["high"]) == pytest.approx((0.5 - half, 0.5 + half), abs=1e-6)
+    (wide,) = over_seeds(runs(0.0, 1.0), SUCCESS).to_dict("records")
+    assert (wide["low"], wide["high"]) == (0.0, 1.0), "clipped to what can be"
+    (one,) = over_seeds(runs(0.4), SUCCESS).to_dict("records")
+    assert (one["low"], one["high"]) == (0.1, 0.9), "that of the episodes"
+    assert over_seeds(runs(np.nan), SUCCESS).empty
+
+
+def test_numbers_are_written_in_one_way():
+    (found,) = (row for _, row in over_seeds(runs(0.4, 0.5, 0.6), SUCCESS).iterrows())
+    assert SUCCESS.of_seeds(found) == "50.0 ± 10.0 (95 % [25.2, 74.8], 3 seeds)"
+    assert SUCCESS.of_run(runs(0.4).iloc[0]) == "40.0 [10.0, 90.0]"
+    assert SUCCESS.of_run(runs(np.nan).iloc[0]) == SUCCESS.of_run(None) == "not measured"
+    assert DISTANCE.unit.text(-1e-9) == "0.000"
+
+
+def test_success_in_bins_counts_every_episode_once(study):
+    angle = np.degrees(np.arctan2(study.episodes.target_y, study.episodes.target_x))
+    for values in (np.hypot(study.episodes.target_x, study.episodes.target_y), angle):
+        found = plots.binned(study.episodes, values, 2)
+        assert found.groupby(["condition", "side"]).episodes.sum().max() <= 120
+        assert (found.episodes >= 20).all()
+        assert ((found.low <= found.rate) & (found.rate <= found.high)).all()
+    assert (found.middle[found.side == "mirrored"] < 0).all()
+    assert found.episodes[(found.condition == "baseline") & (found.side == "mirrored")].sum() == 120
+
+
+def curves(*iterations: int) -> pd.DataFrame:
+    """Curves whose return is the iteration plus ten times the seed."""
+    return pd.concat(
+        pd.DataFrame(
+            {
+                "condition": "baseline", "seed": seed, "path": f"seed{seed}", "iteration": np.arange(count),
+                "mean_return": np.arange(count) + 10.0 * seed, HIT: np.arange(count) / 1000,
+            }
+        )
+        for seed, count in enumerate(iterations)
+    )  # fmt: skip
+
+
+def drawn(table: pd.DataFrame):
+    with style():
+        return plots.learning_curves(table, looks_of(["baseline"]))
+
+
+def test_smoothing_is_a_mean_over_what_is_known():
+    table = curves(30)
+    table.loc[table.iteration == 10, "mean_return"] = np.nan
+    found = plots.smoothed(table, "mean_return", range(30)).seed0
+    assert found[10] == pytest.approx(10.0)
+    assert found[0] == pytest.approx(2.0), "shorter at the ends"
+    assert plots.smoothed(table.assign(mean_return=np.nan), "mean_return", range(30)).seed0.isna().all()
+
+
+def test_curves_are_split_at_iteration_300():
+    early, late, *_ = drawn(curves(450)).axes
+    (first,), (second,) = early.lines, late.lines
+    assert (first.get_xdata()[0], second.get_xdata()[0]) == (0, 300)
+    assert max(first.get_xdata()) < 300
+    # A centred mean of a straight line is the line itself, also across the split.
+    assert second.get_ydata()[0] == pytest.approx(300.0)
+    assert len(drawn(curves(12)).axes) == 2, "a short training has one panel per quantity"
+
+
+def test_curves_are_drawn_over_the_samples_too():
+    table = curves(60)
+    iteration, samples, *_ = drawn(table.assign(env_steps=100.0 * (table.iteration + 1))).axes
+    assert samples.get_xlabel() == "env steps"
+    assert samples.lines[0].get_xdata()[-1] == 6000
+    assert list(samples.lines[0].get_ydata()) == list(iteration.lines[0].get_ydata())
+
+
+def test_the_mean_goes_as_far_as_all_seeds():
+    *seeds, mean = drawn(curves(100, 60)).axes[0].lines
+    assert [np.isfinite(line.get_ydata()).sum() for line in seeds] == [100, 60]
+    assert list(mean.get_xdata()) == list(range(60))
+    assert mean.get_ydata()[30] == pytest.approx(35.0)
+
+
+def test_long_lines_are_thinned():
+    assert len(plots.smoothed(curves(15000), "mean_return", range(300, 15000))) <= 200
+
+
+def test_every_figure_can_be_drawn(study):
+    looks, kicks = looks_of(study.conditions), study.episodes[study.episodes.kick_foot != "none"]
+    found = {measure: study.estimates(measure) for measure in (SUCCESS, DISTANCE)}
+    with style():
+        for figure in (
+            plots.dots(found, study.measured, looks, 600),
+            plots.slopes(plots.both_sides(found[SUCCESS]), study.measured, looks, 600),
+            plots.learning_curves(study.curves, looks),
+            plots.resting_places(study.episodes, looks),
+            plots.success_by_target(study.episodes, looks),
+            plots.kicking_feet(kicks),
+            plots.first_touches(tables.first_touches(study.measured), 600),
+        ):
+            ElementTree.fromstring(Picture("a", figure).svg())
+
+
+def test_a_figure_shows_what_was_reported_and_every_seed(study):
+    found = study.estimates(SUCCESS).assign(reported=0.5, reported_std=0.1)
+    with style():
+        (axes,) = plots.dots({SUCCESS: found}, study.measured, looks_of(study.conditions), 600).axes
+    marks = [line.get_xdata() for line in axes.lines if line.get_marker() not in ("None", "", "|")]
+    assert np.concatenate(marks) == pytest.approx([200 / 3] * 6)
+    assert [line.get_xdata()[0] for line in axes.lines if line.get_marker() == "|"] == [50.0] * 4
+
+
+def test_the_pitch_is_as_wide_to_the_left_as_to_the_right(study):
+    with style():
+        first, *_ = plots.resting_places(study.episodes, looks_of(study.conditions)).axes
+    left, right = first.get_xlim()
+    assert left == -right > 0
+    assert len(first.collections[0].get_offsets()) == 120, "seeds are pooled"
+
+
+def test_feet_mirror_with_a_symmetric_policy(study):
+    own = study.episodes[study.episodes.condition == "equivariant"]
+    with style():
+        mesh = plots.kicking_feet(own).axes[0].collections[0]
+    share = np.ma.filled(mesh.get_array(), np.nan)
+    assert np.isfinite(share).any()
+    np.testing.assert_allclose(share + share[:, ::-1], np.where(np.isnan(share), np.nan, 100.0))
+
+
+def test_first_touches_add_up_both_sides(study):
+    counts = tables.first_touches(study.measured)
+    assert counts.index[0] == "mini_home_field: baseline, seed 0"
+    first = counts.iloc[0]
+    assert first["ball left, left foot"] == first["ball right, right foot"]
+    assert first["ball left, left foot"] + first["ball left, right foot"] == 60
+    assert f"ball left, left foot {first['ball left, left foot']}" in tables.words(counts)
+
+
+def test_an_error_of_nothing_can_be_drawn():
+    table = pd.DataFrame({"condition": ["a", "b"], "equivariance/relative": [0.0, 1.2]})
+    with style():
+        (axes,) = plots.equivariance_errors(table, looks_of(["a", "b"])).axes
+    assert [line.get_xdata()[0] for line in axes.lines[:2]] == [1e-9, 1.2]
+
+
+def draw():
+    with style():
+        figure, ((axes,),) = subplots(200, 100)
+        axes.plot([0, 1], [0, 1], marker="o")
+        axes.set_xlabel("a <label>")
+        return Picture("Title & more", figure, "In <figures>").svg()
+
+
+def test_a_picture_is_described_and_its_words_stay_words():
+    root = ElementTree.fromstring(draw())
+    assert root.findtext(f"{SVG}title") == "Title & more"
+    assert [of.text for of in root.iter() if of.tag.endswith("}description")] == ["In <figures>"]
+    assert "a <label>" in ["".join(element.itertext()).strip() for element in root.iter(f"{SVG}text")]
+
+
+def test_the_same_picture_has_the_same_bytes():
+    assert draw() == draw()
+
+
+def test_conditions_keep_the_look_of_their_method_and_none_share_one():
+    looks = looks_of(["baseline", "misaligned", "x", "equivariant"])
+    assert len({look.colour for look in looks.values()}) == len({look.marker for look in looks.values()}) == 4
+    assert looks["baseline"] == looks_of(["baseline"])["baseline"]
+    assert len(set(looks_of(map(str, range(20))).values())) == 8, "more than that begin again"

@@ -1,0 +1,192 @@
+"""The per-episode table: what it accepts, and that a file gives back what was written."""
+
+import gzip
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from kickbench.errors import KickbenchError
+from kickbench.results.episode_table import (
+    EpisodeSides,
+    EpisodeTable,
+    read_episodes,
+    write_episodes,
+)
+from kickbench.results.store import RunDirectory
+
+
+def make_table(episodes: int = 5, seed: int = 0) -> EpisodeTable:
+    rng = np.random.default_rng(seed)
+    kicked = rng.random(episodes) < 0.8
+    distance = rng.gamma(2.0, 0.2, episodes)
+    return EpisodeTable(
+        start_ball_x=rng.uniform(0.2, 0.4, episodes),
+        start_ball_y=rng.uniform(-0.2, 0.2, episodes),
+        target_x=rng.uniform(1, 2, episodes),
+        target_y=rng.uniform(-1, 1, episodes),
+        final_ball_x=rng.uniform(0, 2, episodes),
+        final_ball_y=rng.uniform(-1, 1, episodes),
+        distance=distance,
+        success=distance < 0.35,
+        termination=rng.choice(["target_reached", "fell", "timeout"], episodes),
+        steps=rng.integers(1, 200, episodes),
+        episode_return=rng.normal(size=episodes),
+        kick_foot=np.where(kicked, rng.choice(["left", "right", "other"], episodes), "none"),
+        kick_step=np.where(kicked, rng.integers(0, 50, episodes), -1),
+        peak_ball_speed=rng.uniform(0, 3, episodes),
+        touches=np.where(kicked, rng.integers(1, 4, episodes), 0),
+        walked_after_touch=np.where(kicked, rng.uniform(0, 1, episodes), 0.0),
+        launch_speed=np.where(kicked, rng.uniform(0, 3, episodes), np.nan),
+        direction_error=np.where(kicked, rng.uniform(-3, 3, episodes), np.nan),
+    )
+
+
+OLDER = dict.fromkeys(("touches", "walked_after_touch", "launch_speed", "direction_error"))
+"""Columns that tables of older versions lack."""
+
+
+def assert_same(found: EpisodeTable, expected: EpisodeTable) -> None:
+    for name, column in expected.columns().items():
+        other = found.columns()[name]
+        if column.dtype.kind == "f":
+            np.testing.assert_allclose(other, column, rtol=0, atol=5.1e-7, err_msg=name)
+        else:
+            np.testing.assert_array_equal(other, column, err_msg=name)
+
+
+def test_a_file_gives_back_both_sides(tmp_path: Path) -> None:
+    sides = EpisodeSides(make_table(7), make_table(4, seed=1))
+    write_episodes(tmp_path / "episodes.csv", sides)
+    found = read_episodes(tmp_path / "episodes.csv")
+    assert_same(found.in_distribution, sides.in_distribution)
+    assert found.mirrored is not None
+    assert_same(found.mirrored, make_table(4, seed=1))
+
+
+def test_a_file_without_mirrored_episodes_has_no_mirrored_side(tmp_path: Path) -> None:
+    write_episodes(tmp_path / "episodes.csv", EpisodeSides(make_table()))
+    found = read_episodes(tmp_path / "episodes.csv")
+    assert found.mirrored is None
+    assert len(found.in_distribution) == 5
+
+
+def test_writing_what_was_read_gives_the_same_bytes(tmp_path: Path) -> None:
+    write_episodes(tmp_path / "a.csv", EpisodeSides(make_table(50), make_table(50, seed=1)))
+    write_episodes(tmp_path / "b.csv", read_episodes(tmp_path / "a.csv"))
+    assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
+
+
+def test_the_file_is_plain_csv_with_a_side_column(tmp_path: Path) -> None:
+    table = replace(make_table(1), start_ball_y=np.array([-1e-9]), success=np.array([True]))
+    write_episodes(tmp_path / "episodes.csv", EpisodeSides(table))
+    header, row = (tmp_path / "episodes.csv").read_text().splitlines()
+    cells = dict(zip(header.split(","), row.split(","), strict=True))
+    assert cells["side"] == "in_distribution"
+    assert cells["start_ball_y"] == "0.000000"
+    assert cells["success"] == "1"
+
+
+def test_a_file_of_an_older_version_is_read_without_the_kick_and_columns_may_be_in_any_order(
+    tmp_path: Path,
+) -> None:
+    older = replace(make_table(4), **OLDER)
+    path = tmp_path / "episodes.csv"
+    write_episodes(path, EpisodeSides(older))
+    header, *rows = [line.split(",") for line in path.read_text().splitlines()]
+    assert not set(OLDER) & set(header)
+    added = [[*header[:1], "world", "episode", *header[1:]]]
+    added += [[row[0], str(index), "0", *row[1:]] for index, row in enumerate(rows)]
+    path.write_text("".join(",".join(reversed(line)) + "\n" for line in added))
+    found = read_episodes(path).in_distribution
+    assert found.touches is found.direction_error is None
+    assert_same(found, older)
+
+
+def test_the_figures_of_the_kick_come_together() -> None:
+    with pytest.raises(ValueError, match="all or none of the columns touches, walked_after_touch"):
+        replace(make_table(2), launch_speed=None)
+
+
+def test_float32_columns_become_doubles() -> None:
+    table = replace(make_table(2), distance=np.array([0.1, 0.2], dtype=np.float32))
+    assert table.distance.dtype == np.float64
+
+
+def test_the_table_does_not_change_with_the_arrays_it_was_made_from() -> None:
+    distance = np.array([0.1, 0.2])
+    table = replace(make_table(2), distance=distance)
+    distance[0] = 9.0
+    assert table.distance[0] == 0.1
+    with pytest.raises(ValueError, match="read-only"):
+        table.distance[0] = 9.0
+
+
+@pytest.mark.parametrize(
+    ("column", "values", "message"),
+    [
+        ("distance", [0.1, np.nan], "distance: expected finite values, found nan in row 1"),
+        ("launch_speed", [np.nan, np.inf], "launch_speed: expected finite values, found inf in row 1"),
+        ("walked_after_touch", [np.nan, 0], "walked_after_touch: expected finite values"),
+        ("distance", [0.1], r"distance: expected shape \(2,\)"),
+        ("steps", [1.5, 2.0], "steps: expected whole numbers"),
+        ("success", ["yes", "no"], "success: expected whole numbers or truth values"),
+        ("kick_foot", ["left", "hand"], "kick_foot: expected one of left, right, other, none"),
+    ],
+)
+def test_a_wrong_column_is_named(column: str, values: list, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        replace(make_table(2), **{column: np.array(values)})
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("side,start_ball_x", "side,ball_x", ":1: expected the columns side, start_ball_x"),
+        ("side,start_ball_x", "side,start_ball_y", ":1: expected the columns side, start_ball_x"),
+        ("\nin_distribution", "\nhome", ":2: side: expected in_distribution or mirrored, found 'home'"),
+        ("\nin_distribution,0.", "\nin_distribution,1,0.", ":2: expected 19 values, found 20"),
+        ("\nin_distribution,0.", "\nin_distribution,zero", "start_ball_x: could not convert"),
+    ],
+)
+def test_a_damaged_file_is_an_error_that_names_the_place(
+    tmp_path: Path, old: str, new: str, message: str
+) -> None:
+    path = tmp_path / "episodes.csv"
+    write_episodes(path, EpisodeSides(make_table(3)))
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+    with pytest.raises(KickbenchError, match=message) as caught:
+        read_episodes(path)
+    assert "episodes.csv" in str(caught.value)
+
+
+@pytest.mark.parametrize("damage", [b"\xff\xfe\x00", b'"' + b"1" * 200_000])
+def test_a_file_that_is_no_table_at_all_is_an_error(tmp_path: Path, damage: bytes) -> None:
+    path = tmp_path / "episodes.csv"
+    path.write_bytes(damage)
+    with pytest.raises(KickbenchError, match=r"episodes\.csv: cannot read the episode table"):
+        read_episodes(path)
+
+
+def test_a_missing_file_is_an_error(tmp_path: Path) -> None:
+    with pytest.raises(KickbenchError, match="No such file"):
+        read_episodes(tmp_path / "episodes.csv")
+
+
+def test_a_compressed_table_is_the_same_table(tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    folder.mkdir()
+    sides = EpisodeSides(make_table(5), None)
+    assert RunDirectory(folder).episodes.name == "episodes.csv"
+    write_episodes(folder / "episodes.csv.gz", sides)
+    assert RunDirectory(folder).episodes.name == "episodes.csv.gz"
+    write_episodes(folder / "plain.csv", sides)
+    data = (folder / "episodes.csv.gz").read_bytes()
+    assert gzip.decompress(data) == (folder / "plain.csv").read_bytes()
+    assert read_episodes(folder / "episodes.csv.gz").mirrored is None
+    (folder / "episodes.csv.gz").write_bytes(data[:-9])
+    with pytest.raises(KickbenchError, match="cannot read the episode table"):
+        read_episodes(folder / "episodes.csv.gz")

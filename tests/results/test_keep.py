@@ -1,0 +1,101 @@
+"""Runs that a repository keeps: two tables thinned, everything else as it was, and still intact."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from kickbench.errors import KickbenchError
+from kickbench.results.episode_table import EpisodeSides, read_episodes, write_episodes
+from kickbench.results.integrity import damage, seal
+from kickbench.results.keep import keep
+from kickbench.results.metrics import load_metrics, write_metrics
+from kickbench.results.progress_table import read_progress
+from kickbench.results.store import RunDirectory
+from kickbench.results.summary import summarise_sides
+
+MEASURED = Path(__file__).parents[2] / "results/measured/mini_home_field/baseline/seed0"
+COUNT = 1000
+
+
+@pytest.fixture
+def run(tmp_path) -> Path:
+    """A whole run: a measured one with more episodes and all rows of a training of 13 iterations."""
+    path = Path(shutil.copytree(MEASURED, tmp_path / "runs/baseline/seed0"))
+    home, mirrored = read_episodes(path / "episodes.csv.gz")
+    assert mirrored is not None
+    rows = np.resize(np.arange(len(home)), COUNT)
+    many = [
+        type(side)(**{name: of[rows] for name, of in side.columns().items()}) for side in (home, mirrored)
+    ]
+    (path / "episodes.csv.gz").unlink()
+    (path / "progress.csv.gz").unlink()
+    write_episodes(path / "episodes.csv", EpisodeSides(*many))
+    (path / "progress.csv").write_text("iteration,a\n" + "".join(f"{i},{i / 7:.6g}\n" for i in range(13)))
+    metrics = load_metrics(path / "metrics.json")
+    evaluation = summarise_sides(EpisodeSides(*many), 0.4, 0.02)
+    write_metrics(path / "metrics.json", metrics.model_copy(update={"evaluation": evaluation}))
+    seal(path)
+    return path
+
+
+def test_every_kth_episode_of_both_sides_is_kept_to_a_tenth_of_a_millimetre(run, tmp_path):
+    (kept,) = keep(tmp_path / "runs", tmp_path / "kept")
+    assert kept == tmp_path / "kept/baseline/seed0"
+    for side, whole in zip(
+        read_episodes(kept / "episodes.csv.gz"), read_episodes(run / "episodes.csv"), strict=True
+    ):
+        assert len(side) == 200
+        np.testing.assert_allclose(side.distance, whole.distance[::5], atol=5.1e-5)
+        np.testing.assert_array_equal(side.kick_foot, whole.kick_foot[::5])
+
+
+@pytest.mark.parametrize(("every", "rows"), [(5, [0, 5, 10, 12]), (4, [0, 4, 8, 12]), (1, list(range(13)))])
+def test_of_the_training_every_kth_row_and_the_last_are_kept_as_they_were(run, tmp_path, every, rows):
+    (kept,) = keep(tmp_path / "runs", tmp_path / "kept", every)
+    whole = read_progress(run / "progress.csv")
+    found = read_progress(RunDirectory(kept).progress)
+    pd.testing.assert_frame_equal(found, whole.loc[rows].reset_index(drop=True))
+
+
+def test_a_kept_run_is_intact_and_can_be_kept_again(run, tmp_path):
+    keep(run, tmp_path / "kept")
+    assert damage(tmp_path / "kept") is None
+    keep(tmp_path / "kept", tmp_path / "again")
+    assert damage(tmp_path / "again") is None
+    for name in ("metrics.json", "policy.pt", "episodes.csv.gz"):
+        assert (tmp_path / "again" / name).read_bytes() == (tmp_path / "kept" / name).read_bytes()
+
+
+def test_a_plain_table_with_episodes_missing_is_no_sample(run):
+    home, mirrored = read_episodes(run / "episodes.csv")
+    assert mirrored is not None
+    few = [
+        type(of)(**{name: column[::5] for name, column in of.columns().items()}) for of in (home, mirrored)
+    ]
+    write_episodes(run / "episodes.csv", EpisodeSides(*few))
+    seal(run)
+    assert "episodes does not agree with episodes.csv" in (damage(run) or "")
+
+
+def test_a_damaged_or_unfinished_run_is_not_kept(run, tmp_path):
+    with pytest.raises(KickbenchError, match="finished runs"):
+        keep(tmp_path / "kept", tmp_path / "nothing")
+    text = (run / "progress.csv").read_text()
+    (run / "progress.csv").write_text(text + "13,1\n")
+    with pytest.raises(KickbenchError, match="damaged"):
+        keep(run, tmp_path / "kept")
+    (run / "metrics.json").unlink()
+    with pytest.raises(KickbenchError, match="finished runs"):
+        keep(run, tmp_path / "kept")
+    assert not (tmp_path / "kept").exists()
+
+
+def test_a_place_that_holds_a_run_is_refused(run, tmp_path):
+    keep(run, tmp_path / "kept")
+    with pytest.raises(KickbenchError, match="holds a run"):
+        keep(run, tmp_path / "kept")
