@@ -170,7 +170,7 @@ def derive(
 def _plot(file: Path, out: Path, overrides: list[str]) -> None:
     """Draws a task's sampling regions from above."""
     from kickbench.config.yamlio import load_document
-    from kickbench.envs.compile import read_task
+    from kickbench.envs.compiled_task import read_task
     from kickbench.trials.validate import kind_of
     from kickbench.view.regions import plot_regions
 
