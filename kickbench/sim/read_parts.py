@@ -67,7 +67,7 @@ def read_parts(model: mujoco.MjModel, prefix: str = "") -> ModelParts:
         model: Compiled model.
         prefix: Only bodies whose names begin so are read, and names lose it: the robot's part of a scene.
     """
-    return _Reader(model, prefix).read()
+    return PartsReader(model, prefix).read()
 
 
 def compile_parts(path: str | Path) -> ModelParts:
@@ -87,7 +87,9 @@ def compile_parts(path: str | Path) -> ModelParts:
     return parts
 
 
-class _Reader:
+class PartsReader:
+    """Ids of a model's parts, where they are in the reference pose, and the frame that parts are given in."""
+
     def __init__(self, model: mujoco.MjModel, prefix: str) -> None:
         self.model, self.prefix, self.data = model, prefix, mujoco.MjData(model)
         mujoco.mj_kinematics(model, self.data)
@@ -106,6 +108,7 @@ class _Reader:
                 self.rotation = self.data.xmat[root].reshape(3, 3).copy()
 
     def read(self) -> ModelParts:
+        """The parts."""
         return ModelParts(
             size=self.size,
             bodies=tuple(map(self._body, self.bodies)),
