@@ -123,7 +123,9 @@ class _Symmetriser:
         self._copy_fields()
         for kind in ("body", "geom", "site"):
             getattr(model, f"{kind}_sameframe")[self.ids[kind]] = 0
-        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_MIDPHASE  # its boxes are those of the old shapes
+        model.opt.disableflags |= (
+            mujoco.mjtDisableBit.mjDSBL_MIDPHASE
+        )  # its boxes are those of the old shapes
         mujoco.mj_setConst(model, mujoco.MjData(model))
         return model
 
