@@ -100,5 +100,12 @@ def unequal_k1() -> Audited:
 
 
 @pytest.fixture(scope="session")
+def asymmetric_k1() -> Audited:
+    """The manufacturer's figures."""
+    override = f"robot={ROOT / 'assets/booster_k1/asymmetric.yaml'}"
+    return audited("k1_general_fast", "equivariant", 512, override)
+
+
+@pytest.fixture(scope="session")
 def mini() -> Audited:
     return audited("mini_home_field", "mini/equivariant", 1024)

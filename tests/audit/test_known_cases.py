@@ -19,7 +19,6 @@ from kickbench.config.load import load
 from kickbench.config.method import RepresentationSpec
 from kickbench.errors import KickbenchError
 from kickbench.trials.trial import load_trial, symmetry_of
-from tests.audit.conftest import Audited, audited
 
 ROOT = Path(__file__).parents[2]
 K1_FAST = ROOT / "tasks/k1_general_fast.yaml"
@@ -63,28 +62,22 @@ def test_the_thesis_table_fails_on_the_contact_forces_and_on_nothing_else(k1):
     assert report(k1, rows).exit_code == 1
 
 
-@pytest.fixture(scope="module")
-def asymmetric() -> Audited:
-    override = f"robot={ROOT / 'assets/booster_k1/asymmetric.yaml'}"
-    return audited("k1_general_fast", "equivariant", 512, override)
-
-
-def test_the_asymmetric_k1_is_measured_part_by_part_and_its_table_is_right(asymmetric):
-    rows = asymmetric.rows()
+def test_the_asymmetric_k1_is_measured_part_by_part_and_its_table_is_right(asymmetric_k1):
+    rows = asymmetric_k1.rows()
     assert {row.check for row in rows if row.failed} == {"model"}
     first = next(row for row in rows if row.failed)
     # The manufacturer's trunk: y = -0.6553 mm.
     assert (first.name, first.verdict) == ("Trunk", "unequal")
     assert first.detail == "inertia 1.2 %; centre of mass 0.655 mm off the mirror plane"
-    found = report(asymmetric, rows)
+    found = report(asymmetric_k1, rows)
     assert found.exit_code == 4
     assert found.verdicts["table"].startswith("right")
     assert found.verdicts["robot"].startswith("unequal: Trunk: inertia 1.2 %;")
 
 
-def test_the_last_line_names_the_wrong_entry_whatever_the_robot_is_like(asymmetric):
+def test_the_last_line_names_the_wrong_entry_whatever_the_robot_is_like(asymmetric_k1):
     table = load(RepresentationSpec, TABLES / "thesis.yaml")
-    found = report(asymmetric, asymmetric.rows(symmetry_of(asymmetric.trial.task, table)))
+    found = report(asymmetric_k1, asymmetric_k1.rows(symmetry_of(asymmetric_k1.trial.task, table)))
     assert found.exit_code == 5
     *_, last = found.lines()
     assert last.strip().startswith("foot_contact_forces: declared trivial; measured: regular x (")
