@@ -70,8 +70,8 @@ def read_parts(model: mujoco.MjModel, prefix: str = "") -> ModelParts:
     return PartsReader(model, prefix).read()
 
 
-def compile_parts(path: str | Path) -> ModelParts:
-    """Reads the parts of an MJCF file.
+def compile_model(path: str | Path) -> mujoco.MjModel:
+    """Compiles an MJCF file.
 
     Raises:
         KickbenchError: MuJoCo cannot read or compile the model, or it has no body.
@@ -81,10 +81,18 @@ def compile_parts(path: str | Path) -> ModelParts:
     except ValueError as error:
         reason = " ".join(str(error).split())
         raise KickbenchError(f"{path}: MuJoCo cannot read this model: {reason}") from None
-    parts = read_parts(model)
-    if not parts.bodies:
+    if model.nbody < 2:
         raise KickbenchError(f"{path}: the model has no body")
-    return parts
+    return model
+
+
+def compile_parts(path: str | Path) -> ModelParts:
+    """Reads the parts of an MJCF file.
+
+    Raises:
+        KickbenchError: As in `compile_model`.
+    """
+    return read_parts(compile_model(path))
 
 
 class PartsReader:

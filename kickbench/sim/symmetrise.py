@@ -15,7 +15,13 @@ from kickbench.sim.read_parts import PartsReader
 from kickbench.symmetry.derive import Derivation, Match
 from kickbench.symmetry.model_parts import PLANES, Law, mirror_value
 
-_Geom = mujoco.mjtGeom
+_PLANE, _SPHERE, _CAPSULE, _ELLIPSOID, _CYLINDER, _BOX, _MESH = (
+    int(getattr(mujoco.mjtGeom, f"mjGEOM_{name}"))
+    for name in ("PLANE", "SPHERE", "CAPSULE", "ELLIPSOID", "CYLINDER", "BOX", "MESH")
+)
+_FREE, _SLIDE, _HINGE = (
+    int(getattr(mujoco.mjtJoint, f"mjJNT_{name}")) for name in ("FREE", "SLIDE", "HINGE")
+)
 _FLIPS = np.array(
     [
         np.eye(3)[list(order)] * signs
@@ -133,9 +139,9 @@ class _Symmetriser:
         """Hulls of two meshes are no mirror images."""
         model, data = self.model, self.data
         for geom in self.ids["geom"]:
-            if model.geom_type[geom] == _Geom.mjGEOM_MESH:
+            if model.geom_type[geom] == _MESH:
                 centre, half = np.split(model.geom_aabb[geom], 2)
-                model.geom_type[geom], model.geom_dataid[geom] = _Geom.mjGEOM_BOX, -1
+                model.geom_type[geom], model.geom_dataid[geom] = _BOX, -1
                 model.geom_size[geom] = half
                 data.geom_xpos[geom] += data.geom_xmat[geom].reshape(3, 3) @ centre
 
@@ -197,25 +203,25 @@ class _Symmetriser:
     def _sizes(self, geom: int) -> np.ndarray:
         a, b, c = self.model.geom_size[geom]
         kind = self.model.geom_type[geom]
-        if kind == _Geom.mjGEOM_SPHERE:
+        if kind == _SPHERE:
             return np.array([a, a, a])
-        return np.array([a, a, b] if kind in (_Geom.mjGEOM_CAPSULE, _Geom.mjGEOM_CYLINDER) else [a, b, c])
+        return np.array([a, a, b] if kind in (_CAPSULE, _CYLINDER) else [a, b, c])
 
     def _set_size(self, geom: int, sizes: np.ndarray) -> None:
         model, kind = self.model, self.model.geom_type[geom]
-        if kind in (_Geom.mjGEOM_CAPSULE, _Geom.mjGEOM_CYLINDER):
+        if kind in (_CAPSULE, _CYLINDER):
             model.geom_size[geom, :2] = sizes[[0, 2]]
-        elif kind in (_Geom.mjGEOM_SPHERE, _Geom.mjGEOM_BOX, _Geom.mjGEOM_ELLIPSOID):
+        elif kind in (_SPHERE, _BOX, _ELLIPSOID):
             model.geom_size[geom] = sizes
-        if kind != _Geom.mjGEOM_PLANE:
+        if kind != _PLANE:
             model.geom_rbound[geom] = max(model.geom_rbound[geom], float(np.linalg.norm(sizes)))
 
     def _mirror_joints(self) -> None:
         model, data = self.model, self.data
         for part, image, sign in self.pairs["joint"]:
-            if model.jnt_type[part] in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
-                is_hinge = model.jnt_type[part] == mujoco.mjtJoint.mjJNT_HINGE
-                axis = sign * mirror_value(data.xaxis[image], "axial" if is_hinge else "polar", self.mirror)
+            if model.jnt_type[part] in (_SLIDE, _HINGE):
+                law = "axial" if model.jnt_type[part] == _HINGE else "polar"
+                axis = sign * mirror_value(data.xaxis[image], law, self.mirror)
                 anchor = self._mirrored(data.xanchor[image])
                 if part == image:
                     axis, anchor = data.xaxis[part] + axis, (data.xanchor[part] + anchor) / 2
@@ -224,7 +230,7 @@ class _Symmetriser:
             body = model.jnt_bodyid[joint]
             turn = data.xmat[body].reshape(3, 3).T
             model.jnt_axis[joint] = turn @ data.xaxis[joint]
-            if model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_FREE:
+            if model.jnt_type[joint] != _FREE:
                 model.jnt_pos[joint] = turn @ (data.xanchor[joint] - data.xpos[body])
 
     def _write(
