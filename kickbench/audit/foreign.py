@@ -178,12 +178,19 @@ def check_mirror(
     if observe is not None:
         views |= _observed(twins, observe, group, actions, wanted, period, notes)
     elif fields:
-        views |= _described(twins, fields, group, law)
+        views |= _described(twins, fields, group, law, notes)
     given = _call(mirror, env, {name: view.source for name, view in views.items()})
-    findings = _judge_all(views, given)
+    findings = _shape_faults(views, given)
     if not findings:
-        findings = _motion(twins, actions, given["actions"][_STATES : 2 * _STATES])
-    return MirrorReport(tuple(findings), tuple(notes), sum(view.known.sum() for view in views.values()))
+        copies = range(_STATES, len(given["actions"]), _STATES)
+        images = [{name: given[name][k : k + _STATES] for name in views} for k in copies]
+        # Of several images, that which is most nearly the reflection.
+        findings, image = min(
+            (([line for n, view in views.items() for line in view.judge(part[n])], part) for part in images),
+            key=lambda found: len(found[0]),
+        )
+        findings = findings or _motion(twins, actions, image["actions"])
+    return MirrorReport(tuple(findings), tuple(notes), sum(int(view.known.sum()) for view in views.values()))
 
 
 def _action_law(twins: Twins, notes: list[str]) -> Expected:
@@ -201,7 +208,9 @@ def _action_law(twins: Twins, notes: list[str]) -> Expected:
     return law
 
 
-def _described(twins: Twins, fields: Sequence[str], group: str, actions: Expected) -> dict[str, View]:
+def _described(
+    twins: Twins, fields: Sequence[str], group: str, actions: Expected, notes: list[str]
+) -> dict[str, View]:
     """A vector of random numbers, and its mirror image by what its fields are."""
     law = Expected()
     for text in fields:
@@ -225,6 +234,7 @@ def _described(twins: Twins, fields: Sequence[str], group: str, actions: Expecte
         elif name == "phase":
             law.add("phase", first, 1.0, 0.5, True)
         elif width.isdecimal():
+            notes.append(f"{name}: {width} channels")
             for k in range(int(width)):
                 law.add(f"{name}[{k}]", -1)
         else:
@@ -287,7 +297,8 @@ def _call(mirror: Callable[..., Any], env: Any, batch: Arrays) -> Arrays:
     actions = tensors.pop("actions")
     options: list[Any] = [TensorDict(tensors, batch_size=[_STATES])] if tensors else [None]
     if len(tensors) == 1:
-        options.append(next(iter(tensors.values())))
+        tensor = next(iter(tensors.values()))
+        options = [tensor] if "obs_type" in known else [*options, tensor]
     extra = {"obs_type": next(iter(tensors), "policy")} if "obs_type" in known else {}
     reasons = []
     for obs in options:
@@ -311,33 +322,18 @@ def _call(mirror: Callable[..., Any], env: Any, batch: Arrays) -> Arrays:
     raise KickbenchError(f"mirror: cannot be called: {' / '.join(dict.fromkeys(reasons))}{hint}")
 
 
-def _judge_all(views: Mapping[str, View], given: Arrays) -> list[str]:
-    """What is wrong with an augmented batch; of several images, those that are most nearly the reflection."""
-    copies = {name: len(array) / _STATES for name, array in given.items()}
+def _shape_faults(views: Mapping[str, View], given: Arrays) -> list[str]:
+    """What is wrong with the rows of an augmented batch: the originals come first, then whole copies."""
+    rows = len(given["actions"])
     for name, view in views.items():
-        if name not in given or given[name].shape[1:] != view.source.shape[1:]:
+        shape, width = given[name].shape if name in given else None, view.source.shape[1]
+        if shape != (rows, width) or rows % _STATES or rows < 2 * _STATES:
+            return [f"{name}: expected shape ({2 * _STATES}, {width}), found {shape}"]
+        if not np.array_equal(given[name][:_STATES], view.source):
             return [
-                f"{name}: expected [{2 * _STATES}, {view.source.shape[1]}], found {given.get(name, np.empty(0)).shape}"
+                f"{name}: the first {_STATES} rows are not the originals, which come first, in their order"
             ]
-    if (
-        len(set(copies.values())) > 1
-        or not next(iter(copies.values())).is_integer()
-        or min(copies.values()) < 2
-    ):
-        sizes = ", ".join(f"{name} {len(array)}" for name, array in given.items())
-        return [f"rows: {_STATES} go in, {sizes} come back; expected the originals and then their images"]
-    parts = [
-        {name: given[name][k * _STATES : (k + 1) * _STATES] for name in views}
-        for k in range(int(next(iter(copies.values()))))
-    ]
-    if moved := [name for name, view in views.items() if not np.array_equal(parts[0][name], view.source)]:
-        return [
-            f"order: the first {_STATES} rows of {', '.join(moved)} are not the originals, which come first"
-        ]
-    return min(
-        ([line for name, view in views.items() for line in view.judge(part[name])] for part in parts[1:]),
-        key=len,
-    )
+    return []
 
 
 def _motion(twins: Twins, actions: np.ndarray, images: np.ndarray) -> list[str]:
