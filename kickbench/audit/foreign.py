@@ -32,8 +32,8 @@ FIELDS: Mapping[str, tuple[int, ...]] = {
     "velocity_commands": (1, -1, -1),
     "clock": (-1, -1),
 }
-"""Observations of one body, by the signs of their components. `velocity_commands` are x, y and yaw rate; `clock` is
-sine and cosine of a gait whose mirror image is half a period later."""
+"""Observations of one body, by the signs of their components. `velocity_commands` are x, y and yaw
+rate; `clock` is sine and cosine of a gait whose mirror image is half a period later."""
 
 
 @dataclass(frozen=True)
@@ -156,13 +156,14 @@ def check_mirror(
     The robot's sides are made equal first, so that real hardware's tolerances do not blur the answer.
 
     Args:
-        model: MJCF, whose actions are its controls, or a `robot.yaml`, whose actions are offsets from its pose.
-        mirror: `(env, obs, actions) -> (obs, actions)`: originals, then mirror images, as rsl_rl calls it; obs is
-            a TensorDict, or a tensor [N, width] for a function that takes one.
+        model: MJCF, whose actions are its controls, or a `robot.yaml`, whose actions are offsets from its
+            pose.
+        mirror: `(env, obs, actions) -> (obs, actions)`: originals, then mirror images, as rsl_rl calls it;
+            obs is a TensorDict, or a tensor [N, width] for a function that takes one.
         observe: `(model, data)` -> observation vector, or a dict of vectors by group.
-        fields: Without `observe`: what the vector of `group` is made of; names of `FIELDS`, `joint_pos` (minus the
-            default pose), `joint_angles`, `joint_vel`, `actions`, `feet` (left, right), `phase` (in [0, 1)), or
-            `NAME:WIDTH` for what cannot be checked.
+        fields: Without `observe`: what the vector of `group` is made of; names of `FIELDS`, `joint_pos`
+            (minus the default pose), `joint_angles`, `joint_vel`, `actions`, `feet` (left, right), `phase`
+            (in [0, 1)), or `NAME:WIDTH` for what cannot be checked.
         group: Name of the group where there is only one.
         period: Period of clocks that `observe` reads off `data.time`, s.
         env: What the mirror gets as its environment.

@@ -1,4 +1,4 @@
-"""How equal a robot's sides are: a measurement with sizes, and the copy with equal sides that tables are proved on."""
+"""How equal a robot's sides are, with sizes, and the copy with equal sides that tables are proved on."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def derive_scene(task: CompiledTask) -> Derivation:
 
 
 def equal_sided(task: CompiledTask, derivation: Derivation) -> CompiledTask:
-    """The task with a robot whose right side is the mirror image of its left one, gains and default pose included.
+    """The task with a robot whose right side mirrors its left one, gains and default pose included.
 
     Args:
         task: Compiled task.

@@ -1,4 +1,4 @@
-"""A copy of a model with equal sides: what tables are proved on, so that an unequal robot does not blur the proof."""
+"""A copy of a model with equal sides, on which an unequal robot does not blur the proof of a table."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ _FLIPS = np.array(
 )
 """The signed permutations of three axes that turn a right-handed frame into a left-handed one [24, 3, 3]."""
 _SAME_FRAME = 0.3
-"""Largest distance (Frobenius) between a body's frame and the mirror image of its partner's that is an error, no
-convention."""
+"""Largest distance (Frobenius) between a body's frame and the mirror image of its partner's that is an error,
+no convention."""
 _FIELDS: dict[str, dict[Law, str]] = {
     "body": {"scalar": "body_mass body_gravcomp"},
     "joint": {
@@ -55,7 +55,7 @@ _FIELDS: dict[str, dict[Law, str]] = {
 
 
 class Pair(NamedTuple):
-    """A part's index, that of its mirror image, which comes first or is the part itself, and the coordinate's sign."""
+    """A part's index, its mirror image's (an earlier one, or its own), and the coordinate's sign."""
 
     part: int
     image: int
@@ -84,7 +84,7 @@ def pairs_of(matches: Sequence[Match]) -> list[Pair]:
 
 
 def copy_images(array: np.ndarray, pairs: Sequence[Pair], law: Law) -> None:
-    """Gives parts the values of their mirror images, in place; central parts the mean of theirs and its image."""
+    """Gives parts the values of their mirror images, in place; central parts the mean of both."""
     for part, image, sign in pairs:
         value = mirror_value(array[image], law, np.eye(3), sign)
         array[part] = value if part != image or law == "scalar" else (array[part] + value) / 2
@@ -180,7 +180,7 @@ class _Symmetriser:
     def _mirror_frames(
         self, kind: str, places: np.ndarray, turns: np.ndarray, sizes: np.ndarray | None
     ) -> None:
-        """Mirrors places [N, 3] and frames [N, 9] with the sizes along their axes [N, 3]; None: a mere frame."""
+        """Mirrors places [N, 3] and frames [N, 9] with the sizes along their axes [N, 3], if any."""
         for part, image, _ in self.pairs[kind]:
             own, frame = turns[part].reshape(3, 3), turns[image].reshape(3, 3)
             flips = [f for f in _FLIPS if part != image or (f == f.T).all()]

@@ -106,7 +106,7 @@ class Twins:
             yield original, image
 
     def motion_error(self, original: mujoco.MjData, image: mujoco.MjData) -> float:
-        """How far the steps of a state and of its mirror image are from being images; relative, of velocities."""
+        """Relative error of the velocities some steps after a state and its mirror image."""
         for data in (original, image):
             mujoco.mj_step(self.model, data, _STEPS)
         off = np.abs(_apply(self.qvel, original.qvel) - image.qvel).max(initial=0.0)

@@ -33,8 +33,8 @@ from kickbench.symmetry.representation import BY_NAME, kind_of_coordinate
 
 E = TypeVar("E", bound=Element)
 _PLACE, _MASS, _INERTIA, _AXIS = 0.02, 0.1, 0.2, 0.02
-"""What still counts as the same: of places in the parent's body, a share of the model's size; relative; relative; an
-angle, rad. Real robots' sides differ by tenths of a percent; wrong pairs differ by far more."""
+"""What still counts as the same: of places in the parent's body, a share of the model's size; relative; relative;
+an angle, rad. Real robots' sides differ by tenths of a percent; wrong pairs differ by far more."""
 _CLEARLY = 3.0
 """The best partner must fit so many times better than the next, else the choice is ambiguous."""
 _NOTHING = 1e-6
