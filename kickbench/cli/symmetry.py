@@ -40,7 +40,7 @@ def check(
     cli.exclude("--fields", fields, "--observe", observe)
     if not model.is_file():
         raise KickbenchError(f"{model}: {'a folder, no file' if model.is_dir() else 'no such file'}")
-    functions = _function("--mirror", mirror), observe and _function("--observe", observe)
+    functions = _function("--mirror", mirror), _function("--observe", observe) if observe else None
     from kickbench.audit.foreign import check_mirror
 
     report = check_mirror(model, *functions, fields.split(",") if fields else (), group=group, period=period)

@@ -95,10 +95,10 @@ class _Symmetriser:
         reader = PartsReader(model, prefix)
         self.model, self.data, self.derivation = copy(model), reader.data, derivation
         ids = {
-            "body": np.array(reader.bodies),
-            "joint": np.array(reader.joints),
-            "geom": np.array(reader.geoms),
-            "site": np.array(reader.sites),
+            "body": np.array(reader.bodies, dtype=np.int64),
+            "joint": np.array(reader.joints, dtype=np.int64),
+            "geom": np.array(reader.geoms, dtype=np.int64),
+            "site": np.array(reader.sites, dtype=np.int64),
             "actuator": np.arange(model.nu),
         }
         self.ids = ids

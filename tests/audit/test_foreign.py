@@ -278,6 +278,16 @@ def test_the_wrong_channel_is_named_with_what_would_be_right(robots):
     )
 
 
+def test_an_mjcf_is_judged_by_its_own_actuators():
+    def lazy(env, obs, actions):
+        return obs.repeat(2), torch.cat([actions, actions])
+
+    found = check_mirror(ROOT / "tests/symmetry/quadruped.xml", lazy, fields=("joint_vel",))
+    assert "fl_knee_motor: the mirror gives fl_knee_motor; right: fr_knee_motor" in found.findings
+    assert any(note.startswith("action hl_swing_motor: nothing drives 'hr_swing'") for note in found.notes)
+    assert any(note.startswith("joint_vel lamp_tilt") for note in found.notes)
+
+
 def test_a_phase_is_half_a_period_later(robots):
     path, k1 = robots["k1"].path, robots["k1"]
 
