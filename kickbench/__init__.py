@@ -7,6 +7,7 @@ From Python (names of tasks and methods are those of `tasks/` and `methods/`; pa
     run = kickbench.load_run("runs/mini_home_field/equivariant/seed0")
     actions = run.policy(observations)                               numpy or torch; run.specs, run.metrics
     figures = kickbench.evaluate(run, episodes=500)                  an `Evaluation`
+    assert kickbench.check_mirror("robot.xml", my_mirror_function, my_observe)   see `kickbench symmetry check`
     table = kickbench.load_runs("results/measured")                  a pandas.DataFrame, a row per run and side
 
 `import kickbench.envs.gym` registers every task with Gymnasium; `kickbench.deploy.runner.Policy` runs an
@@ -28,6 +29,7 @@ if "GOMP_SPINCOUNT" not in os.environ:
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 if TYPE_CHECKING:
+    from kickbench.audit.foreign import check_mirror
     from kickbench.envs.env import KickEnv, make
     from kickbench.errors import KickbenchError
     from kickbench.launch.run import evaluate, train
@@ -35,12 +37,23 @@ if TYPE_CHECKING:
     from kickbench.training.trained import Run, load_run
 
 __version__ = "0.2.0"
-__all__ = ["KickEnv", "KickbenchError", "Run", "evaluate", "load_run", "load_runs", "make", "train"]
+__all__ = [
+    "KickEnv",
+    "KickbenchError",
+    "Run",
+    "check_mirror",
+    "evaluate",
+    "load_run",
+    "load_runs",
+    "make",
+    "train",
+]
 
 _HOME = {
     "KickEnv": "envs.env",
     "KickbenchError": "errors",
     "Run": "training.trained",
+    "check_mirror": "audit.foreign",
     "evaluate": "launch.run",
     "load_run": "training.trained",
     "load_runs": "results.frame",

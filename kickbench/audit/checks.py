@@ -16,10 +16,10 @@ from kickbench.audit.measure import (
     contradiction,
     entry_contradiction,
     entry_name,
+    entry_words,
     judge_misfits,
     measure,
 )
-from kickbench.audit.model import model_rows
 from kickbench.audit.record import Pairs, Recording
 from kickbench.audit.report import Row, Verdict, verdict_of
 from kickbench.envs.compiled_task import CompiledTask
@@ -50,16 +50,16 @@ _POLICY = 1e-4
 
 
 def judge(recording: Recording, derivation: Derivation, symmetry: Symmetry, declared: Image) -> Iterator[Row]:
-    """Judges tables by what was recorded: checks 1 to 6.
+    """Judges tables by what was recorded: checks 1 to 5.
 
     Args:
-        recording: States, their mirror images, and what became of both.
+        recording: States, their mirror images, and what became of both, of the robot with equal sides.
         derivation: What the robot's geometry says.
         symmetry: The declared tables.
         declared: The declared joint table.
     """
     yield from _table_rows(symmetry)
-    yield from model_rows(recording.task, derivation, declared)
+    yield from _declared_rows(derivation, declared)
     yield from _dynamics_rows(recording, declared, symmetry.actions)
     yield from _field_rows(recording, symmetry, declared)
     yield from term_rows(recording)
@@ -81,7 +81,21 @@ def _table_rows(symmetry: Symmetry) -> Iterator[Row]:
         yield Row("tables", f"{name} [{representation.dim}]", verdict, error, 0.0, detail=str(representation))
 
 
-# Check 3: velocities a step later by joint, contacts by channel, and the effect of every actuator
+def _declared_rows(derivation: Derivation, declared: Image) -> Iterator[Row]:
+    """Check 1: the declared image of every joint is the one that follows from the geometry."""
+    wrong = False
+    for name, measured in derivation.image.items():
+        if (said := declared.get(name)) is not None and said != measured:
+            detail = f"declared {entry_words(name, *said)}; measured: {entry_words(name, *measured)}"
+            wrong = True
+            yield Row("tables", name, "FAIL", np.inf, 0.0, detail=detail)
+    for match in derivation.unclear:
+        yield Row("tables", match.name, "not compared", detail=f"by geometry: {match.reason}")
+    if not wrong:
+        yield Row("tables", f"joints by geometry [{len(derivation.image)}]", "ok", 0.0, 0.0)
+
+
+# Check 2: velocities a step later by joint, contacts by channel, and the effect of every actuator
 
 
 def _dynamics_rows(recording: Recording, declared: Image, actions: Representation) -> Iterator[Row]:
@@ -183,11 +197,11 @@ def _actuator_rows(recording: Recording, actions: Representation) -> Iterator[Ro
         yield Row("dynamics", f"action {name}", verdict, error, _RESPONSE, "", excited, detail)
 
 
-# Checks 4 and 5: the values of terms in a state and in its mirror image
+# Checks 3 and 4: the values of terms in a state and in its mirror image
 
 
 def _field_rows(recording: Recording, symmetry: Symmetry, declared: Image) -> Iterator[Row]:
-    """Check 4: every observation field of a state's mirror image is rho times that of the state."""
+    """Check 3: every observation field of a state's mirror image is rho times that of the state."""
     layout = recording.task.scene.layout
     components = {"joints": layout.joint_names, "actions": layout.actuator_names}
     own = {"joints": mirror_joints(layout.joint_names, declared), "actions": symmetry.actions}
@@ -241,7 +255,7 @@ def _idle(original: np.ndarray, found: Measurement, names: Sequence[str]) -> str
 
 
 def term_rows(recording: Recording) -> Iterator[Row]:
-    """Check 5: rewards and terminations are the same in the mirror."""
+    """Check 4: rewards and terminations are the same in the mirror."""
     yield from (_term_row("reward", pairs, _REWARD) for pairs in recording.rewards)
     yield from (_term_row("termination", pairs, 0.0) for pairs in recording.terminations)
 
@@ -262,7 +276,7 @@ def _term_row(kind: str, pairs: Pairs, relative: float) -> Row:
 
 
 def _sampling_rows(task: CompiledTask) -> Iterator[Row]:
-    """Check 6: which sampling regions are their own mirror images, and what the others' are."""
+    """Check 5: which sampling regions are their own mirror images, and what the others' are."""
     sampling = task.spec.sampling
     lateral = {"ball y": (sampling.ball.y, "m"), "target angle": (sampling.target.angle, "rad")}
     for name, ((low, high), unit) in lateral.items():

@@ -7,10 +7,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
-Verdict = Literal["ok", "FAIL", "never excited", "partly excited", "by design", "measured", "not compared"]
-"""`never excited`: nothing contradicts the declaration, but every state left the quantity at zero, so nothing
-proves it; `partly excited`: the same for some components; `by design`: asymmetric, and meant to be;
-`measured`: nothing was declared."""
+Verdict = Literal[
+    "ok", "FAIL", "unequal", "never excited", "partly excited", "by design", "measured", "not compared"
+]
+"""`unequal`: a part of the robot is not the mirror image of its partner; `never excited`: nothing contradicts the
+declaration, but every state left the quantity at zero, so nothing proves it; `partly excited`: the same for some
+components; `by design`: asymmetric, and meant to be; `measured`: nothing was declared."""
 
 
 def verdict_of(*, wrong: bool, excited: bool = True) -> Verdict:
@@ -19,14 +21,22 @@ def verdict_of(*, wrong: bool, excited: bool = True) -> Verdict:
 
 
 CHECKS = {
-    "tables": "1 tables: rho^2 = 1, dimensions",
-    "model": "2 model: geometry, masses, limits and gains against their mirror images",
-    "dynamics": "3 dynamics: step(mirror(x), mirror(u)) against mirror(step(x, u))",
-    "observations": "4 observations: obs(mirror(x)) against rho obs(x)",
-    "terms": "5 rewards and terminations: invariant",
-    "sampling": "6 sampling regions",
+    "tables": "1 tables: rho^2 = 1, dimensions, joints against geometry",
+    "dynamics": "2 dynamics: step(mirror(x), mirror(u)) against mirror(step(x, u))",
+    "observations": "3 observations: obs(mirror(x)) against rho obs(x)",
+    "terms": "4 rewards and terminations: invariant",
+    "sampling": "5 sampling regions",
+    "model": "6 model: geometry, masses, limits and gains against their mirror images",
     "policy": "7 policy: pi(rho o) against rho pi(o)",
 }
+Question = Literal["table", "robot", "policy"]
+SECTIONS: dict[Question, str] = {
+    "table": "Is the table right? (on a copy of the robot with equal sides)",
+    "robot": "Is the robot symmetric?",
+    "policy": "Is the policy equivariant?",
+}
+BITS: dict[Question, int] = {"table": 1, "robot": 4, "policy": 8}
+"""What a question adds to the exit code when its answer is no. 2 is that of wrong specifications."""
 
 
 @dataclass(frozen=True)
@@ -56,8 +66,13 @@ class Row:
 
     @property
     def failed(self) -> bool:
-        """Whether the row fails."""
-        return self.verdict == "FAIL"
+        """Whether the row says no to its question."""
+        return self.verdict in ("FAIL", "unequal")
+
+    @property
+    def question(self) -> Question:
+        """The question that the row helps to answer."""
+        return "robot" if self.check == "model" else "policy" if self.check == "policy" else "table"
 
 
 @dataclass(frozen=True)
@@ -82,28 +97,50 @@ class Report:
     seconds: float = 0.0
     rows: tuple[Row, ...] = ()
 
+    def failures(self, question: Question) -> tuple[Row, ...]:
+        """Rows that say no to a question, in order."""
+        return tuple(row for row in self.rows if row.failed and row.question == question)
+
     @property
-    def failures(self) -> tuple[Row, ...]:
-        """Rows that fail, in order."""
-        return tuple(row for row in self.rows if row.failed)
+    def exit_code(self) -> int:
+        """The sum of the bits of all questions whose answer is no; see `BITS`."""
+        return sum(bit for question, bit in BITS.items() if self.failures(question))
+
+    @property
+    def verdicts(self) -> dict[Question, str]:
+        """The answer to every question that was asked, in one line each."""
+        rows = {question: [row for row in self.rows if row.question == question] for question in SECTIONS}
+        unproven = [row.name for row in rows["table"] if row.verdict.endswith("excited")]
+        open_ends = f"; not proven, never or partly excited: {', '.join(unproven)}" if unproven else ""
+        action = next((row for row in rows["policy"]), None)
+        measured = action is not None and action.verdict == "measured"
+        size = f"measured: {action.error:.2g} of {action.excited}" if action is not None else ""
+        yes: dict[Question, str] = {
+            "table": f"right{open_ends}",
+            "robot": "symmetric",
+            "policy": f"{'not claimed' if measured else 'equivariant'}; {size}",
+        }
+        no = {"table": "WRONG", "robot": "unequal", "policy": "NOT EQUIVARIANT"}
+        return {
+            question: f"{no[question]}: {_first(failed)}"
+            if (failed := self.failures(question))
+            else yes[question]
+            for question in SECTIONS
+            if rows[question]
+        }
 
     @property
     def conclusion(self) -> str:
-        """One line: the first thing that is wrong, in plain words, or that nothing is wrong."""
-        failures = self.failures
-        if failures:
-            first = failures[0]
-            more = f" (and {len(failures) - 1} more rows fail)" if len(failures) > 1 else ""
-            return f"{first.name}: {first.detail or 'beyond tolerance'}{more}"
-        unproven = [row.name for row in self.rows if row.verdict in ("never excited", "partly excited")]
-        proven = "no row fails"
-        return f"{proven}; not proven, never or partly excited: {', '.join(unproven)}" if unproven else proven
+        """One line: the first wrong entry of the table, whatever the robot is like, or all verdicts."""
+        wrong = self.failures("table")
+        return _first(wrong) if wrong else "; ".join(f"{q}: {text}" for q, text in self.verdicts.items())
 
     def as_json(self) -> dict[str, Any]:
         """The report as plain data; infinities become null."""
         rows = [{k: _finite(v) for k, v in asdict(row).items()} for row in self.rows]
         head = {k: v for k, v in asdict(self).items() if k != "rows"}
-        return {**head, "passed": not self.failures, "conclusion": self.conclusion, "rows": rows}
+        answers = {"verdicts": self.verdicts, "exit_code": self.exit_code, "conclusion": self.conclusion}
+        return {**head, "passed": not self.exit_code, **answers, "rows": rows}
 
     def lines(self) -> Iterator[str]:
         """The report for people."""
@@ -111,14 +148,22 @@ class Report:
         happened = ", ".join(f"{count} {what}" for what, count in self.coverage.items())
         yield f"{self.states} states in {self.seconds:.0f} s: {happened}"
         width = max((len(_short(row.name)) for row in self.rows), default=0)
-        for check, title in CHECKS.items():
-            rows = [row for row in self.rows if row.check == check]
-            if rows:
-                yield ""
-                yield title
-                yield from (_line(cells, width) for cells in _cells(rows))
-        yield ""
-        yield self.conclusion
+        for question, verdict in self.verdicts.items():
+            yield f"\n{SECTIONS[question]}"
+            for check, title in CHECKS.items():
+                rows = [row for row in self.rows if row.check == check and row.question == question]
+                if rows:
+                    yield f"\n{title}"
+                    yield from (_line(cells, width) for cells in _cells(rows))
+            yield f"\n{question}: {verdict}"
+        yield f"\n{self.conclusion}"
+
+
+def _first(failures: Sequence[Row]) -> str:
+    """The first of the rows that fail, in plain words, and how many others do."""
+    first, others = failures[0], len(failures) - 1
+    more = f" (and {others} more)" if others else ""
+    return f"{first.name}: {first.detail or 'beyond tolerance'}{more}"
 
 
 _ERROR = {"dynamics": "99 % below"}

@@ -9,7 +9,7 @@ from pathlib import Path
 from rsl_rl.models import MLPModel
 
 from kickbench.audit.checks import judge, policy_rows
-from kickbench.audit.model import derive_scene
+from kickbench.audit.model import derive_scene, equal_sided, model_rows
 from kickbench.audit.record import record, reflection_of
 from kickbench.audit.report import Report
 from kickbench.config.load import Loaded, load, load_method, load_task
@@ -62,8 +62,10 @@ def audit(
         critic = _load_critic(trained.trial, run)
     derivation = derive_scene(compiled)
     policy = trained.policy if trained else None
-    recording = record(compiled, reflection_of(compiled, derivation), states, seed, threads, policy)
+    equal = equal_sided(compiled, derivation)
+    recording = record(equal, reflection_of(equal, derivation), states, seed, threads, policy)
     rows = list(judge(recording, derivation, symmetry, compiled.robot.spec.symmetry.image()))
+    rows += model_rows(compiled, derivation)
     if trained is not None:
         rows += policy_rows(recording, symmetry, trained.trial, trained.policy, critic)
     return Report(

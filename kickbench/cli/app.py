@@ -48,7 +48,9 @@ _SETTINGS: dict[str, Any] = {
 }
 app = typer.Typer(**_SETTINGS)
 symmetry = typer.Typer(
-    add_completion=False, help="Derive joint pairs and signs from a model's geometry.", **_SETTINGS
+    add_completion=False,
+    help="Derive joint pairs and signs from a model's geometry; check mirrors.",
+    **_SETTINGS,
 )
 app.add_typer(symmetry, name="symmetry", rich_help_panel="Define")
 

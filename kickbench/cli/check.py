@@ -43,7 +43,11 @@ def audit(
     overrides: cli.Set = cli.NONE,
     threads: cli.Threads = None,
 ) -> int:
-    """Prove a task's symmetry tables against geometry and physics; exit code 1 if a row fails."""
+    """Prove a task's symmetry tables, and measure how symmetric robot and policy are.
+
+    Exit code: 0, or the sum of 1 (a table is wrong), 4 (the robot is unequal) and 8 (a policy that must be
+    equivariant is not); 2: a specification is wrong, and nothing was audited.
+    """
     task = find(task, "task")
     if method is not None:
         is_table = str(method) in names("representations")
@@ -52,7 +56,7 @@ def audit(
 
     report = run_audit(task, method, policy, states, seed, overrides, threads)
     print(json_text.dumps(report.as_json(), indent=2) if json else "\n".join(report.lines()))
-    return 1 if report.failures else 0
+    return report.exit_code
 
 
 @cli.verb("Check", "bench --num-envs 256 1024 --profile")

@@ -99,6 +99,22 @@ def build_scene(task: TaskSpec, robot: Loaded[RobotSpec], needs: frozenset[Senso
     return Scene(scene, model, layout)
 
 
+def robot_alone(robot: Loaded[RobotSpec]) -> mujoco.MjModel:
+    """The robot without a scene: the names of its MJCF, the servos of the robot file.
+
+    Raises:
+        SpecError: As in `build_scene`.
+    """
+    body, _ = read_robot(robot)
+    _strip(body, robot.spec)
+    _add_sites(body, robot.spec)
+    _add_actuators(body, robot.spec, prefix="")
+    try:
+        return body.compile()
+    except ValueError as error:
+        raise model_error(robot, "compile this model", error) from None
+
+
 def _strip(body: mujoco.MjSpec, robot: RobotSpec) -> None:
     """Keeps only the robot of an MJCF; sets the scene's contact priorities and the robot file's servos."""
     world = body.worldbody
@@ -214,13 +230,13 @@ def _add_sites(body: mujoco.MjSpec, robot: RobotSpec) -> None:
         body.body(owner).add_site(name=name, pos=offset, quat=[1.0, 0.0, 0.0, 0.0])
 
 
-def _add_actuators(scene: mujoco.MjSpec, robot: RobotSpec) -> None:
+def _add_actuators(scene: mujoco.MjSpec, robot: RobotSpec, prefix: str = ROBOT) -> None:
     for name, spec in robot.actuators.items():
         actuator = scene.add_actuator(name=name)
         if spec.joint is not None:
-            actuator.trntype, actuator.target = mujoco.mjtTrn.mjTRN_JOINT, ROBOT + spec.joint
+            actuator.trntype, actuator.target = mujoco.mjtTrn.mjTRN_JOINT, prefix + spec.joint
         else:
-            actuator.trntype, actuator.target = mujoco.mjtTrn.mjTRN_SITE, ROBOT + _BASE_SITE
+            actuator.trntype, actuator.target = mujoco.mjtTrn.mjTRN_SITE, prefix + _BASE_SITE
             actuator.gear = [float(axis == spec.base_axis) for axis in _AXES]
         actuator.gaintype, actuator.biastype = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_AFFINE
         for (array, column), value in servo_law(Servo.of(spec)).items():

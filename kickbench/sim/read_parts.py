@@ -71,11 +71,11 @@ def read_parts(model: mujoco.MjModel, prefix: str = "") -> ModelParts:
         model: Compiled model.
         prefix: Only bodies whose names begin so are read, and names lose it: the robot's part of a scene.
     """
-    return _Reader(model, prefix).read()
+    return PartsReader(model, prefix).read()
 
 
-def compile_parts(path: str | Path) -> ModelParts:
-    """Reads the parts of an MJCF file.
+def compile_model(path: str | Path) -> mujoco.MjModel:
+    """Compiles an MJCF file.
 
     Raises:
         KickbenchError: MuJoCo cannot read or compile the model, it has no body, or what no robot file can say.
@@ -89,10 +89,9 @@ def compile_parts(path: str | Path) -> ModelParts:
         raise KickbenchError(f"{path}: MuJoCo cannot read this model: {reason}") from None
     if what := next(unsupported(spec), None):
         raise KickbenchError(f"{path}: {what}")
-    parts = read_parts(model)
-    if not parts.bodies:
+    if model.nbody < 2:
         raise KickbenchError(f"{path}: the model has no body")
-    return parts
+    return model
 
 
 def name_joints(spec: mujoco.MjSpec) -> None:
@@ -119,7 +118,18 @@ def part_name(part: mujoco.MjsElement, index: int) -> str:
     return f"'{part.name}'" if part.name else f"number {index}"
 
 
-class _Reader:
+def compile_parts(path: str | Path) -> ModelParts:
+    """Reads the parts of an MJCF file.
+
+    Raises:
+        KickbenchError: As in `compile_model`.
+    """
+    return read_parts(compile_model(path))
+
+
+class PartsReader:
+    """Ids of a model's parts, where they are in the reference pose, and the frame that parts are given in."""
+
     def __init__(self, model: mujoco.MjModel, prefix: str) -> None:
         self.model, self.prefix, self.data = model, prefix, mujoco.MjData(model)
         mujoco.mj_kinematics(model, self.data)
@@ -138,6 +148,7 @@ class _Reader:
                 self.rotation = self.data.xmat[root].reshape(3, 3).copy()
 
     def read(self) -> ModelParts:
+        """The parts."""
         return ModelParts(
             size=self.size,
             bodies=tuple(map(self._body, self.bodies)),

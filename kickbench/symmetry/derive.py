@@ -32,9 +32,9 @@ from kickbench.symmetry.model_parts import (
 from kickbench.symmetry.representation import BY_NAME, kind_of_coordinate
 
 E = TypeVar("E", bound=Element)
-_PLACE, _MASS, _INERTIA, _AXIS = 0.01, 0.1, 0.2, 0.02
-"""What still counts as the same: a share of the model's size; relative; relative; an angle, rad. Real robots'
-sides differ by tenths of a percent; wrong pairs differ by far more."""
+_PLACE, _MASS, _INERTIA, _AXIS = 0.02, 0.1, 0.2, 0.02
+"""What still counts as the same: of places in the parent's body, a share of the model's size; relative; relative;
+an angle, rad. Real robots' sides differ by tenths of a percent; wrong pairs differ by far more."""
 _CLEARLY = 3.0
 """The best partner must fit so many times better than the next, else the choice is ambiguous."""
 _NOTHING = 1e-6
@@ -206,7 +206,7 @@ class _Finder:
         if joint.kind == "slide":
             return float(angle) / _AXIS
         # Along its axis, the anchor of a hinge is of no account.
-        apart = joint.get("anchor") - other.mirrored("anchor", self.reflection)
+        apart = self._apart(joint, other, "anchor")
         apart = apart - (apart @ axis) * axis
         return max(float(angle) / _AXIS, float(np.linalg.norm(apart)) / (_PLACE * self.parts.size))
 
@@ -219,8 +219,17 @@ class _Finder:
         return self._far(site, other, "place")
 
     def _far(self, element: Element, other: Element, name: str) -> float:
-        apart = element.get(name) - other.mirrored(name, self.reflection)
-        return float(np.linalg.norm(apart)) / (_PLACE * self.parts.size)
+        return float(np.linalg.norm(self._apart(element, other, name))) / (_PLACE * self.parts.size)
+
+    def _apart(self, element: Element, other: Element, name: str) -> np.ndarray:
+        """From the mirror image of a place to a place, each as seen from its body or its body's parent."""
+        ends = [part.get(name) - self._origin(part) for part in (element, other)]
+        return ends[0] - self.reflection @ ends[1]
+
+    def _origin(self, part: Element) -> np.ndarray:
+        """Where the body of a part is; of a body, where its parent is. Errors then do not add up along a limb."""
+        body = part.parent if isinstance(part, Body) else part.body
+        return self.parts.bodies[body].get("place") if body >= 0 else np.zeros(3)
 
     def _unequal(self, element: Element, other: Element, name: str) -> float:
         mine, theirs = element.get(name), other.mirrored(name, self.reflection)

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import copy
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+import mujoco
+import numpy as np
 import pytest
 
 from kickbench.audit.checks import judge
-from kickbench.audit.model import derive_scene
+from kickbench.audit.model import derive_scene, equal_sided, model_rows
 from kickbench.audit.record import Recording, record, reflection_of
 from kickbench.audit.report import Row
+from kickbench.envs.compiled_task import CompiledTask
+from kickbench.sim.layout import RIGHT
 from kickbench.symmetry.derive import Derivation
 from kickbench.symmetry.mirror import Image
 from kickbench.trials.trial import Symmetry, Trial, load_trial
@@ -27,22 +33,77 @@ class Audited:
     recording: Recording
 
     def rows(self, symmetry: Symmetry | None = None, declared: Image | None = None) -> list[Row]:
-        """Rows of checks 1 to 6 for tables; default: those of the experiment."""
+        """Rows about tables and robot; default: the tables of the experiment."""
         chosen = self.trial
         image = declared or chosen.task.robot.spec.symmetry.image()
-        return list(judge(self.recording, self.derivation, symmetry or chosen.symmetry, image))
+        rows = judge(self.recording, self.derivation, symmetry or chosen.symmetry, image)
+        return [*rows, *model_rows(chosen.task, self.derivation)]
 
 
-def audited(task: str, method: str, states: int) -> Audited:
-    chosen = load_trial(ROOT / "tasks" / f"{task}.yaml", ROOT / "methods" / f"{method}.yaml")
+def audited(
+    task: str,
+    method: str,
+    states: int,
+    *overrides: str,
+    change: Callable[[CompiledTask], CompiledTask] = lambda task: task,
+) -> Audited:
+    chosen = load_trial(ROOT / "tasks" / f"{task}.yaml", ROOT / "methods" / f"{method}.yaml", overrides)
+    chosen = replace(chosen, task=change(chosen.task))
     derivation = derive_scene(chosen.task)
-    recording = record(chosen.task, reflection_of(chosen.task, derivation), states, threads=1)
+    equal = equal_sided(chosen.task, derivation)
+    recording = record(equal, reflection_of(equal, derivation), states, threads=1)
     return Audited(chosen, derivation, recording)
+
+
+def unequal_sides(task: CompiledTask, seed: int = 0) -> CompiledTask:
+    """The task with a robot whose right side differs from its left one by 0.01 to 5 % in all that can differ."""
+    draws = np.random.default_rng(seed)
+    model, layout = copy.copy(task.scene.model), task.scene.layout
+    bodies = np.flatnonzero(layout.body_sides == RIGHT)
+    joints = np.flatnonzero(np.isin(model.jnt_bodyid, bodies))
+    geoms = np.flatnonzero(np.isin(model.geom_bodyid, bodies))
+    servos = np.flatnonzero(layout.actuator_sides == RIGHT)
+    rows = {
+        "body_mass body_inertia body_ipos body_pos": bodies,
+        "jnt_range jnt_stiffness": joints,
+        "dof_damping dof_armature dof_frictionloss": model.jnt_dofadr[joints],
+        "geom_size geom_pos geom_friction": geoms,
+        "actuator_gainprm actuator_biasprm actuator_forcerange": servos,
+    }
+    for names, places in rows.items():
+        for name in names.split():
+            array = getattr(model, name)
+            size = np.exp(draws.uniform(np.log(1e-4), np.log(0.05), array[places].shape))
+            array[places] *= 1.0 + size * draws.choice((-1.0, 1.0), size.shape)
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+    return replace(task, scene=replace(task.scene, model=model, layout=_unequal_pose(task)))
+
+
+def _unequal_pose(task: CompiledTask):
+    """One knee of the default pose is bent by 0.03 rad more."""
+    layout = task.scene.layout
+    knee = layout.joint_names.index("Right_Knee_Pitch")
+    qpos, target = layout.default_qpos.copy(), layout.default_target.copy()
+    qpos[layout.joint_qpos[knee]] += 0.03
+    target[knee] += 0.03
+    return replace(layout, default_qpos=qpos, default_target=target)
 
 
 @pytest.fixture(scope="session")
 def k1() -> Audited:
     return audited("k1_general_fast", "equivariant", 2048)
+
+
+@pytest.fixture(scope="session")
+def unequal_k1() -> Audited:
+    return audited("k1_general_fast", "equivariant", 512, change=unequal_sides)
+
+
+@pytest.fixture(scope="session")
+def asymmetric_k1() -> Audited:
+    """The manufacturer's figures."""
+    override = f"robot={ROOT / 'assets/booster_k1/asymmetric.yaml'}"
+    return audited("k1_general_fast", "equivariant", 512, override)
 
 
 @pytest.fixture(scope="session")

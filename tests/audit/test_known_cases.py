@@ -41,6 +41,7 @@ def test_the_k1_passes_and_every_row_is_proven(k1):
     rows = k1.rows()
     assert {row.verdict for row in rows} == {"ok"}, [row for row in rows if row.verdict != "ok"]
     assert {row.check for row in rows} == {"tables", "model", "dynamics", "observations", "terms", "sampling"}
+    assert report(k1, rows).verdicts == {"table": "right", "robot": "symmetric"}
     assert len(rows) > 80
 
 
@@ -58,31 +59,52 @@ def test_the_thesis_table_fails_on_the_contact_forces_and_on_nothing_else(k1):
         report(k1, rows).conclusion
         == "foot_contact_forces: declared trivial; measured: regular x (trivial, sign, trivial)"
     )
+    assert report(k1, rows).exit_code == 1
 
 
-@pytest.fixture(scope="module")
-def asymmetric():
-    override = f"robot={ROOT / 'assets/booster_k1/asymmetric.yaml'}"
-    chosen = load_trial(K1_FAST, ROOT / "methods/equivariant.yaml", [override])
-    derivation = derive_scene(chosen.task)
-    recording = record(chosen.task, reflection_of(chosen.task, derivation), 512, threads=1)
-    declared = chosen.task.robot.spec.symmetry.image()
-    return list(judge(recording, derivation, chosen.symmetry, declared))
-
-
-def test_the_asymmetric_k1_fails_the_model_check_with_the_trunk_s_centre_of_mass(asymmetric):
-    first = next(row for row in asymmetric if row.failed)
-    assert (first.check, first.name) == ("model", "Trunk")
+def test_the_asymmetric_k1_is_measured_part_by_part_and_its_table_is_right(asymmetric_k1):
+    rows = asymmetric_k1.rows()
+    assert {row.check for row in rows if row.failed} == {"model"}
+    first = next(row for row in rows if row.failed)
     # The manufacturer's trunk: y = -0.6553 mm.
-    assert first.detail.startswith("centre of mass 0.655 mm off the mirror plane")
-    failed = {row.check for row in asymmetric if row.failed}
-    assert failed == {"model", "dynamics"}, "the tables themselves are right"
+    assert (first.name, first.verdict) == ("Trunk", "unequal")
+    assert first.detail == "inertia 1.2 %; centre of mass 0.655 mm off the mirror plane"
+    found = report(asymmetric_k1, rows)
+    assert found.exit_code == 4
+    assert found.verdicts["table"].startswith("right")
+    assert found.verdicts["robot"].startswith("unequal: Trunk: inertia 1.2 %;")
 
 
-def test_on_the_asymmetric_k1_every_action_still_has_its_partner(asymmetric):
-    actions = [row for row in asymmetric if row.name.startswith("action ")]
-    assert len(actions) == 12
-    assert {row.verdict for row in actions} == {"ok"}
+def test_the_last_line_names_the_wrong_entry_whatever_the_robot_is_like(asymmetric_k1):
+    table = load(RepresentationSpec, TABLES / "thesis.yaml")
+    found = report(asymmetric_k1, asymmetric_k1.rows(symmetry_of(asymmetric_k1.trial.task, table)))
+    assert found.exit_code == 5
+    *_, last = found.lines()
+    assert last.strip().startswith("foot_contact_forces: declared trivial; measured: regular x (")
+
+
+def test_on_a_robot_with_unequal_sides_the_right_table_passes(unequal_k1):
+    rows = unequal_k1.rows()
+    failed = {row.name: row for row in rows if row.failed}
+    assert {row.question for row in failed.values()} == {"robot"}
+    assert not unequal_k1.derivation.unclear
+    sizes = [row.error for row in failed.values()]
+    assert len(sizes) > 25
+    assert max(sizes) > 0.01
+    assert re.search(
+        r"range -?[\d.]+ against -?[\d.]+ degrees", failed["Left_Hip_Yaw, Right_Hip_Yaw"].detail
+    ), "the joint and its body have one name"
+    knee = failed["servo Left_Knee_Pitch, Right_Knee_Pitch"].detail
+    assert re.search(r"gain [\d.]+ against [\d.]+", knee)
+
+
+def test_the_copy_with_equal_sides_is_symmetric_in_every_figure(unequal_k1):
+    task = unequal_k1.recording.task
+    rows = [row for row in model_rows(task, derive_scene(task)) if row.verdict != "ok"]
+    assert rows == []
+    default = task.scene.layout.default_target
+    left, right = (task.scene.layout.joint_names.index(f"{side}_Knee_Pitch") for side in ("Left", "Right"))
+    assert default[left] == default[right] == 0.4
 
 
 def test_the_home_field_is_asymmetric_by_design_and_no_failure(mini):
@@ -101,7 +123,8 @@ def test_what_a_planar_robot_never_does_is_not_passed_in_silence(mini):
     assert rows["base_lin_vel"].detail == "z zero in every state"
     assert rows["base_ang_vel"].detail == "x, y zero in every state"
     conclusion = report(mini, mini.rows()).conclusion
-    assert conclusion == "no row fails; not proven, never or partly excited: base_lin_vel, base_ang_vel"
+    unproven = "not proven, never or partly excited: base_lin_vel, base_ang_vel"
+    assert conclusion == f"table: right; {unproven}; robot: symmetric"
 
 
 def test_a_field_that_never_moves_has_a_verdict_of_its_own(mini):
@@ -144,7 +167,7 @@ def test_a_reward_of_one_side_only_is_found(k1):
 @pytest.mark.parametrize(
     ("key", "value", "row", "words"),
     [
-        ("kp", 19.0, "servo left_hip_pitch, right_hip_pitch", "gain 5 % from"),
+        ("kp", 19.0, "servo left_hip_pitch, right_hip_pitch", "gain 20 against 19"),
         ("effort", 4.0, "servo left_hip_pitch, right_hip_pitch", "force range"),
         ("scale", 1.0, "servo left_hip_pitch, right_hip_pitch", "action scale"),
         ("limits", (-1.0, 1.4), "servo left_hip_pitch, right_hip_pitch", "control range"),
@@ -162,8 +185,7 @@ def test_a_servo_that_differs_from_its_partner_is_named(key, value, row, words, 
     )
     override = f"robot={tmp_path / 'robot.yaml'}"
     chosen = load_trial(ROOT / "tasks/mini_general.yaml", ROOT / "methods/mini/baseline.yaml", [override])
-    declared = chosen.task.robot.spec.symmetry.image()
-    rows = list(model_rows(chosen.task, derive_scene(chosen.task), declared))
+    rows = list(model_rows(chosen.task, derive_scene(chosen.task)))
     assert failures(rows) == [row]
     assert words in next(r.detail for r in rows if r.failed)
 
@@ -190,6 +212,7 @@ def test_without_a_method_the_standard_table_is_taken_wherever_the_task_is_and_j
     found = json.loads(capsys.readouterr().out)
     assert found["table"].endswith("methods/representations/standard.yaml")
     assert found["passed"] is True
+    assert (found["exit_code"], found["verdicts"]["robot"]) == (0, "symmetric")
     assert found["states"] >= 128, "whole steps of all worlds"
     keys = {"check", "name", "verdict", "error", "tolerance", "unit", "excited", "detail"}
     assert all(set(row) == keys for row in found["rows"])
@@ -244,6 +267,8 @@ def test_a_broken_equivariant_policy_fails(mini):
     rows = list(policy_rows(mini.recording, mini.trial.symmetry, loaded.trial, broken, None))
     assert [row.verdict for row in rows] == ["FAIL", "not compared"]
     assert rows[0].error == pytest.approx(0.02, rel=0.01)
+    found = report(mini, rows)
+    assert (found.exit_code, found.verdicts["policy"][:14]) == (8, "NOT EQUIVARIAN")
 
 
 def test_the_value_is_measured_where_there_is_a_critic(mini):
@@ -272,6 +297,6 @@ def test_a_declared_joint_table_that_geometry_contradicts_is_judged_by_geometry(
     image = dict(k1.trial.task.robot.spec.symmetry.image())
     image["Left_Hip_Yaw"], image["Right_Hip_Yaw"] = ("Right_Hip_Yaw", 1), ("Left_Hip_Yaw", 1)
     rows = k1.rows(replace(k1.trial.symmetry), image)
-    assert {row.check for row in rows if row.failed} == {"model", "dynamics"}
+    assert {row.check for row in rows if row.failed} == {"tables", "dynamics"}
     first = next(row for row in rows if row.failed)
     assert first.detail == "declared regular with Right_Hip_Yaw; measured: regular_sign with Right_Hip_Yaw"
