@@ -51,6 +51,8 @@ symmetry = typer.Typer(
     add_completion=False, help="Derive joint pairs and signs from a model's geometry.", **_SETTINGS
 )
 app.add_typer(symmetry, name="symmetry", rich_help_panel="Define")
+robot = typer.Typer(add_completion=False, help="Write a robot file for an MJCF, and check one.", **_SETTINGS)
+app.add_typer(robot, name="robot", rich_help_panel="Define")
 
 
 def verb(

@@ -14,7 +14,8 @@ from kickbench.config.load import Loaded
 from kickbench.config.robot import RobotSpec
 from kickbench.config.task import BallSpec, SimulationSpec, TaskSpec
 from kickbench.errors import SpecError
-from kickbench.sim.check import check_start, differences, model_error, read_robot
+from kickbench.sim.carried import differences
+from kickbench.sim.check import check_start, model_error, read_robot
 from kickbench.sim.layout import SceneLayout, Servo, read_layout
 from kickbench.sim.sensors import ALWAYS, ROBOT, SensorGroup, plan_sensors, robot_feet, sole_site
 
