@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import json as json_text
+import sys
 from pathlib import Path
 
 from kickbench.cli import app as cli
+from kickbench.config.shipped import find
 from kickbench.errors import KickbenchError, printable, shown
+
+_PORTRAIT = (300, 400)
 
 
 @cli.verb("Define", "robot init my_robot.xml -o assets/my_robot/robot.yaml", of=cli.robot)
@@ -32,3 +37,36 @@ def init(
     for line in [*map(str, report.problems), *report.notes]:
         print(f"left to you: {printable(line)}")
     return 1 if report.problems else 0
+
+
+@cli.verb("Define", "robot check booster_k1 -o k1.png", of=cli.robot)
+def check(
+    robot: Path = cli.argument("Robot: a YAML file or a name.", "ROBOT", "robot"),
+    out: Path | None = cli.option(
+        "Draw it, too (.png): its pose, and how each way to step the physics ends.",
+        "-o",
+        "--out",
+        metavar="FILE",
+    ),
+    task: Path = cli.option(
+        "Task in whose scene it stands (default: mini_general).", metavar="TASK", default=Path("mini_general")
+    ),
+    size: cli.Size = None,
+    json: cli.Json = False,
+) -> int:
+    """Print what to know of a robot before it is trained; exit code 1 if a fact fails."""
+    file = find(robot, "robot")
+    from kickbench.robots.check import check_robot
+
+    report = check_robot(file.absolute(), task)
+    print(json_text.dumps(report.as_json(), indent=2) if json else "\n".join(report.lines()))
+    if out is not None:
+        from kickbench.results.atomic import atomic_file
+        from kickbench.view.pictures import robot_picture
+
+        poses = [report.standings[0].first, *(standing.last for standing in report.standings)]
+        picture = robot_picture(report.task, poses, report.box, *(size or _PORTRAIT))
+        with atomic_file(out) as file:
+            picture.save(file, "PNG")
+        print(shown(out), file=sys.stderr if json else sys.stdout)
+    return int(report.failed)

@@ -14,7 +14,7 @@ import numpy as np
 from kickbench.config.robot import InitialSpec
 from kickbench.errors import KickbenchError
 from kickbench.sim.carried import lost_parts, unfit_parts
-from kickbench.sim.pose import apparent_inertia, base_joint, lowest_point, posed, touching_geoms
+from kickbench.sim.pose import apparent_inertia, base_joint, lowest_point, posed, touching_geoms, underside
 from kickbench.sim.read_parts import read_parts
 from kickbench.symmetry.derive import Derivation, derive
 
@@ -148,11 +148,7 @@ class Candidate:
     @cached_property
     def supports(self) -> list[int]:
         """Bodies that stand on the floor."""
-        lowest = {}
-        for geom in touching_geoms(self.model):
-            body, height = int(self.model.geom_bodyid[geom]), lowest_point(self.model, self.data, geom)
-            lowest[body] = min(height, lowest.get(body, np.inf))
-        return [body for body, height in lowest.items() if height < _SOLE]
+        return supports(self.model, self.data)
 
     @cached_property
     def feet(self) -> tuple[int, int] | None:
@@ -169,56 +165,31 @@ class Candidate:
 
     def sole(self, body: int) -> np.ndarray:
         """Centre of a foot's underside in its frame [3], m."""
-        model, data = self.model, self.data
-        low, high = np.full(2, np.inf), np.full(2, -np.inf)
-        geoms = touching_geoms(model, body)
-        bottom = min(lowest_point(model, data, geom) for geom in geoms)
-        for geom in geoms:
-            rotation = data.geom_xmat[geom].reshape(3, 3)
-            centre = data.geom_xpos[geom] + rotation @ model.geom_aabb[geom, :3]
-            half = np.abs(rotation) @ model.geom_aabb[geom, 3:]
-            low, high = np.minimum(low, (centre - half)[:2]), np.maximum(high, (centre + half)[:2])
-        place = np.array([*(low + high) / 2.0, bottom])
-        return data.xmat[body].reshape(3, 3).T @ (place - data.xpos[body])
+        low, high = underside(self.model, self.data, touching_geoms(self.model, body))
+        place = np.array([*(low + high)[:2] / 2.0, low[2]])
+        return self.data.xmat[body].reshape(3, 3).T @ (place - self.data.xpos[body])
 
     # Drives and gains
 
     @cached_property
     def drives(self) -> list[Drive]:
         """The MJCF's actuators that drive a joint, the first of each; without any, all joints."""
-        model, found = self.model, dict[int, Drive]()
-        for a in range(model.nu):
-            joint = int(model.actuator_trnid[a, 0])
-            if model.actuator_trntype[a] == mujoco.mjtTrn.mjTRN_JOINT and joint not in found:
-                name = model.joint(joint).name
-                found[joint] = Drive(model.actuator(a).name or name, name, self._effort(joint, a))
-        names = {j: model.joint(j).name for j in self.hinges}
-        return list(found.values()) or [Drive(n, n, self._effort(j, None)) for j, n in names.items()]
+        model, efforts = self.model, efforts_of(self.model)
+        names = {j: model.actuator(a).name or model.joint(j).name for j, a in _driving(model).items()}
+        names = names or {j: model.joint(j).name for j in self.hinges}
+        return [
+            Drive(name, model.joint(j).name, efforts.get(model.joint(j).name)) for j, name in names.items()
+        ]
 
-    def _effort(self, joint: int, actuator: int | None) -> float | None:
-        """The least of the limits that the MJCF puts on a joint's drive."""
-        model, limits = self.model, []
-        if model.jnt_actfrclimited[joint]:
-            limits.append(np.abs(model.jnt_actfrcrange[joint]).max())
-        if actuator is not None:
-            gear = abs(model.actuator_gear[actuator, 0])
-            if model.actuator_forcelimited[actuator]:
-                limits.append(gear * np.abs(model.actuator_forcerange[actuator]).max())
-            is_motor = model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_NONE
-            if is_motor and model.actuator_ctrllimited[actuator]:
-                gain = abs(model.actuator_gainprm[actuator, 0])
-                limits.append(gear * gain * np.abs(model.actuator_ctrlrange[actuator]).max())
-        return float(min(limits)) if limits and min(limits) > 0.0 else None
-
-    @property
+    @cached_property
     def mass(self) -> float:
         """Mass, kg."""
         return float(self.model.body_mass[1:].sum())
 
-    @property
+    @cached_property
     def centre(self) -> float:
         """Height of the centre of mass above the floor, m."""
-        return float(self.model.body_mass[1:] @ self.data.xipos[1:, 2]) / self.mass
+        return centre_height(self.model, self.data)
 
     @cached_property
     def needed(self) -> dict[str, float]:
@@ -265,6 +236,46 @@ class Candidate:
         """The lesser of left and right, with two digits."""
         images = self.derivation.image
         return {n: two_digits(min(v, values.get(images.get(n, (n, 1))[0], v))) for n, v in values.items()}
+
+
+def supports(model: mujoco.MjModel, data: mujoco.MjData) -> list[int]:
+    """Bodies that stand on the floor, or reach as low as those that do."""
+    lowest = dict[int, float]()
+    for geom in touching_geoms(model):
+        body, height = int(model.geom_bodyid[geom]), lowest_point(model, data, geom)
+        lowest[body] = min(height, lowest.get(body, np.inf))
+    return [body for body, height in lowest.items() if height < min(lowest.values()) + _SOLE]
+
+
+def centre_height(model: mujoco.MjModel, data: mujoco.MjData) -> float:
+    """Height of the centre of mass, m."""
+    return float(model.body_mass[1:] @ data.xipos[1:, 2] / model.body_mass[1:].sum())
+
+
+def efforts_of(model: mujoco.MjModel) -> dict[str, float]:
+    """The least of the limits that an MJCF puts on each joint's drive, N m or N; joints without are left out."""
+    driving, found = _driving(model), dict[str, float]()
+    for joint in range(model.njnt):
+        limits = [np.abs(model.jnt_actfrcrange[joint]).max()] if model.jnt_actfrclimited[joint] else []
+        if (a := driving.get(joint)) is not None:
+            gear = abs(model.actuator_gear[a, 0])
+            if model.actuator_forcelimited[a]:
+                limits.append(gear * np.abs(model.actuator_forcerange[a]).max())
+            if model.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_NONE and model.actuator_ctrllimited[a]:
+                control = np.abs(model.actuator_ctrlrange[a]).max()
+                limits.append(gear * abs(model.actuator_gainprm[a, 0]) * control)
+        if limits and min(limits) > 0.0:
+            found[model.joint(joint).name] = float(min(limits))
+    return found
+
+
+def _driving(model: mujoco.MjModel) -> dict[int, int]:
+    """The first actuator of each joint that has one, in the actuators' order."""
+    drives = np.flatnonzero(model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT)
+    first = dict[int, int]()
+    for a in drives.tolist():
+        first.setdefault(int(model.actuator_trnid[a, 0]), a)
+    return first
 
 
 def _own_inertia(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:

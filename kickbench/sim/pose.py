@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 # pyright: reportAttributeAccessIssue=false
 import mujoco
 import numpy as np
@@ -58,6 +60,20 @@ def lowest_point(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> float
         centre, half = np.split(model.geom_aabb[geom], 2)
         depth = centre @ down + half @ np.abs(down)
     return float(data.geom_xpos[geom, 2] - depth)
+
+
+def underside(
+    model: mujoco.MjModel, data: mujoco.MjData, geoms: Sequence[int]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Corners [3], [3] of the upright box around some geoms, m; its lower side is their lowest point."""
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    for geom in geoms:
+        rotation = data.geom_xmat[geom].reshape(3, 3)
+        centre = data.geom_xpos[geom] + rotation @ model.geom_aabb[geom, :3]
+        half = np.abs(rotation) @ model.geom_aabb[geom, 3:]
+        low, high = np.minimum(low, centre - half), np.maximum(high, centre + half)
+    low[2] = min(lowest_point(model, data, geom) for geom in geoms)
+    return low, high
 
 
 def apparent_inertia(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:

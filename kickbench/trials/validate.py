@@ -17,6 +17,7 @@ from kickbench.envs.catalog import catalog, model_of_task, task_model
 from kickbench.envs.compile import CompiledTask, compile_task, own_representations
 from kickbench.errors import Mark, Problem, collected, did_you_mean
 from kickbench.sim.check import check_symmetry
+from kickbench.sim.plausible import findings, step_warnings
 from kickbench.symmetry.field_table import resolve_expression
 from kickbench.trials.experiment import load_experiment
 from kickbench.trials.trial import symmetry_of
@@ -130,6 +131,7 @@ def _check(
     if report.kind == "task":
         tasks.append(compile_task(load_task(model_of_task, path, overrides)))
         robots = [tasks[-1].robot]
+        report.notes += map(str, step_warnings(robots[0], tasks[-1].spec.simulation))
     elif report.kind == "method":
         methods.append(load_method(path, overrides))
     elif report.kind == "robot":
@@ -142,6 +144,11 @@ def _check(
         agreement = check_symmetry(robot)
         report.problems += agreement.problems
         report.notes += agreement.notes
+        for finding in findings(robot):
+            if not finding.surely:
+                report.notes.append(str(finding.problem))
+            elif finding.problem not in report.problems:
+                report.problems.append(finding.problem)
 
 
 def _robots_of_experiment(path: Path, overrides: Sequence[str], report: Report) -> list[Loaded[RobotSpec]]:
