@@ -13,7 +13,7 @@ import numpy as np
 
 from kickbench.config.robot import InitialSpec
 from kickbench.errors import KickbenchError
-from kickbench.sim.carried import lost_parts, unfit_parts
+from kickbench.sim.carried import lost_parts, read_mjcf, unfit_parts
 from kickbench.sim.pose import apparent_inertia, base_joint, lowest_point, posed, touching_geoms, underside
 from kickbench.sim.read_parts import read_parts
 from kickbench.symmetry.derive import Derivation, derive
@@ -50,8 +50,8 @@ class Stepping:
 
 STEPPINGS = (
     Stepping(0.005, "euler", 0.5, 0.5),
-    Stepping(0.005, "implicitfast", 4.0, np.inf),
-    Stepping(0.002, "implicitfast", 4.0, np.inf),
+    Stepping(0.005, "implicitfast", 1.0, np.inf),
+    Stepping(0.002, "implicitfast", 1.0, np.inf),
 )
 """From the fastest on; a single joint becomes unstable at 2 kd dt / I + kp dt^2 / I = 4 (euler)."""
 
@@ -91,8 +91,7 @@ class Candidate:
             KickbenchError: MuJoCo cannot read it, or no robot file can be written for it; says why.
         """
         try:
-            spec = mujoco.MjSpec.from_file(str(file))
-            spec.compiler.fusestatic = False
+            spec = read_mjcf(str(file))
             self.model: mujoco.MjModel = spec.compile()
         except ValueError as error:
             raise KickbenchError(f"{file}: MuJoCo cannot read it: {' '.join(str(error).split())}") from None

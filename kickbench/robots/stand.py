@@ -16,6 +16,8 @@ _SETTLED = 0.5
 """Time from which joint speeds count, s: at first the joints give way to the robot's weight."""
 _JOINT, _SHIFT, _TURN = 0.02, 0.05, 0.1
 """Standard deviations of the disturbances: joint positions, rad or m; the base's speed, m/s and rad/s."""
+_NEARLY = 0.95
+"""Share of the envs that a standing robot stands in: a random disturbance may be a large one."""
 _LOW, _UPRIGHT = 0.6, 0.7
 """A robot has fallen below this share of its height, or with its base's axis at this cosine to the vertical."""
 _BALL = 5.0
@@ -29,7 +31,7 @@ class Standing:
     Attributes:
         timestep: Physics time step, s.
         integrator: MuJoCo's integrator.
-        seconds: How long each env stood, `SECONDS` at most [B], s.
+        seconds: How long each env stood, `SECONDS` at most [B], s; if one became unstable, until then.
         unstable: Envs that ended with NaN, infinity or an error of MuJoCo's.
         speed: Largest speed of every driven joint while its env stood [joints], rad/s or m/s.
         first: Generalised positions of the default pose, ball away [nq].
@@ -46,8 +48,8 @@ class Standing:
 
     @property
     def stands(self) -> bool:
-        """Whether the robot stood in all envs."""
-        return bool(self.seconds.min() >= SECONDS)
+        """Whether the robot stood in nearly all envs, and none became unstable."""
+        return self.unstable == 0 and float(np.mean(self.seconds >= SECONDS)) >= _NEARLY
 
 
 def stand(task: CompiledTask, seed: int = 0) -> Standing:
@@ -72,12 +74,12 @@ def stand(task: CompiledTask, seed: int = 0) -> Standing:
     try:
         for step in range(steps):
             engine.step(target)
-            failed |= up & engine.failed
+            failed |= engine.failed
             up &= ~engine.failed
             if base is not None:
                 up &= _upright(engine.qpos[:, base.qpos : base.qpos + 7], height)
             seconds[up] = (step + 1) * simulation.control_interval
-            if not up.any():
+            if failed.any() or not up.any():
                 break
             if (step + 1) * simulation.control_interval >= _SETTLED:
                 moving = engine.qvel[up][:, layout.joint_qvel].abs().amax(dim=0)

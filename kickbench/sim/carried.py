@@ -11,6 +11,16 @@ import numpy as np
 from kickbench.sim.sensors import ROBOT
 
 
+def read_mjcf(file: str) -> mujoco.MjSpec:
+    """Reads an MJCF whose bodies stay apart and all have names, also those that it gives none."""
+    spec = mujoco.MjSpec.from_file(file)
+    # Bodies that the robot file names would be merged into their parents.
+    spec.compiler.fusestatic = False
+    for index, body in enumerate(spec.bodies[1:]):
+        body.name = body.name or f"kickbench_body_{index}"
+    return spec
+
+
 def unfit_parts(model: mujoco.MjSpec) -> Iterator[str]:
     """Why an MJCF is not one robot of named hinges and slides that a scene can hold."""
     roots = [body.name or "without a name" for body in model.worldbody.bodies]

@@ -13,7 +13,7 @@ import numpy as np
 from kickbench.config.load import Loaded
 from kickbench.config.robot import FootSpec, RobotSpec
 from kickbench.errors import KeyPath, Problem, SpecError, nearest, shown
-from kickbench.sim.carried import lost_parts, unfit_parts
+from kickbench.sim.carried import lost_parts, read_mjcf, unfit_parts
 from kickbench.sim.layout import SceneLayout
 from kickbench.sim.read_parts import read_parts
 from kickbench.sim.sensors import ROBOT, SIDES, robot_feet
@@ -37,13 +37,11 @@ def read_robot(robot: Loaded[RobotSpec]) -> tuple[mujoco.MjSpec, mujoco.MjModel]
         SpecError: The MJCF cannot be read or compiled, lacks a name, or has what no scene can carry over.
     """
     try:
-        spec = mujoco.MjSpec.from_file(robot.spec.model)
+        spec = read_mjcf(robot.spec.model)
     except TypeError:
         raise robot.document.error(("model",), "its path is not UTF-8, and MuJoCo cannot read it") from None
     except ValueError as error:
         raise model_error(robot, "read this model", error) from None
-    # Bodies that the robot file names would be merged into their parents.
-    spec.compiler.fusestatic = False
     unfit = [robot.document.problem(("model",), what) for what in unfit_parts(spec)]
     _raise([*unfit, *_name_problems(robot, spec), *_joint_problems(robot, spec)])
     _raise(_drive_problems(robot))  # a misspelt joint would seem to lack a drive
