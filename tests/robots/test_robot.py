@@ -58,9 +58,9 @@ def test_an_existing_file_is_not_overwritten(biped, capsys):
 REFUSED = {
     "no free joint": ('<freejoint name="free"/>', "", "no free joint"),
     "ball joint": (
-        '<joint name="left_hip_roll" axis="1 0 0" range="-30 30"/>',
-        '<joint name="left_hip_roll" type="ball"/>',
-        "the joint 'left_hip_roll' is a ball joint",
+        '<geom name="left_sole"',
+        '<body name="toe"><joint name="toe" type="ball"/><geom size="0.01"/></body><geom name="left_sole"',
+        "the joint 'toe' is a ball joint",
     ),
     "nothing collides": (
         "<default>",
@@ -74,11 +74,11 @@ REFUSED = {
 def test_what_cannot_be_a_robot_is_refused_with_a_reason_and_nothing_is_written(biped, capsys, case):
     old, new, reason = REFUSED[case]
     text = Path("my_robot.xml").read_text()
-    if case == "ball joint":
-        text = re.sub(r'<motor name="left_hip_roll"[^>]*>', "", text)
     Path("my_robot.xml").write_text(text.replace(old, new))
     code, out = run(capsys, "kickbench robot init my_robot.xml")
-    assert code == 2 and reason in out and not Path("robot.yaml").exists()
+    assert code == 2
+    assert reason in out
+    assert not Path("robot.yaml").exists()
 
 
 def test_check_fails_a_robot_whose_ankles_are_too_weak_to_stand(biped, capsys):
@@ -87,19 +87,30 @@ def test_check_fails_a_robot_whose_ankles_are_too_weak_to_stand(biped, capsys):
     Path("robot.yaml").write_text(text)
     code, out = run(capsys, "kickbench robot check robot.yaml --json")
     facts = {fact["name"]: fact for fact in json.loads(out)["facts"]}
-    assert code == 1 and not json.loads(out)["passed"]
+    assert code == 1
+    assert not json.loads(out)["passed"]
     assert facts["least stiff ankle"]["verdict"] == "warn"
     assert facts["stands, 2 ms, euler"]["verdict"] == "FAIL"
 
 
 FINDINGS = {
-    "in the air": (r"0\.0, 0\.0, 0\.395\d*", "0.0, 0.0, 0.6", 2, "initial.position: the robot's lowest point begins 205 mm above"),
+    "in the air": (r"0\.0, 0\.0, 0\.395\d*", "0.0, 0.0, 0.6", 2, "lowest point begins 205 mm above"),
     "in the floor": (r"0\.0, 0\.0, 0\.395\d*", "0.0, 0.0, 0.3", 2, "95 mm in the floor"),
     "beyond its range": (r"left_hip_pitch: +0\.0", "left_hip_pitch: 2.0", 2, "outside its range"),
-    "sole off the foot": (r"0\.0200, 0\.0000, -0\.0450\]\}\n  right", "0.02, 0.0, 0.1]}\n  right", 2, "feet.left.offset: the sole is 145 mm"),
-    "unequal pose": (r"left_hip_roll: +0\.0", "left_hip_roll: 0.1", 0, "a symmetric pose has 0, the mirror image of"),
-    "unequal gains": (r"(left_hip_roll, +)kp: [\d.]+", r"\1kp: 77.0", 0, "actuators.left_hip_roll.kp: kp is 77.0"),
-}  # fmt: skip
+    "sole off the foot": (r"0\.02[^\]]+\]\}\n  right", "0, 0, 0.1]}\n  right", 2, "the sole is 145 mm"),
+    "unequal pose": (
+        r"left_hip_roll: +0\.0",
+        "left_hip_roll: 0.1",
+        0,
+        "a symmetric pose has 0, the mirror image of",
+    ),
+    "unequal gains": (
+        r"(left_hip_roll, +)kp: [\d.]+",
+        r"\1kp: 77.0",
+        0,
+        "actuators.left_hip_roll.kp: kp is 77.0",
+    ),
+}
 
 
 @pytest.mark.parametrize("case", FINDINGS)
@@ -110,5 +121,6 @@ def test_validate_names_what_is_wrong_where_it_is(biped, capsys, case):
     assert count == 1
     Path("robot.yaml").write_text(text)
     code, out = run(capsys, "kickbench validate robot.yaml")
-    assert code == expected and message in out, out
+    assert code == expected, out
+    assert message in out
     assert re.search(r"robot\.yaml:\d+:\d+: ", out)
