@@ -25,6 +25,7 @@ ROOMS = (
     ("training",),
     ("bench",),
     ("audit",),
+    ("robots",),
     ("view",),
     ("deploy",),
     ("report",),
@@ -117,7 +118,7 @@ def allowed_libraries(path: Path) -> set[str]:
         return set()
     if room in ("sim", "bench"):
         return HEAVY - {"rsl_rl"}
-    if room == "view":
+    if room in ("robots", "view"):
         return {"torch", "mujoco"}
     if room == "envs":
         return {"torch", "tensordict", "rsl_rl"}

@@ -53,6 +53,8 @@ symmetry = typer.Typer(
     **_SETTINGS,
 )
 app.add_typer(symmetry, name="symmetry", rich_help_panel="Define")
+robot = typer.Typer(add_completion=False, help="Write a robot file for an MJCF, and check one.", **_SETTINGS)
+app.add_typer(robot, name="robot", rich_help_panel="Define")
 
 
 def verb(

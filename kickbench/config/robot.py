@@ -238,14 +238,15 @@ def pairs_apart(robot: Tree) -> Tree:
                 path = ("actuators", name)
                 raise SpecError([Problem(tree.key, path, f"there are two actuators of the name '{name}'")])
             apart[name] = entry
+    assert isinstance(robot.value, dict)
     return replace(robot, value={**robot.value, "actuators": replace(actuators, value=apart)})
 
 
 def _apart(name: str, entry: Tree) -> Iterator[tuple[str, Tree]]:
     joint = entry.child("joint")
-    sides = joint.value if joint else None
-    if not isinstance(sides, list) or len(sides) != 2 or not all(isinstance(s.value, str) for s in sides):
+    sides = joint.value if joint and isinstance(joint.value, list) else []
+    if len(sides) != 2 or not isinstance(entry.value, dict):
         yield name, entry
         return
     for side in sides:
-        yield side.value, replace(entry, value={**entry.value, "joint": side})
+        yield str(side.value), replace(entry, value={**entry.value, "joint": side})

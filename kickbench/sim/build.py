@@ -14,7 +14,8 @@ from kickbench.config.load import Loaded
 from kickbench.config.robot import RobotSpec
 from kickbench.config.task import BallSpec, SimulationSpec, TaskSpec
 from kickbench.errors import SpecError
-from kickbench.sim.check import check_start, differences, model_error, read_robot
+from kickbench.sim.carried import differences
+from kickbench.sim.check import check_start, model_error, read_robot
 from kickbench.sim.layout import SceneLayout, Servo, read_layout
 from kickbench.sim.sensors import ALWAYS, ROBOT, SensorGroup, plan_sensors, robot_feet, sole_site
 
@@ -65,8 +66,7 @@ def build_scene(task: TaskSpec, robot: Loaded[RobotSpec], needs: frozenset[Senso
         SpecError: The MJCF cannot be read, lacks a name or does not compile.
     """
     body, native = read_robot(robot)
-    root = body.worldbody.first_body().name or "kickbench_root"
-    body.worldbody.first_body().name = root
+    root = body.worldbody.first_body().name
     _strip(body, robot.spec)
     body_geoms = _name_body_geoms(body, robot.spec)
     scene = mujoco.MjSpec()
@@ -75,6 +75,8 @@ def build_scene(task: TaskSpec, robot: Loaded[RobotSpec], needs: frozenset[Senso
     # Options and visual settings are the scene's; set equal here, so that MuJoCo does not warn.
     body.option, body.memory, body.nuserdata = scene.option, scene.memory, scene.nuserdata
     body.visual, body.stat = scene.visual, scene.stat
+    body.nkey, body.njmax, body.nconmax = scene.nkey, scene.njmax, scene.nconmax
+    scene.nuser_geom = body.nuser_geom
     _add_floor(scene, task)
     _add_sites(body, robot.spec)
     scene.attach(body, prefix=ROBOT, frame=scene.worldbody.add_frame())

@@ -13,8 +13,9 @@ import numpy as np
 from kickbench.config.load import Loaded
 from kickbench.config.robot import FootSpec, RobotSpec
 from kickbench.errors import KeyPath, Problem, SpecError, nearest, shown
+from kickbench.sim.carried import lost_parts, read_mjcf, unfit_parts
 from kickbench.sim.layout import SceneLayout
-from kickbench.sim.read_parts import name_joints, part_name, read_parts, unsupported
+from kickbench.sim.read_parts import read_parts
 from kickbench.sim.sensors import ROBOT, SIDES, robot_feet
 from kickbench.symmetry.derive import Derivation, derive
 from kickbench.symmetry.representation import kind_of_coordinate
@@ -36,21 +37,19 @@ def read_robot(robot: Loaded[RobotSpec]) -> tuple[mujoco.MjSpec, mujoco.MjModel]
         SpecError: The MJCF cannot be read or compiled, lacks a name, or has what no scene can carry over.
     """
     try:
-        spec = mujoco.MjSpec.from_file(robot.spec.model)
+        spec = read_mjcf(robot.spec.model)
     except TypeError:
         raise robot.document.error(("model",), "its path is not UTF-8, and MuJoCo cannot read it") from None
     except ValueError as error:
         raise model_error(robot, "read this model", error) from None
-    # Bodies that the robot file names would be merged into their parents.
-    spec.compiler.fusestatic = False
-    name_joints(spec)
-    _raise([*_model_problems(robot, spec), *_name_problems(robot, spec), *_joint_problems(robot, spec)])
+    unfit = [robot.document.problem(("model",), what) for what in unfit_parts(spec)]
+    _raise([*unfit, *_name_problems(robot, spec), *_joint_problems(robot, spec)])
     _raise([*_drive_problems(robot), *_pose_problems(robot)])  # a misspelt joint would seem to lack a drive
     try:
         native = spec.copy().compile()
     except ValueError as error:
         raise model_error(robot, "compile this model", error) from None
-    _raise(robot.document.problem(("model",), what) for what in _lost(spec))
+    _raise(robot.document.problem(("model",), what) for what in lost_parts(spec))
     return spec, native
 
 
@@ -66,27 +65,6 @@ def _raise(found: Iterator[Problem] | list[Problem]) -> None:
 
 
 # The robot file against the MJCF as read
-
-
-def _model_problems(robot: Loaded[RobotSpec], model: mujoco.MjSpec) -> Iterator[Problem]:
-    """The model is one robot, and attaching it to a scene does not change it."""
-
-    def problem(message: str) -> Problem:
-        return robot.document.problem(("model",), message)
-
-    roots = [body.name or "without a name" for body in model.worldbody.bodies]
-    if not roots:
-        yield problem("the model has no body")
-    if len(roots) > 1:
-        found = f"the model has {len(roots)} bodies in its world ({', '.join(roots)})"
-        yield problem(f"{found}; expected the robot alone")
-    if model.compiler.settotalmass > 0.0:
-        what = "the compiler setting `settotalmass` does not reach a scene"
-        yield problem(f"{what}; expected masses of the bodies")
-    yield from map(problem, unsupported(model))
-    for joint in model.joints:
-        if joint.name == "ball":
-            yield problem("a joint of the robot is named 'ball', which is the name of the scene's ball")
 
 
 def _name_problems(robot: Loaded[RobotSpec], model: mujoco.MjSpec) -> Iterator[Problem]:
@@ -155,8 +133,8 @@ def _drive_problems(robot: Loaded[RobotSpec]) -> Iterator[Problem]:
         if partner not in drivers:
             what = f"the joint '{joint}' is driven, but its mirror image '{partner}' is not"
             yield robot.document.problem(("actuators", name, "joint"), what)
-    observed = robot.spec.observed
-    for place, joint in enumerate(observed if isinstance(observed, tuple) else ()):
+    observed = robot.spec.observed if isinstance(robot.spec.observed, tuple) else ()
+    for place, joint in enumerate(observed):
         if (partner := image[joint][0]) not in observed:
             what = f"the joint '{joint}' is observed, but its mirror image '{partner}' is not"
             yield robot.document.problem(("observed", place), what)
@@ -176,68 +154,6 @@ def _pose_problems(robot: Loaded[RobotSpec]) -> Iterator[Problem]:
         given.add(joint)
 
 
-# What a scene keeps of the MJCF: nothing may get lost silently, so what it cannot keep is an error
-
-
-def _lost(spec: mujoco.MjSpec) -> Iterator[str]:
-    """References to geoms and sites of the MJCF's world body, which a scene omits."""
-    world = spec.worldbody
-    own = {"geom": {geom.name for geom in world.geoms}, "site": {site.name for site in world.sites}}
-    for what, kind, names in _references(spec):
-        if lost := next((name for name in names if name in own[kind]), None):
-            place = f"{kind} '{lost}' of the MJCF's world"
-            yield f"the {what} refers to the {place}, which is no part of the robot"
-
-
-def _references(spec: mujoco.MjSpec) -> Iterator[tuple[str, str, list[str]]]:
-    """What refers to geoms or sites, to which of the two, and their names."""
-    for index, pair in enumerate(spec.pairs):
-        yield f"contact pair {part_name(pair, index)}", "geom", [pair.geomname1, pair.geomname2]
-    for index, equality in enumerate(spec.equalities):
-        if equality.objtype == mujoco.mjtObj.mjOBJ_SITE:
-            kind = mujoco.mjtEq(equality.type).name.removeprefix("mjEQ_").lower()
-            what = f"{kind} constraint {part_name(equality, index)}"
-            yield what, "site", [equality.name1, equality.name2]
-    for index, tendon in enumerate(spec.tendons):
-        for wrap in tendon.path:
-            kinds = {mujoco.MjsSite: "site", mujoco.MjsGeom: "geom"}
-            if kind := kinds.get(type(wrap.target)):
-                yield f"tendon {part_name(tendon, index)}", kind, [wrap.target.name]
-
-
-def differences(native: mujoco.MjModel, scene: mujoco.MjModel) -> Iterator[str]:
-    """Differences between the robot of a compiled scene and the robot alone, except drives and visuals.
-
-    Args:
-        native: The robot's MJCF, compiled by itself.
-        scene: The compiled scene.
-    """
-    mine = [body for body in range(1, scene.nbody) if scene.body(body).name.startswith(ROBOT)]
-    counts = {
-        "bodies": (native.nbody - 1, len(mine)),
-        "joints": (native.njnt, scene.njnt - 1),
-        "contact pairs": (native.npair, scene.npair),
-        "contact exclusions": (native.nexclude, scene.nexclude),
-        "equality constraints": (native.neq, scene.neq),
-        "tendons": (native.ntendon, scene.ntendon),
-        "flexes": (native.nflex, scene.nflex),
-        "plugin instances": (native.nplugin, scene.nplugin),
-        "mocap bodies": (native.nmocap, scene.nmocap - 1),
-    }
-    for what, (own, there) in counts.items():
-        if own != there:
-            yield f"the model by itself has {own} {what}, in a scene {there}"
-    if len(mine) != native.nbody - 1:
-        return
-    for name, unit in (("mass", "kg"), ("inertia", "kg m^2"), ("gravcomp", "")):
-        own = getattr(native, f"body_{name}")[1:].reshape(len(mine), -1)
-        there = getattr(scene, f"body_{name}")[mine].reshape(len(mine), -1)
-        for row in np.flatnonzero(np.abs(own - there).max(axis=1) > 1e-9 * (1.0 + np.abs(own).max())):
-            body, values = native.body(int(row) + 1).name, (own[row, 0], there[row, 0])
-            by_itself, in_scene = (f"{value:.6g} {unit}" for value in values)
-            yield f"the {name} of the body '{body}' is {by_itself} by itself, {in_scene} in a scene"
-
-
 # The default pose
 
 
@@ -252,14 +168,30 @@ def check_start(robot: Loaded[RobotSpec], model: mujoco.MjModel, layout: SceneLa
     data = mujoco.MjData(model)
     data.qpos[:] = layout.default_qpos
     mujoco.mj_kinematics(model, data)
+    return [*pose_problems(robot, model, data, ROBOT), *_feet_problems(robot, model, layout)]
+
+
+def pose_problems(
+    robot: Loaded[RobotSpec], model: mujoco.MjModel, data: mujoco.MjData, prefix: str = ""
+) -> list[Problem]:
+    """What is wrong with a default pose: a place or turn of its own, a base that looks elsewhere, ranges left.
+
+    Args:
+        robot: The robot file.
+        model: The robot's model, or a scene.
+        data: The default pose, with the bodies' places.
+        prefix: What the robot's names begin with.
+    """
     # A robot that is turned as a whole turns its base with it.
-    frames = list(_place_problem(robot, model, data)) or list(_base_problem(robot, data))
-    return [*frames, *_range_problems(robot, model, layout), *_feet_problems(robot, model, layout)]
+    frames = list(_place_problem(robot, model, data, prefix)) or list(_base_problem(robot, data, prefix))
+    return [*frames, *_range_problems(robot, model, data, prefix)]
 
 
-def _place_problem(robot: Loaded[RobotSpec], model: mujoco.MjModel, data: mujoco.MjData) -> Iterator[Problem]:
+def _place_problem(
+    robot: Loaded[RobotSpec], model: mujoco.MjModel, data: mujoco.MjData, prefix: str
+) -> Iterator[Problem]:
     """Regions and the mirror plane are those of the world."""
-    root = next(body for body in range(1, model.nbody) if model.body(body).name.startswith(ROBOT))
+    root = next(body for body in range(1, model.nbody) if model.body(body).name.startswith(prefix))
     (x, y), left = data.xpos[root, :2], data.xmat[root].reshape(3, 3)[:2, 1]
     turn = math.degrees(math.atan2(0.0 - left[0], left[1]))
     if max(abs(x), abs(y)) >= 1e-6 or abs(turn) >= 1e-3:
@@ -268,9 +200,9 @@ def _place_problem(robot: Loaded[RobotSpec], model: mujoco.MjModel, data: mujoco
         yield robot.document.problem(path, f"{what}; expected x = y = 0 and no turn, facing +x")
 
 
-def _base_problem(robot: Loaded[RobotSpec], data: mujoco.MjData) -> Iterator[Problem]:
+def _base_problem(robot: Loaded[RobotSpec], data: mujoco.MjData, prefix: str) -> Iterator[Problem]:
     """Observations are read in the base's frame: x ahead, y to the left, z up in the default pose."""
-    axes = data.body(ROBOT + robot.spec.base).xmat.reshape(3, 3)
+    axes = data.body(prefix + robot.spec.base).xmat.reshape(3, 3)
     off_left, off_ahead = (math.acos(np.clip(axes[i, i], -1.0, 1.0)) for i in (1, 0))
     if off_left > _LEFT_TOLERANCE or off_ahead > _PITCH_TOLERANCE:
         vectors = [", ".join(f"{value:.2g}" for value in axes[:, i]) for i in range(3)]
@@ -280,12 +212,12 @@ def _base_problem(robot: Loaded[RobotSpec], data: mujoco.MjData) -> Iterator[Pro
 
 
 def _range_problems(
-    robot: Loaded[RobotSpec], model: mujoco.MjModel, layout: SceneLayout
+    robot: Loaded[RobotSpec], model: mujoco.MjModel, data: mujoco.MjData, prefix: str
 ) -> Iterator[Problem]:
     for joint in np.flatnonzero(model.jnt_limited):
-        name = model.joint(int(joint)).name.removeprefix(ROBOT)
+        name = model.joint(int(joint)).name.removeprefix(prefix)
         low, high = model.jnt_range[joint]
-        value = layout.default_qpos[model.jnt_qposadr[joint]]
+        value = data.qpos[model.jnt_qposadr[joint]]
         if not low - _AT_LIMIT <= value <= high + _AT_LIMIT:
             named = name in robot.spec.pose
             path = ("initial", "joints", name) if named else ("initial",)

@@ -82,7 +82,7 @@ def compile_model(path: str | Path) -> mujoco.MjModel:
     """
     try:
         spec = mujoco.MjSpec.from_file(str(path))
-        name_joints(spec)
+        name_parts(spec)
         model = spec.compile()
     except ValueError as error:
         reason = " ".join(str(error).split())
@@ -94,12 +94,13 @@ def compile_model(path: str | Path) -> mujoco.MjModel:
     return model
 
 
-def name_joints(spec: mujoco.MjSpec) -> None:
-    """Gives joints without a name one: `body:0`, the first joint of that body; `body 3` is a nameless body."""
-    for index, body in enumerate(spec.bodies):
+def name_parts(spec: mujoco.MjSpec) -> None:
+    """Names what has no name: `body_3`, and `BODY:0` for the first joint of a body."""
+    for index, body in enumerate(spec.bodies[1:], start=1):
+        body.name = body.name or f"body_{index}"
         for rank, joint in enumerate(body.joints):
             if joint.type != mujoco.mjtJoint.mjJNT_FREE:
-                joint.name = joint.name or f"{body.name or f'body {index}'}:{rank}"
+                joint.name = joint.name or f"{body.name}:{rank}"
 
 
 def unsupported(spec: mujoco.MjSpec) -> Iterator[str]:

@@ -17,6 +17,7 @@ from kickbench.envs.catalog import catalog, model_of_task, task_model
 from kickbench.envs.compiled_task import CompiledTask, compile_task, own_representations
 from kickbench.errors import Mark, Problem, collected, did_you_mean
 from kickbench.sim.check import check_symmetry
+from kickbench.sim.plausible import findings, step_warnings
 from kickbench.symmetry.field_table import resolve_expression
 from kickbench.trials.experiment import load_experiment
 from kickbench.trials.trial import symmetry_of
@@ -126,6 +127,7 @@ def _load(path: Path, report: Report, overrides: Sequence[str]) -> CompiledTask 
     if report.kind == "task":
         loaded = compile_task(load_task(model_of_task, path, overrides))
         robots = [loaded.robot]
+        report.notes += map(str, step_warnings(loaded.robot, loaded.spec.simulation))
     elif report.kind == "method":
         loaded = load_method(path, overrides)
     elif report.kind == "robot":
@@ -138,6 +140,11 @@ def _load(path: Path, report: Report, overrides: Sequence[str]) -> CompiledTask 
         agreement = check_symmetry(robot)
         report.problems += agreement.problems
         report.notes += agreement.notes
+        for finding in findings(robot):
+            if not finding.surely:
+                report.notes.append(str(finding.problem))
+            elif finding.problem not in report.problems:
+                report.problems.append(finding.problem)
     return loaded
 
 

@@ -75,6 +75,30 @@ def contact_sheet(task: CompiledTask, count: int, seed: int, width: int, height:
     return sheet
 
 
+def robot_picture(
+    task: CompiledTask, poses: Sequence[np.ndarray], box: tuple[float, float], width: int, height: int
+) -> Image.Image:
+    """Draws a robot in several poses side by side, from ahead and its left.
+
+    Args:
+        task: The task in whose scene it stands.
+        poses: Generalised positions, each [nq].
+        box: Half of the side, and height of the box around the robot, m.
+        width: Width of each picture, pixels.
+        height: Its height, pixels.
+
+    Raises:
+        KickbenchError: There is no OpenGL.
+    """
+    sheet = Image.new("RGB", (len(poses) * width, height))
+    with Stage(task, width, height) as stage:
+        camera = stage.portrait(*box)
+        for index, qpos in enumerate(poses):
+            pixels = stage.picture(qpos, np.array([-3.0, 0.0]), camera)
+            sheet.paste(Image.fromarray(pixels), (index * width, 0))
+    return sheet
+
+
 def describe_start(ball: np.ndarray, target: np.ndarray) -> str:
     """`ball (0.42, +0.10) m, target 5.2 m at +34°`: Cartesian and polar as in the task file.
 

@@ -70,6 +70,17 @@ class Stage:
         points = np.concatenate([_box((0.0, 0.0), *_ROBOT), _box(ball, 0.2, 0.2), flag])
         return fit_camera(points, heading, _ELEVATION, self.width / self.height)
 
+    def portrait(self, half: float, height: float) -> mujoco.MjvCamera:
+        """A camera that has a box around the origin in the picture, seen from ahead and the left.
+
+        Args:
+            half: Half of the box's side, m.
+            height: Its height, m.
+        """
+        return fit_camera(
+            _box((0.0, 0.0), half, height), 180.0 + 2 * _ASIDE, _ELEVATION, self.width / self.height
+        )
+
     def picture(self, qpos: np.ndarray, target: np.ndarray, camera: mujoco.MjvCamera) -> np.ndarray:
         """Renders a state.
 

@@ -285,7 +285,7 @@ def test_a_robot_whose_feet_alone_collide_never_touches_the_floor_with_the_rest(
 
 def test_the_compiled_scene_has_the_masses_of_the_robot_by_itself(build):
     """The check of what differs would otherwise be an error; here it sees a difference that is made."""
-    from kickbench.sim.check import differences
+    from kickbench.sim.carried import differences
 
     scene = build(mjcf(), robot()).model
     native = mujoco.MjModel.from_xml_string(mjcf())

@@ -1,0 +1,1 @@
+"""A robot file from an MJCF, and what to know of a robot before it is trained."""

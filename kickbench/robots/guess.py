@@ -1,0 +1,293 @@
+"""What a robot file needs and an MJCF does not say: pose, feet and gains, guessed from geometry and masses."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+# pyright: reportAttributeAccessIssue=false
+import mujoco
+import numpy as np
+
+from kickbench.config.robot import InitialSpec
+from kickbench.errors import KickbenchError
+from kickbench.sim.carried import lost_parts, read_mjcf, unfit_parts
+from kickbench.sim.pose import apparent_inertia, base_joint, lowest_point, posed, touching_geoms, underside
+from kickbench.sim.read_parts import read_parts
+from kickbench.symmetry.derive import Derivation, derive
+
+GRAVITY = 9.81
+_SOLE = 0.02
+"""Bodies that reach within this height of the lowest point carry the robot, m."""
+_FREQUENCY = 20.0
+"""Natural frequency of a joint that carries nothing, rad/s."""
+_DAMPING = 0.7
+"""Damping ratio of the joint by itself."""
+_TIPPING = 2.0
+"""Stiffness of a leg joint over m g h / feet, below which the robot tips over it."""
+_SAG = 0.05
+"""Angle by which a leg joint gives way under the robot's weight, rad."""
+
+
+@dataclass(frozen=True)
+class Stepping:
+    """A way to step the physics, and the largest gains that it steps safely.
+
+    Attributes:
+        timestep: Physics time step dt, s.
+        integrator: MuJoCo's integrator.
+        stiffness: Largest kp dt^2 / I.
+        damping: Largest kd dt / I.
+    """
+
+    timestep: float
+    integrator: str
+    stiffness: float
+    damping: float
+
+
+STEPPINGS = (
+    Stepping(0.005, "euler", 0.5, 0.5),
+    Stepping(0.005, "implicitfast", 1.0, np.inf),
+    Stepping(0.002, "implicitfast", 1.0, np.inf),
+)
+"""From the fastest on; a single joint becomes unstable at 2 kd dt / I + kp dt^2 / I = 4 (euler)."""
+
+
+@dataclass(frozen=True)
+class Drive:
+    """A joint that an action moves.
+
+    Attributes:
+        name: Name of the actuator.
+        joint: Its joint.
+        effort: Largest torque or force, N m or N; None: the MJCF does not say.
+    """
+
+    name: str
+    joint: str
+    effort: float | None
+
+
+@dataclass(frozen=True)
+class Gains:
+    """Gains by joint, and how the physics is to be stepped with them."""
+
+    kp: Mapping[str, float]
+    kd: Mapping[str, float]
+    stepping: Stepping
+    stands: bool
+
+
+class Candidate:
+    """A robot whose MJCF is all that is known of it."""
+
+    def __init__(self, file: Path) -> None:
+        """Reads and compiles an MJCF.
+
+        Raises:
+            KickbenchError: MuJoCo cannot read it, or no robot file can be written for it; says why.
+        """
+        try:
+            spec = read_mjcf(str(file))
+            self.model: mujoco.MjModel = spec.compile()
+        except ValueError as error:
+            raise KickbenchError(f"{file}: MuJoCo cannot read it: {' '.join(str(error).split())}") from None
+        reasons = [*unfit_parts(spec), *lost_parts(spec)]
+        if base_joint(self.model) is None:
+            reasons.append("the model has no free joint: a robot that kicks stands on its own feet")
+        if not touching_geoms(self.model):
+            reasons.append("no geom of the model collides (contype and conaffinity are 0): it has no feet")
+        if reasons:
+            raise KickbenchError("\n".join(f"{file}: {reason}" for reason in reasons))
+        self.derivation: Derivation = derive(read_parts(self.model))
+
+    # Pose
+
+    @cached_property
+    def hinges(self) -> list[int]:
+        """Joints other than the free one, in the model's order."""
+        return [j for j in range(self.model.njnt) if j != base_joint(self.model)]
+
+    @cached_property
+    def moved(self) -> list[str]:
+        """Joints whose position in the keyframe or the reference pose is outside their range."""
+        free = self._reference()
+        return [self.model.joint(j).name for j in self.hinges if self._clipped(j, free) != free[j]]
+
+    @cached_property
+    def joints(self) -> dict[str, float]:
+        """Position of every joint."""
+        free = self._reference()
+        return {self.model.joint(j).name: self._clipped(j, free) for j in self.hinges}
+
+    def _reference(self) -> dict[int, float]:
+        qpos = self.model.key_qpos[0] if self.model.nkey else self.model.qpos0
+        return {j: round(float(qpos[self.model.jnt_qposadr[j]]), 6) for j in self.hinges}
+
+    def _clipped(self, joint: int, free: Mapping[int, float]) -> float:
+        low, high = self.model.jnt_range[joint] if self.model.jnt_limited[joint] else (-np.inf, np.inf)
+        return float(np.clip(free[joint], low, high))
+
+    @cached_property
+    def height(self) -> float:
+        """Height of the base's joint with the lowest geom on the floor, m."""
+        data = posed(self.model, InitialSpec(position=(0.0, 0.0, 0.0), joints=self.joints))
+        return -min(lowest_point(self.model, data, geom) for geom in touching_geoms(self.model))
+
+    @cached_property
+    def data(self) -> mujoco.MjData:
+        """The pose, on the floor."""
+        return posed(self.model, InitialSpec(position=(0.0, 0.0, self.height), joints=self.joints))
+
+    # Feet
+
+    @cached_property
+    def supports(self) -> list[int]:
+        """Bodies that stand on the floor."""
+        return supports(self.model, self.data)
+
+    @cached_property
+    def feet(self) -> tuple[int, int] | None:
+        """Left and right foot: of the bodies that stand on the floor the front-most with a mirror image."""
+        images = {match.name: match.partner for match in self.derivation.bodies}
+        pairs = []
+        for body in self.supports:
+            partner = images.get(self.model.body(body).name)
+            if partner is not None and self.data.xipos[body, 1] > 0.0:
+                other = self.model.body(partner).id
+                if other in self.supports and other != body:
+                    pairs.append((body, int(other)))
+        return max(pairs, key=lambda pair: self.data.xipos[pair[0], 0], default=None)
+
+    def sole(self, body: int) -> np.ndarray:
+        """Centre of a foot's underside in its frame [3], m."""
+        low, high = underside(self.model, self.data, touching_geoms(self.model, body))
+        place = np.array([*(low + high)[:2] / 2.0, low[2]])
+        return self.data.xmat[body].reshape(3, 3).T @ (place - self.data.xpos[body])
+
+    # Drives and gains
+
+    @cached_property
+    def drives(self) -> list[Drive]:
+        """The MJCF's actuators that drive a joint, the first of each; without any, all joints."""
+        model, efforts = self.model, efforts_of(self.model)
+        names = {j: model.actuator(a).name or model.joint(j).name for j, a in _driving(model).items()}
+        names = names or {j: model.joint(j).name for j in self.hinges}
+        return [
+            Drive(name, model.joint(j).name, efforts.get(model.joint(j).name)) for j, name in names.items()
+        ]
+
+    @cached_property
+    def mass(self) -> float:
+        """Mass, kg."""
+        return float(self.model.body_mass[1:].sum())
+
+    @cached_property
+    def centre(self) -> float:
+        """Height of the centre of mass above the floor, m."""
+        return centre_height(self.model, self.data)
+
+    @cached_property
+    def needed(self) -> dict[str, float]:
+        """Least stiffness of the leg joints: the robot neither tips over them nor sags through, N m/rad."""
+        model, data, share = self.model, self.data, GRAVITY * self.mass / max(1, len(self.supports))
+        needed = dict[str, float]()
+        for body in self.supports:
+            sole = data.xpos[body] + data.xmat[body].reshape(3, 3) @ self.sole(body)
+            for joint in self._chain(body):
+                load = np.cross(data.xaxis[joint], sole - data.xanchor[joint])[2] * share
+                least = max(_TIPPING * share * self.centre, abs(load) / _SAG)
+                name = model.joint(joint).name
+                needed[name] = max(least, needed.get(name, 0.0))
+        return needed
+
+    def _chain(self, body: int) -> Iterator[int]:
+        """Hinges between the root and a body."""
+        while body:
+            first = self.model.body_jntadr[body]
+            yield from (j for j in range(first, first + self.model.body_jntnum[body]) if j in self.hinges)
+            body = int(self.model.body_parentid[body])
+
+    @cached_property
+    def gains(self) -> Gains:
+        """Gains that are stable by construction, for the fastest stepping with which the legs are stiff enough."""
+        return next((g for g in self._options() if g.stands), None) or list(self._options())[-1]
+
+    def _options(self) -> Iterator[Gains]:
+        model, driven = self.model, [drive.joint for drive in self.drives]
+        dofs = {name: int(model.joint(name).dofadr[0]) for name in driven}
+        apparent, own = apparent_inertia(model, self.data), _own_inertia(model, self.data)
+        for stepping in STEPPINGS:
+            dt, kp, kd = stepping.timestep, dict[str, float](), dict[str, float]()
+            for name, dof in dofs.items():
+                wanted = self.needed.get(name, _FREQUENCY**2 * own[dof])
+                kp[name] = min(wanted, stepping.stiffness * apparent[dof] / dt**2)
+                damping = 2.0 * _DAMPING * np.sqrt(kp[name] * own[dof])
+                kd[name] = min(damping, stepping.damping * apparent[dof] / dt)
+            kp, kd = self._equal_sides(kp), self._equal_sides(kd)
+            stiff = all(kp[n] * _TIPPING >= 1.3 * self.needed[n] for n in driven if n in self.needed)
+            yield Gains(kp, kd, stepping, stiff)
+
+    def _equal_sides(self, values: Mapping[str, float]) -> dict[str, float]:
+        """The lesser of left and right, with two digits."""
+        images = self.derivation.image
+        return {n: two_digits(min(v, values.get(images.get(n, (n, 1))[0], v))) for n, v in values.items()}
+
+
+def supports(model: mujoco.MjModel, data: mujoco.MjData) -> list[int]:
+    """Bodies that stand on the floor, or reach as low as those that do."""
+    lowest = dict[int, float]()
+    for geom in touching_geoms(model):
+        body, height = int(model.geom_bodyid[geom]), lowest_point(model, data, geom)
+        lowest[body] = min(height, lowest.get(body, np.inf))
+    return [body for body, height in lowest.items() if height < min(lowest.values()) + _SOLE]
+
+
+def centre_height(model: mujoco.MjModel, data: mujoco.MjData) -> float:
+    """Height of the centre of mass, m."""
+    return float(model.body_mass[1:] @ data.xipos[1:, 2] / model.body_mass[1:].sum())
+
+
+def efforts_of(model: mujoco.MjModel) -> dict[str, float]:
+    """The least of the limits that an MJCF puts on each joint's drive, N m or N; joints without are left out."""
+    driving, found = _driving(model), dict[str, float]()
+    for joint in range(model.njnt):
+        limits = [np.abs(model.jnt_actfrcrange[joint]).max()] if model.jnt_actfrclimited[joint] else []
+        if (a := driving.get(joint)) is not None:
+            gear = abs(model.actuator_gear[a, 0])
+            if model.actuator_forcelimited[a]:
+                limits.append(gear * np.abs(model.actuator_forcerange[a]).max())
+            if model.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_NONE and model.actuator_ctrllimited[a]:
+                control = np.abs(model.actuator_ctrlrange[a]).max()
+                limits.append(gear * abs(model.actuator_gainprm[a, 0]) * control)
+        if limits and min(limits) > 0.0:
+            found[model.joint(joint).name] = float(min(limits))
+    return found
+
+
+def _driving(model: mujoco.MjModel) -> dict[int, int]:
+    """The first actuator of each joint that has one, in the actuators' order."""
+    drives = np.flatnonzero(model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT)
+    first = dict[int, int]()
+    for a in drives.tolist():
+        first.setdefault(int(model.actuator_trnid[a, 0]), a)
+    return first
+
+
+def _own_inertia(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
+    full = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, full)
+    return np.diag(full)
+
+
+def two_digits(value: float) -> float:
+    """A number with two significant digits."""
+    return float(f"{value:.2g}")
+
+
+def names_of(model: mujoco.MjModel, bodies: Sequence[int]) -> str:
+    """Names of bodies for a comment."""
+    return ", ".join(model.body(body).name for body in bodies)

@@ -1,0 +1,95 @@
+"""A robot file as text: every key, and a comment wherever a value was guessed."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from kickbench.config.yamltree import flow_yaml
+from kickbench.robots.guess import Candidate, Drive, names_of, two_digits
+from kickbench.symmetry.derive import symmetry_block
+
+_SCALE = 0.25
+"""Action scale, rad or m: that of the shipped humanoid; less where a joint's range is small."""
+
+
+def robot_file(model: Path, out: Path) -> str:
+    """Writes the text of a complete robot file for an MJCF.
+
+    Args:
+        model: The MJCF.
+        out: Where the text will be written: the model's path is relative to it.
+
+    Raises:
+        KickbenchError: No robot file can be written for the model; says why.
+    """
+    robot = Candidate(model)
+    parts = (_head(robot, model, out), _initial(robot), _actuators(robot), _feet(robot))
+    return "\n".join(["\n".join(part) + "\n" for part in parts]) + f"\n{_symmetry(robot, model)}\n"
+
+
+def _head(robot: Candidate, model: Path, out: Path) -> Iterator[str]:
+    gains, root = robot.gains, robot.model.body(1).name
+    stepping = f"{{timestep: {gains.stepping.timestep:g}, integrator: {gains.stepping.integrator}}}"
+    yield f"# {model.name}: {robot.mass:.4g} kg, centre of mass {robot.centre:.2f} m above the floor."
+    yield "# Written by `kickbench robot init`; GUESS marks what the MJCF does not say."
+    yield f"# The gains are stable with this in the task: simulation: {stepping}"
+    if not gains.stands:
+        yield "# They do not carry the robot: its legs' inertia is too small for stiffer ones at this time step."
+    yield f"model: {flow_yaml(os.path.relpath(model, out.parent))}"
+    yield f"base: {flow_yaml(root)}   # GUESS: the topmost body; observations are read in its frame"
+
+
+def _initial(robot: Candidate) -> Iterator[str]:
+    source = "the MJCF's first keyframe" if robot.model.nkey else "GUESS: the MJCF's reference pose"
+    yield "initial:"
+    yield f"  position: [0.0, 0.0, {robot.height:.4f}]   # m: the lowest geom that collides is on the floor"
+    yield f"  joints:   # rad or m: {source}"
+    width = max(len(flow_yaml(name)) for name in robot.joints)
+    for name, value in robot.joints.items():
+        moved = "   # GUESS: moved into its range" if name in robot.moved else ""
+        yield f"    {flow_yaml(name) + ':':{width + 1}} {float(f'{value:.6g}')!r}{moved}"
+
+
+def _actuators(robot: Candidate) -> Iterator[str]:
+    of = "The MJCF's actuators" if robot.model.nu else "GUESS: every joint, as the MJCF has no actuators"
+    yield f"# {of}, in the order of the action vector: tau = kp (u - q) - kd dq, u = default + scale * action."
+    yield "# GUESS: kp, N m/rad: a leg joint twice what keeps the robot from tipping over it, and sags by 0.05 rad;"
+    yield "# another joint 20 rad/s. kd, N m s/rad: damping ratio 0.7. Both no more than the time step allows."
+    yield "# GUESS: scale, rad or m: 0.25, or an eighth of the joint's range."
+    yield "actuators:"
+    names, joints = ([flow_yaml(getattr(d, key)) for d in robot.drives] for key in ("name", "joint"))
+    wide, width = max(map(len, names)), max(map(len, joints))
+    for name, joint, drive in zip(names, joints, robot.drives, strict=True):
+        yield f"  {name + ':':{wide + 1}} {{kind: position, joint: {joint + ',':{width + 1}} {_servo(robot, drive)}"
+
+
+def _servo(robot: Candidate, drive: Drive) -> str:
+    kp, kd = robot.gains.kp[drive.joint], robot.gains.kd[drive.joint]
+    effort, note = drive.effort, ""
+    if effort is None:
+        effort, note = two_digits(max(kp / 2.0, 1e-3)), "   # GUESS: effort, N m: what kp asks for at 0.5 rad"
+    low, high = robot.model.joint(drive.joint).range
+    scale = two_digits(min(_SCALE, (high - low) / 8.0)) if high > low else _SCALE
+    return f"kp: {kp!r}, kd: {kd!r}, effort: {float(f'{effort:.6g}')!r}, scale: {scale!r}}}{note}"
+
+
+def _feet(robot: Candidate) -> Iterator[str]:
+    standing = names_of(robot.model, robot.supports)
+    if robot.feet is None:
+        yield f"# NOT FOUND: feet; no left and right body among those that stand on the floor: {standing}"
+        return
+    yield f"# GUESS: the front-most pair of the bodies that stand on the floor ({standing})."
+    yield "# offset, m: the middle of the underside of all that collides of the body."
+    yield "feet:"
+    for side, body in zip(("left", "right"), robot.feet, strict=True):
+        offset = ", ".join(f"{value:z.4f}" for value in np.round(robot.sole(body), 4))
+        name = flow_yaml(robot.model.body(body).name)
+        yield f"  {side + ':':6} {{body: {name}, offset: [{offset}]}}"
+
+
+def _symmetry(robot: Candidate, model: Path) -> str:
+    return symmetry_block(robot.derivation, model.name)

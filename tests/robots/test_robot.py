@@ -1,0 +1,126 @@
+"""`robot init` and `robot check`: from an MJCF to a robot that stands, and what is refused."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+import yaml
+
+from kickbench.cli import main
+
+README = Path(__file__).parents[2] / "assets/README.md"
+
+
+def run(capsys, command: str) -> tuple[int, str]:
+    code = main(shlex.split(command)[1:])
+    out = capsys.readouterr()
+    return code, out.out + out.err
+
+
+def test_the_walk_through_of_the_readme_runs_as_printed(biped, capsys):
+    blocks = re.findall(r"```console\n(.*?)```", README.read_text(), re.S)
+    steps = [step for block in blocks for step in block.split("$ ")[1:]]
+    assert len(steps) == 3
+    for step in steps:
+        command, *expected = step.rstrip().splitlines()
+        code, out = run(capsys, command)
+        assert code == 0, out
+        printed = out.splitlines()
+        assert not [line for line in expected if line != "..." and line not in printed], out
+
+
+def test_the_written_file_says_what_it_guessed_and_both_sides_are_equal(biped, capsys):
+    assert run(capsys, "kickbench robot init my_robot.xml")[0] == 0
+    text = Path("robot.yaml").read_text()
+    robot = yaml.safe_load(text)
+    assert robot["initial"]["position"][2] == pytest.approx(0.1 + 0.25 + 0.045)
+    assert robot["feet"]["left"] == {"body": "left_foot", "offset": [0.02, 0.0, -0.045]}
+    servos = robot["actuators"]
+    assert servos["left_hip_pitch"]["effort"] == 25.0
+    for name, servo in servos.items():
+        partner = servos[name.replace("left", "right")]
+        assert {**servo, "joint": ""} == {**partner, "joint": ""}
+    guessed = [line for line in text.splitlines() if "GUESS: effort" in line]
+    assert [line.split(":")[0].strip() for line in guessed] == ["left_ankle_roll", "right_ankle_roll"]
+    assert set(robot["symmetry"]["regular_sign"]["left"]) == {"left_hip_roll", "left_ankle_roll"}
+
+
+def test_an_existing_file_is_not_overwritten(biped, capsys):
+    Path("robot.yaml").write_text("mine")
+    assert run(capsys, "kickbench robot init my_robot.xml") == (2, "robot.yaml: is there already\n")
+    assert Path("robot.yaml").read_text() == "mine"
+
+
+REFUSED = {
+    "no free joint": ('<freejoint name="free"/>', "", "no free joint"),
+    "ball joint": (
+        '<geom name="left_sole"',
+        '<body name="toe"><joint name="toe" type="ball"/><geom size="0.01"/></body><geom name="left_sole"',
+        "the joint 'toe' is a ball joint",
+    ),
+    "nothing collides": (
+        "<default>",
+        '<default><geom contype="0" conaffinity="0"/>',
+        "no geom of the model collides",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_cannot_be_a_robot_is_refused_with_a_reason_and_nothing_is_written(biped, capsys, case):
+    old, new, reason = REFUSED[case]
+    text = Path("my_robot.xml").read_text()
+    Path("my_robot.xml").write_text(text.replace(old, new))
+    code, out = run(capsys, "kickbench robot init my_robot.xml")
+    assert code == 2
+    assert reason in out
+    assert not Path("robot.yaml").exists()
+
+
+def test_check_fails_a_robot_whose_ankles_are_too_weak_to_stand(biped, capsys):
+    run(capsys, "kickbench robot init my_robot.xml")
+    text = re.sub(r"(ankle_\w+, +kp: )[\d.]+", r"\g<1>0.5", Path("robot.yaml").read_text())
+    Path("robot.yaml").write_text(text)
+    code, out = run(capsys, "kickbench robot check robot.yaml --json")
+    facts = {fact["name"]: fact for fact in json.loads(out)["facts"]}
+    assert code == 1
+    assert not json.loads(out)["passed"]
+    assert facts["least stiff ankle"]["verdict"] == "warn"
+    assert facts["stands, 2 ms, euler"]["verdict"] == "FAIL"
+
+
+FINDINGS = {
+    "in the air": (r"0\.0, 0\.0, 0\.395\d*", "0.0, 0.0, 0.6", 2, "lowest point begins 205 mm above"),
+    "in the floor": (r"0\.0, 0\.0, 0\.395\d*", "0.0, 0.0, 0.3", 2, "95 mm in the floor"),
+    "beyond its range": (r"left_hip_pitch: +0\.0", "left_hip_pitch: 2.0", 2, "outside its range"),
+    "sole off the foot": (r"0\.02[^\]]+\]\}\n  right", "0, 0, 0.1]}\n  right", 2, "the sole is 145 mm"),
+    "unequal pose": (
+        r"left_hip_roll: +0\.0",
+        "left_hip_roll: 0.1",
+        0,
+        "a symmetric pose has 0, the mirror image of",
+    ),
+    "unequal gains": (
+        r"(left_hip_roll, +)kp: [\d.]+",
+        r"\1kp: 77.0",
+        0,
+        "actuators.left_hip_roll.kp: kp is 77.0",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", FINDINGS)
+def test_validate_names_what_is_wrong_where_it_is(biped, capsys, case):
+    old, new, expected, message = FINDINGS[case]
+    run(capsys, "kickbench robot init my_robot.xml")
+    text, count = re.subn(old, new, Path("robot.yaml").read_text())
+    assert count == 1
+    Path("robot.yaml").write_text(text)
+    code, out = run(capsys, "kickbench validate robot.yaml")
+    assert code == expected, out
+    assert message in out
+    assert re.search(r"robot\.yaml:\d+:\d+: ", out)
