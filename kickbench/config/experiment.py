@@ -276,6 +276,9 @@ class ReportedEvaluationSpec(Spec):
     """Paths of transfer tasks: the same policies are evaluated on them."""
 
 
+POINT = ","
+"""Separates the name of a condition from the settings of a point of a sweep: `baseline,desired_kl=0.01`."""
+
 Grid = Annotated[
     dict[str, Annotated[tuple[Any, ...], Field(strict=False, min_length=1), distinct("value")]],
     Field(min_length=1),

@@ -38,7 +38,7 @@ import numpy as np
 import pandas as pd
 from pydantic import BaseModel
 
-from kickbench.config.experiment import Side
+from kickbench.config.experiment import POINT, Side
 from kickbench.config.load import load_method
 from kickbench.errors import KickbenchError, shown
 from kickbench.results.episodes import NON_FINITE
@@ -271,7 +271,7 @@ def _planned_rows(root: Path, experiment: LoadedExperiment) -> Iterator[Row]:
             for row in rows:
                 row |= trained
                 if row["state"] == "finished":
-                    row["counted"] = found == seed and row["identity"] == planned.specs.fingerprint
+                    row["counted"] = found == seed and planned.is_of(row)
                 yield row
 
 
@@ -290,6 +290,20 @@ class _Planned:
         arm = self._arm
         return planned_specs(load_trial(arm.task.document.file, arm.method.document.file, arm.overrides))
 
+    def is_of(self, row: Row) -> bool:
+        """Whether a run has the planned identity, and began with the policy of the planned run."""
+        source, path = self._arm.init_from, Path(row["path"])
+        if source is None:
+            return row["identity"] == self.specs.fingerprint
+        with suppress(KickbenchError):
+            parts, initial = dict(read_identity(path).parts), row["provenance"].initial
+            of = source if isinstance(source, Path) else run_path(path.parents[1], source, row["seed"])
+            has_begun_so = initial is not None and initial.std == self._arm.init_std
+            has_begun_so &= parts.pop("initial_policy", None) is not None
+            same = has_begun_so and initial.fingerprint == read_identity(of).fingerprint
+            return same and parts == self.specs.identity.parts
+        return False
+
     def deviation(self, row: Row, seed: int, planned_seed: int) -> str | None:
         """In what a finished run differs from the plan, in words; None: in nothing."""
         arm, parts = self._arm, []
@@ -301,7 +315,7 @@ class _Planned:
             parts.append(f"{row['iterations']:,} of {arm.iterations:,} iterations")
         if row["episodes"] != arm.episodes:
             parts.append(f"{row['episodes']:,} of {arm.episodes:,} episodes")
-        if row["identity"] != self.specs.fingerprint:
+        if not self.is_of(row):
             parts += self._differences(RunDirectory(row["path"]))
         return ", ".join(parts) or None
 
@@ -341,9 +355,12 @@ def _with_groups(frame: pd.DataFrame) -> pd.DataFrame:
         f"{row.identity or f'{row.task}/{row.method}'} {known(row, 'iterations')} {known(row, 'scale')}"
         for row in rows
     ]
+    # A point of a sweep is called as its folder is: it differs from the others in what the name says.
+    folders = [Path(row.path).parent.name for row in rows]
+    methods = finished.method.where([POINT not in folder for folder in folders], folders)
     names = {
         "setting_name": _numbered(finished.task, settings, [""] * len(rows)),
-        "group": _numbered(finished.method, groups, settings),
+        "group": _numbered(methods, groups, settings),
     }
     return frame.assign(**{name: labels.reindex(frame.index) for name, labels in names.items()})
 

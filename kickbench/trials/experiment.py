@@ -18,6 +18,7 @@ from typing import Any
 
 from kickbench.config.experiment import (
     OF_A_RUN,
+    POINT,
     AnyClaim,
     ExperimentSpec,
     FiguresSpec,
@@ -32,9 +33,6 @@ from kickbench.config.yamlio import Document, flow_yaml
 from kickbench.envs.catalog import model_of_task
 from kickbench.errors import KeyPath, Problem, SpecError, collected, did_you_mean
 from kickbench.trials.trial import load_both
-
-POINT = ","
-"""Separates the name of a condition from the settings of a point of a sweep: `baseline,desired_kl=0.01`."""
 
 
 @dataclass(frozen=True)
