@@ -21,6 +21,14 @@ from kickbench.trials.experiment import load_experiment
 
 from .test_reproduce import assert_same_run, wait_for
 
+# Ray gives processes half a minute to start, which on a busy machine is too little. It reads these when imported.
+for name in (
+    "raylet_start_wait_time_s",
+    "gcs_server_request_timeout_seconds",
+    "worker_register_timeout_seconds",
+):
+    os.environ.setdefault(f"RAY_{name}", "600")
+os.environ.setdefault("RAY_health_check_timeout_ms", "60000")
 ray = pytest.importorskip("ray", reason="Ray is not installed: pip install 'kickbench[ray]'")
 cluster_utils = pytest.importorskip("ray.cluster_utils")
 
@@ -58,14 +66,7 @@ class Nodes:
         return self.cluster.address
 
     def add(self, cores: int = 1) -> None:
-        """Adds a node; on a busy machine its processes may not start in the time that Ray gives them."""
-        for attempt in range(4):
-            try:
-                self.cluster.add_node(num_cpus=cores, **NODE)
-                return
-            except Exception:
-                if attempt == 3:
-                    raise
+        self.cluster.add_node(num_cpus=cores, **NODE)
 
     def kill_node_of(self, worker: int) -> None:
         """Kills the node that a worker process belongs to, and adds another."""
