@@ -168,12 +168,11 @@ def test_a_worker_and_a_node_are_killed_and_the_runs_are_the_same(nodes, file, a
     first, second = (run.directory for run in made.runs)
     driver = subprocess.Popen([sys.executable, "-m", "kickbench", *command(file, made.folder, nodes.address)])
     try:
-        killed = caught(first)
-        os.kill(killed, signal.SIGKILL)
-        repeated(first, killed)
-        killed = caught(second)
-        nodes.kill_node_of(killed)
-        repeated(second, killed)
+        workers = caught(first), caught(second)
+        os.kill(workers[0], signal.SIGKILL)
+        nodes.kill_node_of(workers[1])
+        repeated(first, workers[0])
+        repeated(second, workers[1])
         assert driver.wait() == 0
     finally:
         driver.kill()
