@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -162,11 +163,49 @@ def test_a_training_records_the_command_that_repeats_it(tmp_path):
         kickbench.train("mini_home_field", "mini/baseline", out=tmp_path / "run")
 
 
+def readme_blocks() -> list[str]:
+    return re.findall(r"```python\n(.*?)```", (ROOT / "results/README.md").read_text(), flags=re.DOTALL)
+
+
+class PlayedTrial:
+    """A trial as Optuna gives it, with the lowest values and never pruned."""
+
+    number = 3
+
+    def __init__(self) -> None:
+        self.reported: list[tuple[float, int]] = []
+
+    def suggest_float(self, name: str, low: float, high: float, *, log: bool) -> float:
+        return low
+
+    def report(self, value: float, step: int) -> None:
+        self.reported.append((value, step))
+
+    def should_prune(self) -> bool:
+        return False
+
+
+def test_the_search_in_the_readme_trains_what_optuna_suggests(tmp_path, monkeypatch):
+    trial, study = PlayedTrial(), SimpleNamespace(best_value=0.0, best_params={})
+    study.optimize = lambda objective, n_trials: setattr(study, "best_value", objective(trial))
+    optuna = SimpleNamespace(Trial=PlayedTrial, TrialPruned=RuntimeError, create_study=lambda **_: study)
+    monkeypatch.setitem(sys.modules, "optuna", optuna)
+    monkeypatch.chdir(tmp_path)
+    (block,) = [block for block in readme_blocks() if "optuna" in block]
+    tiny = block.replace("overrides=settings", 'overrides=[*settings, "evaluation.episodes=8"], num_envs=16')
+    assert tiny != block
+    exec(tiny.replace("iterations=390", "iterations=1"), {})
+    runs = [kickbench.load_run(tmp_path / f"runs/search/trial3/seed{seed}") for seed in (100, 101)]
+    assert [run.specs.method.algorithm.entropy_coefficient for run in runs] == [1e-4] * 2
+    rates = [run.metrics.evaluation.in_distribution.success_rate for run in runs]
+    assert trial.reported == [(rates[0], 100), (sum(rates) / 2, 101)]
+
+
 def test_the_code_in_the_readme_runs(tmp_path, monkeypatch, capsys):
     pytest.importorskip("gymnasium")
     (tmp_path / "results").symlink_to(ROOT / "results")
     monkeypatch.chdir(tmp_path)
-    blocks = re.findall(r"```python\n(.*?)```", (ROOT / "results/README.md").read_text(), flags=re.DOTALL)
+    blocks = [block for block in readme_blocks() if "optuna" not in block]
     assert blocks
     names: dict[str, object] = {}
     for block in blocks:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import sys
+import textwrap
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from kickbench.cli import app as cli
 from kickbench.config.shipped import find, find_method
@@ -88,7 +89,17 @@ def reproduce(
     ),
     scale: cli.Scale = None,
     overrides: cli.Set = cli.NONE,
-    jobs: int = cli.count("Runs at a time (default: 1).", default=1),
+    jobs: int = cli.count("Runs at a time on this machine (default: 1).", default=1),
+    on: Literal["local", "ray"] = cli.option("Where: this machine, or a Ray cluster.", default="local"),
+    address: str | None = cli.option(
+        "Of the Ray cluster (default: one is started on this machine).", metavar="HOST:PORT"
+    ),
+    cpus_per_run: int = cli.count("Cores that Ray gives a run (default: 1).", default=1),
+    gpus_per_run: float | None = cli.option(
+        "Share of a GPU that Ray gives a run (default: 0, of `--device cuda` 1).",
+        metavar="SHARE",
+        parser=cli.number(0, 64),
+    ),
     device: cli.Device = "cpu",
     threads: cli.Threads = None,
     out: Path | None = cli.option(
@@ -101,24 +112,37 @@ def reproduce(
     file = find(experiment, "reported")
     if len(set(seeds)) < len(seeds):
         raise KickbenchError("--seeds: a seed is there twice")
+    from kickbench.launch.cluster import RayExecutor, require_ray
     from kickbench.launch.jobs import carry_out
+    from kickbench.launch.local import LocalExecutor
     from kickbench.launch.plan import Selection, make_plan
     from kickbench.sim.engine import check_device, usable_cores
     from kickbench.trials.experiment import load_experiment
 
-    check_device(device)
-    selection = Selection(tuple(only), tuple(seeds), scale, tuple(overrides), out)
+    if on == "ray":
+        cli.exclude("--on ray", True, "--jobs", jobs > 1)
+        require_ray()
+    else:
+        check_device(device)
+        cpus_per_run = max(1, usable_cores() // jobs)
+    threads = threads or cpus_per_run
+    gpus = float(device != "cpu") if gpus_per_run is None else gpus_per_run
+    selection = Selection(tuple(only), tuple(seeds), scale, tuple(overrides), out, device, threads)
     plan = make_plan(load_experiment(file), selection)
-    threads = threads or max(1, usable_cores() // jobs)
-    _print_plan(plan, jobs, threads)
+    _print_plan(
+        plan, jobs, "as many at a time as fit on Ray" if on == "ray" else f"{jobs} at a time", threads
+    )
     if dry_run:
         return 0
-    carried_out = carry_out(plan, jobs, threads, device)
+    carried_out = carry_out(
+        plan,
+        lambda: RayExecutor(plan.folder, address, cpus_per_run, gpus) if on == "ray" else LocalExecutor(jobs),
+    )
     _print_results(plan)
     return _exit_code(carried_out)
 
 
-def _print_plan(plan: Plan, at_a_time: int, threads: int) -> None:
+def _print_plan(plan: Plan, at_a_time: int, how: str, threads: int) -> None:
     from kickbench.launch.state import counts, run_table, time_left
 
     rows, states = [], []
@@ -127,8 +151,8 @@ def _print_plan(plan: Plan, at_a_time: int, threads: int) -> None:
         rows.append((run.name, state, f"to be evaluated on {missing}" if missing else ""))
         states.append((run.record.arm, state))
     print(run_table(plan.record.title(shown(plan.folder)), rows))
-    how = f"{at_a_time} at a time, {threads} thread{'s' * (threads > 1)} each"
-    print(f"\n{counts([state for _, state in states])}; {how}")
+    each = f"{threads} thread{'s' * (threads > 1)} each"
+    print(f"\n{counts([state for _, state in states])}; {how}, {each}")
     print(f"time left: {time_left(states, at_a_time)}\n", flush=True)
 
 
@@ -151,9 +175,13 @@ def _print_results(plan: Plan) -> None:
 
 def _exit_code(jobs: Jobs) -> int:
     """0, or another number if a run has failed or not ended; which is printed."""
+    from kickbench.launch.work import last_lines
+
     failed = [job for job in jobs.jobs if job.outcome.value == "failed"]
     for job in failed:
-        print(f"{job.run.name} failed: {job.reason} ({shown(job.run.directory.log)})", file=sys.stderr)
+        log = job.run.directory.log
+        print(f"{job.run.name} failed: {job.reason} ({shown(log)})", file=sys.stderr)
+        print(textwrap.indent(last_lines(log, 5), "    "), file=sys.stderr)
     if jobs.interrupted:
         print("stopped; the same command goes on", file=sys.stderr)
         return 130
@@ -167,21 +195,23 @@ def demo(
 ) -> int:
     """Train three methods on the mini home-field task and show what came of them."""
     from kickbench.launch.jobs import carry_out
+    from kickbench.launch.local import LocalExecutor
     from kickbench.launch.plan import Selection, make_plan
     from kickbench.results.frame import load_runs
     from kickbench.results.tables import render_table
     from kickbench.sim.engine import usable_cores
     from kickbench.trials.experiment import load_experiment
 
-    selection = Selection(CONDITIONS, seeds=(0,), scale=scale, out=out)
+    at_a_time = min(len(CONDITIONS), usable_cores())
+    threads = max(1, usable_cores() // at_a_time)
+    selection = Selection(CONDITIONS, seeds=(0,), scale=scale, out=out, threads=threads)
     plan = make_plan(load_experiment(find(DEMO, "reported")), selection)
-    at_a_time = min(len(plan.runs), usable_cores())
     print(f"""\
 The mini kicker trains with ball and target on its left only. Which method kicks as well on its right?
 Three methods, one seed each, {at_a_time} at a time; Ctrl-C stops, the same command goes on.
 """)
     sys.stdout.flush()
-    if code := _exit_code(carry_out(plan, at_a_time, max(1, usable_cores() // at_a_time))):
+    if code := _exit_code(carry_out(plan, lambda: LocalExecutor(at_a_time))):
         return code
     runs = load_runs(plan.folder)
     print(f"\n{render_table(runs)}\n\n{sentence(runs)}\n", flush=True)

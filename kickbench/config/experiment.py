@@ -6,7 +6,8 @@ are 0.02), distances metres. It is about the mean over the conditions' seeds, or
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, get_args
+from itertools import product
+from typing import Annotated, Any, Literal, get_args
 
 from pydantic import Field, model_validator
 
@@ -210,6 +211,11 @@ class ConditionSpec(Spec):
     """Seeds of training; default: the experiment's."""
     iterations: PositiveInt | None = None
     """Training iterations; default: the experiment's."""
+    init_from: str | None = Field(default=None, min_length=1)
+    """What the training begins with: a condition, whose run of the same seed is done first, or the path of a
+    run directory; default: random networks."""
+    init_std: PositiveFloat | None = None
+    """Standard deviation of the actions to begin with; default: that of the policy of `init_from`."""
     reported: ReportedFiguresSpec | None = None
     """What was reported of this condition."""
 
@@ -223,6 +229,18 @@ class ReportedEvaluationSpec(Spec):
     """Paths of transfer tasks: the same policies are evaluated on them."""
 
 
+POINT = ","
+"""Separates the name of a condition from the settings of a point of a sweep: `baseline,desired_kl=0.01`."""
+
+Grid = Annotated[
+    dict[str, Annotated[tuple[Any, ...], Field(strict=False, min_length=1), distinct("value")]],
+    Field(min_length=1),
+]
+Points = Annotated[
+    tuple[Annotated[dict[str, Any], Field(min_length=1)], ...], Field(strict=False, min_length=1)
+]
+
+
 class ExperimentSpec(Spec):
     """An experiment."""
 
@@ -234,6 +252,9 @@ class ExperimentSpec(Spec):
     """Path of the task of all conditions that do not name their own."""
     conditions: dict[Name, ConditionSpec] = Field(min_length=1)
     """What is compared, by name; a condition's name is also that of its folder."""
+    sweep: Grid | Points | None = None
+    """Settings of task or method by `key.path`: a mapping to lists of values, all of whose combinations are
+    tried, or a list of mappings to values. Every condition is done at each of these points."""
     seeds: Seeds
     """Seeds of training."""
     iterations: PositiveInt | None = None
@@ -245,6 +266,21 @@ class ExperimentSpec(Spec):
     what was reported there (`near_reported`). A claim of this experiment replaces one of the same name."""
     claims: dict[Name, Claim | None] = Field(default_factory=dict)
     """What is claimed of the figures, by name; null drops a claim of `claims_of`."""
+
+    def points(self) -> list[dict[str, Any]]:
+        """The settings of each point of the sweep; one without settings if there is none."""
+        if self.sweep is None:
+            return [{}]
+        if isinstance(self.sweep, tuple):
+            return list(self.sweep)
+        return [dict(zip(self.sweep, values, strict=True)) for values in product(*self.sweep.values())]
+
+    @model_validator(mode="after")
+    def _what_begins_with_a_policy_names_it(self) -> ExperimentSpec:
+        for name, condition in self.conditions.items():
+            if condition.init_std is not None and condition.init_from is None:
+                raise ValueError(f"the condition '{name}' has an init_std, which needs an init_from")
+        return self
 
     @model_validator(mode="after")
     def _every_condition_has_a_task(self) -> ExperimentSpec:

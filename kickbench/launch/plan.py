@@ -6,12 +6,15 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from kickbench.errors import KickbenchError, Problem, SpecError, did_you_mean, shown
+from kickbench.errors import KickbenchError, Problem, SpecError, did_you_mean
 from kickbench.launch.record import PlanRecord, RunRecord
+from kickbench.launch.run import RunRequest
 from kickbench.launch.state import RunState, State, read_state
 from kickbench.results.metrics import load_metrics
+from kickbench.results.provenance import ExperimentRef
 from kickbench.results.store import RunDirectory
-from kickbench.training.resume import check_same
+from kickbench.training.resume import begin_from, check_same
+from kickbench.training.trained import load_run
 from kickbench.trials.experiment import Condition, LoadedExperiment
 from kickbench.trials.trial import Trial, load_trial
 
@@ -26,6 +29,8 @@ class Selection:
         scale: Factor in (0, 1) on iterations and episodes; None: full size.
         overrides: `key.path=value` texts for every run.
         out: Folder of the runs; None: `default_folder`.
+        device: Where they train.
+        threads: Threads of each.
     """
 
     only: tuple[str, ...] = ()
@@ -33,6 +38,8 @@ class Selection:
     scale: float | None = None
     overrides: tuple[str, ...] = ()
     out: Path | None = None
+    device: str = "cpu"
+    threads: int = 1
 
     def default_folder(self, experiment: str) -> Path:
         """`runs/<experiment>`; for runs that are not those of the experiment's file, a folder of their own."""
@@ -42,19 +49,19 @@ class Selection:
 
 @dataclass(frozen=True)
 class PlannedRun:
-    """One run of a plan.
+    """One run of a plan: plain data, which an executor carries to where it is done.
 
     Attributes:
         record: What it is.
-        directory: Where it is.
-        arguments: The arguments of `kickbench run`, without those that say how it is run.
-        also: Paths of the further tasks of its evaluation, by name.
+        request: How it is trained, and where it lies.
+        transfer: Paths of the transfer tasks of its evaluation, by name.
+        after: Name of the run of the plan whose policy it begins with; None: none.
     """
 
     record: RunRecord
-    directory: RunDirectory
-    arguments: tuple[str, ...]
-    also: Mapping[str, Path]
+    request: RunRequest
+    transfer: Mapping[str, Path]
+    after: str | None = None
 
     @property
     def name(self) -> str:
@@ -62,9 +69,14 @@ class PlannedRun:
         return self.record.folder.as_posix()
 
     @property
+    def directory(self) -> RunDirectory:
+        """Where it is."""
+        return RunDirectory(self.request.out or self.record.folder)
+
+    @property
     def missing_evaluations(self) -> tuple[str, ...]:
-        """The further tasks that there is no valid evaluation on."""
-        return tuple(name for name in self.also if not _is_valid(self.directory.also(name)))
+        """The transfer tasks that there is no valid evaluation on."""
+        return tuple(name for name in self.transfer if not _is_valid(self.directory.also(name)))
 
     def read_state(self) -> RunState:
         """How far it is now."""
@@ -89,36 +101,53 @@ class Plan:
 
 
 def make_plan(experiment: LoadedExperiment, selection: Selection) -> Plan:
-    """Plans the runs that are asked for, and checks what is there of them.
+    """Plans the runs that are asked for, those that they begin with first, and checks what is there of them.
 
     Raises:
         SpecError: A condition does not exist, an override does not fit, or a folder holds another run; all
             runs that do are named with every key that differs. Nothing has been written.
     """
-    for name in selection.only:
-        if name not in experiment.conditions:
-            what = f"{experiment.name} has no such condition; it has: {', '.join(experiment.conditions)}"
-            raise SpecError.of(f"--only {name}", what, did_you_mean(name, experiment.conditions))
     folder = selection.out or selection.default_folder(experiment.name)
-    columns, records, problems = list[list[PlannedRun]](), list[RunRecord](), list[Problem]()
+    chosen, columns = _chosen(experiment, selection), list[list[PlannedRun]]()
+    records, problems = list[RunRecord](), list[Problem]()
     for condition in experiment.conditions.values():
-        overrides = (*condition.overrides, *selection.overrides)
         trial = load_trial(
-            condition.task.document.file, condition.method.document.file, overrides, selection.scale
+            condition.task.document.file,
+            condition.method.document.file,
+            (*condition.overrides, *selection.overrides),
+            selection.scale,
         )
-        is_chosen = not selection.only or condition.name in selection.only
-        asked = (selection.seeds or condition.seeds) if is_chosen else ()
+        asked = chosen.get(condition.name, ())
         own = {seed: _record(condition, trial, seed) for seed in dict.fromkeys((*condition.seeds, *asked))}
         records += own.values()
         columns.append([_planned(experiment, selection, condition, folder, own[seed]) for seed in asked])
         for run in columns[-1]:
-            problems += _differences(run.directory, trial, run.record.seed, selection.scale)
+            problems += _differences(run, trial)
     if problems:
         raise SpecError([*problems, Problem(None, (), "--out takes another folder")])
     record = PlanRecord(
         experiment=experiment.name, scale=selection.scale, overrides=selection.overrides, runs=tuple(records)
     )
     return Plan(experiment, record, tuple(_in_turn(columns)), folder)
+
+
+def _chosen(experiment: LoadedExperiment, selection: Selection) -> dict[str, tuple[int, ...]]:
+    """Seeds of the conditions that are asked for, and of those whose policies they begin with."""
+    conditions = experiment.conditions
+    for name in selection.only:
+        if not any(condition.is_meant_by(name) for condition in conditions.values()):
+            what = f"{experiment.name} has no such condition; it has: {', '.join(conditions)}"
+            raise SpecError.of(f"--only {name}", what, did_you_mean(name, conditions))
+    chosen: dict[str, tuple[int, ...]] = {}
+    for condition in conditions.values():
+        if not selection.only or any(condition.is_meant_by(name) for name in selection.only):
+            chosen[condition.name] = selection.seeds or condition.seeds
+    for name in list(chosen):
+        source = conditions[name].init_from
+        while isinstance(source, str):
+            chosen[source] = tuple(dict.fromkeys((*chosen.get(source, ()), *chosen[name])))
+            source = conditions[source].init_from
+    return chosen
 
 
 def _in_turn(columns: list[list[PlannedRun]]) -> Iterator[PlannedRun]:
@@ -141,26 +170,40 @@ def _record(condition: Condition, trial: Trial, seed: int) -> RunRecord:
 def _planned(
     experiment: LoadedExperiment, selection: Selection, condition: Condition, folder: Path, record: RunRecord
 ) -> PlannedRun:
-    files = [shown(loaded.document.file) for loaded in (condition.task, condition.method)]
-    options = [("--seed", str(record.seed))]
-    options += [("--set", text) for text in (*condition.overrides, *selection.overrides)]
-    options += [] if selection.scale is None else [("--scale", f"{selection.scale!r}")]
-    options += [("--experiment", shown(experiment.document.file)), ("--out", str(folder / record.folder))]
-    arguments = (*files, *(part for option in options for part in option))
-    also = {name: task.document.file for name, task in condition.transfer.items()}
-    return PlannedRun(record, RunDirectory(folder / record.folder), arguments, also)
+    source, after = condition.init_from, None
+    if isinstance(source, str):
+        after = f"{source}/seed{record.seed}"
+        source = folder / after
+    request = RunRequest(
+        task=condition.task.document.file,
+        method=condition.method.document.file,
+        seed=record.seed,
+        overrides=(*condition.overrides, *selection.overrides),
+        scale=selection.scale,
+        out=folder / record.folder,
+        device=selection.device,
+        threads=selection.threads,
+        resume=True,
+        init_from=source,
+        init_std=condition.init_std,
+        experiment=ExperimentRef(name=experiment.name, claims=experiment.claims_hash),
+    )
+    transfer = {name: task.document.file for name, task in condition.transfer.items()}
+    return PlannedRun(record, request, transfer, after)
 
 
-def _differences(directory: RunDirectory, trial: Trial, seed: int, scale: float | None) -> Iterable[Problem]:
+def _differences(run: PlannedRun, trial: Trial) -> Iterable[Problem]:
     """In what a run that has been begun is another one. Its checkpoint is compared when it is taken up."""
-    state = read_state(directory, trial.method.spec.algorithm.iterations).state
+    request, directory = run.request, run.directory
     # What is new or damaged fails by itself, and keeps no other from running; a running one may just write
     # its specs.
-    if state in (State.NEW, State.DAMAGED, State.RUNNING):
+    if run.read_state().state in (State.NEW, State.DAMAGED, State.RUNNING):
         return []
     recorded = load_metrics(directory.metrics).model_dump() if directory.is_finished else None
     try:
-        check_same(directory, trial, seed, scale, recorded)
+        if request.init_from is not None:
+            trial, _ = begin_from(trial, load_run(request.init_from), request.init_std)
+        check_same(directory, trial, request.seed, request.scale, recorded)
     except SpecError as error:
         return error.problems
     except KickbenchError as error:

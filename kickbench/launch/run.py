@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -53,11 +53,11 @@ class RunRequest:
         threads: Threads of physics and torch; default: the cores this process may use.
         force: Overwrite a run that is there.
         resume: Go on with a run that is there; begin it if there is none.
-        command: The command line, for provenance.
+        command: The command line, for provenance; default: one that makes the same run.
         init_from: Run directory whose policy it begins with; None: random networks.
         init_std: Standard deviation of the actions to begin with instead of that policy's.
-        experiment: Path of the experiment that the run is begun for; its claims are recorded. None: it is for
-            itself.
+        experiment: The experiment that the run is begun for, or its path; its claims are recorded. None: it is
+            for itself.
     """
 
     task: Path
@@ -76,7 +76,23 @@ class RunRequest:
     command: Sequence[str] = ()
     init_from: Path | None = None
     init_std: float | None = None
-    experiment: Path | None = None
+    experiment: ExperimentRef | Path | None = None
+
+    @property
+    def command_line(self) -> Sequence[str]:
+        """The command, or a `kickbench run` that makes the same run."""
+        values = {
+            "--seed": self.seed,
+            "--scale": self.scale,
+            "--init-from": self.init_from,
+            "--init-std": self.init_std,
+            "--iterations": self.iterations,
+            "--num-envs": self.num_envs,
+        }
+        options = [(flag, str(value)) for flag, value in values.items() if value is not None]
+        options += [("--set", override) for override in self.overrides]
+        own = ("kickbench", "run", str(self.task), str(self.method))
+        return self.command or [*own, *(text for option in options for text in option)]
 
     def load(self) -> Trial:
         """The trial, with the overrides that have flags of their own.
@@ -180,7 +196,10 @@ def _open_together(
 def _history(
     request: RunRequest, trial: Trial, ranks: Ranks, threads: int, initial: Initial | None, taken: Resume
 ) -> RunHistory:
-    experiment = load_experiment(request.experiment) if request.experiment else None
+    experiment = request.experiment
+    if isinstance(experiment, Path):
+        loaded = load_experiment(experiment)
+        experiment = ExperimentRef(name=loaded.name, claims=loaded.claims_hash)
     return RunHistory(
         trial.task.name,
         trial.method.name,
@@ -189,8 +208,8 @@ def _history(
         num_threads=threads,
         num_processes=ranks.size,
         device=request.device,
-        argv=request.command,
-        experiment=ExperimentRef(name=experiment.name, claims=experiment.claims_hash) if experiment else None,
+        argv=request.command_line,
+        experiment=experiment,
         initial=initial.ref if initial else None,
         earlier=earlier_parts(taken.state["run"]) if taken.state else (),
     )
@@ -299,24 +318,10 @@ def train(
     request = RunRequest(
         task=task, method=method, overrides=overrides, out=None if out is None else Path(out), **options
     )
-    outcome = run(replace(request, command=_command_line(request)))
+    outcome = run(request)
     if outcome.training is not None and outcome.training.interrupted:
         raise KeyboardInterrupt
     return load_run(outcome.directory.path)
-
-
-def _command_line(request: RunRequest) -> list[str]:
-    """The `kickbench run` that makes the same run."""
-    settings = {"--seed": request.seed, "--iterations": request.iterations, "--num-envs": request.num_envs}
-    pairs = [(flag, str(value)) for flag, value in settings.items() if value is not None]
-    pairs += [("--set", override) for override in request.overrides]
-    return [
-        "kickbench",
-        "run",
-        str(request.task),
-        str(request.method),
-        *(text for pair in pairs for text in pair),
-    ]
 
 
 def evaluate(

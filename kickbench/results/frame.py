@@ -38,7 +38,7 @@ import numpy as np
 import pandas as pd
 from pydantic import BaseModel
 
-from kickbench.config.experiment import Side
+from kickbench.config.experiment import POINT, Side
 from kickbench.config.load import load_method
 from kickbench.errors import KickbenchError, shown
 from kickbench.results.episode_table import NON_FINITE
@@ -272,7 +272,7 @@ def _planned_rows(root: Path, experiment: LoadedExperiment) -> Iterator[Row]:
             for row in rows:
                 row |= trained
                 if row["state"] == "finished":
-                    row["counted"] = found == seed and row["identity"] == planned.specs.fingerprint
+                    row["counted"] = found == seed and planned.is_of(row)
                 yield row
 
 
@@ -291,13 +291,28 @@ class _Planned:
         task, method = self._condition.task.document.file, self._condition.method.document.file
         return planned_specs(load_trial(task, method, self._condition.overrides))
 
+    def is_of(self, row: Row) -> bool:
+        """Whether a run has the planned identity, and began with the policy of the planned run."""
+        source, path = self._condition.init_from, Path(row["path"])
+        if source is None:
+            return row["identity"] == self.specs.fingerprint
+        with suppress(KickbenchError):
+            parts, initial = dict(read_identity(path).parts), row["provenance"].initial
+            of = source if isinstance(source, Path) else run_path(path.parents[1], source, row["seed"])
+            if initial is None or parts.pop("initial_policy", None) is None:
+                return False
+            same = initial.std == self._condition.init_std
+            same &= initial.fingerprint == read_identity(of).fingerprint
+            return same and parts == self.specs.identity.parts
+        return False
+
     def deviation(self, row: Row, seed: int, planned_seed: int) -> str | None:
         """In what a finished run differs from the plan, in words; None: in nothing."""
         parts = [] if seed == planned_seed else [f"its seed is {seed}"]
         parts += size_differences(
             row, iterations=self._condition.iterations, episodes=self._condition.episodes
         )
-        if row["identity"] != self.specs.fingerprint:
+        if not self.is_of(row):
             parts += self._differences(RunDirectory(row["path"]))
         return ", ".join(parts) or None
 
@@ -350,9 +365,12 @@ def _with_groups(frame: pd.DataFrame) -> pd.DataFrame:
         f"{row.identity or f'{row.task}/{row.method}'} {known(row, 'iterations')} {known(row, 'scale')}"
         for row in rows
     ]
+    # A point of a sweep is called as its folder is: it differs from the others in what the name says.
+    folders = [Path(row.path).parent.name for row in rows]
+    methods = [folder if POINT in folder else row.method for folder, row in zip(folders, rows, strict=True)]
     names = {
         "setting_name": _numbered(finished.task, settings, [""] * len(rows)),
-        "group": _numbered(finished.method, groups, settings),
+        "group": _numbered(pd.Series(methods, finished.index), groups, settings),
     }
     return frame.assign(**{name: labels.reindex(frame.index) for name, labels in names.items()})
 

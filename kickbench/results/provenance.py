@@ -260,7 +260,8 @@ def portable_command(argv: Sequence[str]) -> list[str]:
 
 
 def _portable(argument: str) -> str:
-    key, equals, value = argument.rpartition("=")
+    # An equals sign in a path is no key's: folders of a sweep have them.
+    key, equals, value = ("", "", argument) if Path(argument).is_absolute() else argument.rpartition("=")
     path = Path(value)
     if path.is_absolute():
         inside = (

@@ -15,7 +15,7 @@ import numpy as np
 
 from kickbench.config.load import Loaded
 from kickbench.config.robot import RobotSpec
-from kickbench.envs.compile import CompiledTask, read_task
+from kickbench.envs.compiled_task import CompiledTask, read_task
 from kickbench.errors import shown
 from kickbench.results.tables import render_block
 from kickbench.robots.guess import GRAVITY, centre_height, efforts_of, supports

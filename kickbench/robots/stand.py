@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from kickbench.envs.compile import CompiledTask
+from kickbench.envs.compiled_task import CompiledTask
 from kickbench.sim.cpu import CpuEngine
 
 ENVS, SECONDS = 64, 5.0

@@ -107,7 +107,7 @@ def _unequal_pose(
     for joint, (partner, sign) in robot.spec.symmetry.image().items():
         mine, theirs = (float(data.joint(name).qpos[0]) for name in (joint, partner))
         if partner not in seen and abs(mine - sign * theirs) > _UNEQUAL:
-            path = ("initial", "joints", joint) if joint in robot.spec.initial.joints else ("initial",)
+            path = ("initial", "joints", joint) if joint in robot.spec.pose else ("initial",)
             mirrored = "0" if joint == partner else f"{sign * theirs:zg}, the mirror image of '{partner}'"
             yield path, f"the joint '{joint}' begins at {mine:g}; a symmetric pose has {mirrored}"
         seen.add(joint)

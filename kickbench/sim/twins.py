@@ -148,7 +148,7 @@ def read_twins(path: Path) -> Twins:
         robot = load(RobotSpec, path)
         model, specs = robot_alone(robot), list(robot.spec.actuators.values())
         known, pose = _coordinates(model), model.qpos0.copy()
-        for name, value in robot.spec.initial.joints.items():
+        for name, value in robot.spec.pose.items():
             pose[known[name].qpos] = value
         joints = {str(s.joint): known[str(s.joint)] for s in specs if s.joint is not None}
         default = [pose[known[str(s.joint)].qpos] if s.kind == "position" else 0.0 for s in specs]

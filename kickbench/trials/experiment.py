@@ -7,13 +7,18 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
+import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 from kickbench.config.experiment import (
     OF_A_RUN,
+    POINT,
     AnyClaim,
     ExperimentSpec,
     FiguresSpec,
@@ -24,7 +29,7 @@ from kickbench.config.experiment import (
 from kickbench.config.load import Loaded, LoadedMethod, LoadedTask, load, load_task
 from kickbench.config.task import TaskSpec
 from kickbench.config.terms import RewardParams, TerminationParams
-from kickbench.config.yamlio import Document
+from kickbench.config.yamlio import Document, flow_yaml
 from kickbench.envs.catalog import model_of_task
 from kickbench.errors import KeyPath, Problem, SpecError, collected, did_you_mean
 from kickbench.trials.trial import load_both
@@ -46,6 +51,9 @@ class Condition:
         episodes: Evaluation episodes a side.
         transfer: Further tasks the policies are evaluated on, by name.
         reported: What was reported of it.
+        settings: What the sweep says of task and method, as `key.path=value`.
+        init_from: Condition, or folder of the run, whose policy it begins with; None: random networks.
+        init_std: Standard deviation of the actions to begin with; None: that policy's.
     """
 
     name: str
@@ -56,11 +64,18 @@ class Condition:
     episodes: int
     transfer: Mapping[str, LoadedTask[TaskSpec]]
     reported: ReportedFiguresSpec | None
+    settings: tuple[str, ...] = ()
+    init_from: str | Path | None = None
+    init_std: float | None = None
+
+    def is_meant_by(self, name: str) -> bool:
+        """Whether a name is its own, or of the condition of the file that it is a point of a sweep of."""
+        return name in (self.name, self.name.partition(POINT)[0])
 
     @property
     def overrides(self) -> tuple[str, ...]:
         """What the experiment says beyond the files of its task and method, as `key.path=value`."""
-        own = []
+        own = [*self.settings]
         if self.iterations != self.method.spec.algorithm.iterations:
             own.append(f"algorithm.iterations={self.iterations}")
         if self.episodes != self.task.spec.evaluation.episodes:
@@ -121,9 +136,10 @@ def load_experiment(path: str | Path, overrides: Sequence[str] = ()) -> LoadedEx
                 raise document.error(place, f"there are two tasks of the name {task.name}")
             transfer[task.name] = task
     conditions: dict[str, Condition] = {}
-    for name in spec.conditions:
+    for name, point in product(spec.conditions, spec.points()):
         with collected(problems):
-            conditions[name] = _condition(name, spec, document, transfer)
+            condition = _condition(name, point, spec, document, transfer)
+            conditions[condition.name] = condition
     claims: dict[str, AnyClaim] = {}
     with collected(problems):
         claims = _all_claims(spec, document)
@@ -134,26 +150,86 @@ def load_experiment(path: str | Path, overrides: Sequence[str] = ()) -> LoadedEx
 
 
 def _condition(
-    name: str, spec: ExperimentSpec, document: Document, transfer: Mapping[str, LoadedTask[TaskSpec]]
+    name: str,
+    point: Mapping[str, Any],
+    spec: ExperimentSpec,
+    document: Document,
+    transfer: Mapping[str, LoadedTask[TaskSpec]],
 ) -> Condition:
-    condition = spec.conditions[name]
-    task, method = load_both(condition.task or str(spec.task), condition.method)
+    condition, settings = spec.conditions[name], [f"{key}={flow_yaml(of)}" for key, of in point.items()]
+    with _at_the_sweep(document):
+        task, method = load_both(condition.task or str(spec.task), condition.method, settings)
     if task.name in transfer:
         what = f"the condition {name} is trained on {task.name}, and evaluated on it anyway"
         raise document.error(("evaluation", "transfer"), what)
     if condition.reported and condition.reported.mirrored and not task.spec.evaluation.mirrored:
         place = ("conditions", name, "reported", "mirrored")
         raise document.error(place, f"the task {task.name} has no mirrored evaluation")
+    said = {
+        "algorithm.iterations": condition.iterations or spec.iterations,
+        "evaluation.episodes": spec.evaluation.episodes,
+    }
+    for key in point:
+        if said.get(key) is not None:
+            raise document.error(("sweep",), f"the experiment says {key}, too: {said[key]}")
     return Condition(
-        name=name,
+        name=POINT.join((name, *_point_names(point))),
         task=task,
         method=method,
         seeds=condition.seeds or spec.seeds,
-        iterations=condition.iterations or spec.iterations or method.spec.algorithm.iterations,
-        episodes=spec.evaluation.episodes or task.spec.evaluation.episodes,
+        iterations=said["algorithm.iterations"] or method.spec.algorithm.iterations,
+        episodes=said["evaluation.episodes"] or task.spec.evaluation.episodes,
         transfer=transfer,
         reported=condition.reported,
+        settings=tuple(settings),
+        init_from=_initial(name, point, spec, document),
+        init_std=condition.init_std,
     )
+
+
+def _point_names(point: Mapping[str, Any]) -> list[str]:
+    """`desired_kl=0.01` for each setting: the last key if it is no other's, in characters of a folder's name."""
+    last = [key.rpartition(".")[2] for key in point]
+    names = [own if last.count(own) == 1 else key for key, own in zip(point, last, strict=True)]
+    return [
+        f"{name}={re.sub(r'[^A-Za-z0-9_.+-]+', '_', flow_yaml(value)).strip('_')}"
+        for name, value in zip(names, point.values(), strict=True)
+    ]
+
+
+def _initial(
+    name: str, point: Mapping[str, Any], spec: ExperimentSpec, document: Document
+) -> str | Path | None:
+    """What a condition begins with: another one at the same point of the sweep, or a run's folder."""
+    source, place = spec.conditions[name].init_from, ("conditions", name, "init_from")
+    if source is None:
+        return None
+    if source not in spec.conditions:
+        folder = Path((document.origin(place) or document.file).parent, source)
+        if not (folder / "specs").is_dir():
+            what = f"neither a condition nor the folder of a run: '{source}'"
+            raise document.error(place, what, did_you_mean(source, spec.conditions))
+        return Path(os.path.normpath(folder))
+    chain = [name]
+    while source in spec.conditions:
+        if source in chain:
+            raise document.error(place, f"a circle: {' -> '.join([*chain, source])}")
+        chain.append(source)
+        source = spec.conditions[source].init_from
+    return POINT.join((chain[1], *_point_names(point)))
+
+
+@contextmanager
+def _at_the_sweep(document: Document) -> Iterator[None]:
+    """Says of a setting that does not fit where it stands in the experiment's file."""
+    try:
+        yield
+    except SpecError as error:
+        mark = document.mark(("sweep",))
+        raise SpecError(
+            replace(problem, mark=mark) if problem.mark and problem.mark.is_override else problem
+            for problem in error.problems
+        ) from None
 
 
 def _all_claims(spec: ExperimentSpec, document: Document) -> dict[str, AnyClaim]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import os
 import signal
 import subprocess
 import sys
@@ -14,86 +13,80 @@ from pathlib import Path
 import pytest
 
 from kickbench.launch import jobs as module
-from kickbench.launch.jobs import Display, Jobs, Outcome, next_command
+from kickbench.launch.jobs import Display, Jobs, Outcome
+from kickbench.launch.local import LocalExecutor
 from kickbench.launch.plan import PlannedRun
-from kickbench.launch.process import Process
 from kickbench.launch.record import RunRecord
+from kickbench.launch.run import RunRequest
+from kickbench.launch.work import last_lines
 from kickbench.results.integrity import write_also
 from kickbench.results.metrics import metrics_bytes
-from kickbench.results.store import RunDirectory
 
 from ..made_up import write_result
 from .conftest import make_metrics
 
 
+def planned(folder: Path, seed: int) -> PlannedRun:
+    record = RunRecord(arm="a", seed=seed, task="t", method="m", iterations=5, episodes=100)
+    request = RunRequest(task=Path("t.yaml"), method=Path("m.yaml"), seed=seed, out=folder / f"a/seed{seed}")
+    return PlannedRun(record, request, {})
+
+
 @pytest.fixture
 def runs(tmp_path) -> list[PlannedRun]:
-    return [
-        PlannedRun(
-            RunRecord(arm="a", seed=seed, task="t", method="m", iterations=5, episodes=100),
-            RunDirectory(tmp_path / f"a/seed{seed}"),
-            ("t.yaml", "m.yaml", "--out", str(tmp_path / f"a/seed{seed}")),
-            {},
-        )
-        for seed in range(4)
-    ]
+    return [planned(tmp_path, seed) for seed in range(4)]
 
 
 class Played:
-    """Processes that end after some looks at them, and leave what a run leaves."""
+    """Runs that end after some looks at them, and leave what a run leaves."""
 
-    def __init__(self) -> None:
-        self.codes: dict[str, int] = {}
-        self.started: list[tuple[str, ...]] = []
+    def __init__(self, at_a_time: int = 1, **failures: str) -> None:
+        self.at_a_time, self.failures = at_a_time, failures
+        self.started: list[str] = []
         self.stops: list[bool] = []
         self.alive = self.most = 0
+        self.closed = False
 
-    def __call__(self, arguments, log: Path, threads: int) -> Played.One:
-        self.started.append(tuple(arguments))
+    def start(self, run: PlannedRun) -> Played.One:
+        self.started.append(run.name)
         self.alive += 1
         self.most = max(self.most, self.alive)
-        return self.One(self, arguments, log.parent)
+        return self.One(self, run)
+
+    def close(self) -> None:
+        self.closed = True
 
     class One:
-        def __init__(self, all_of_them: Played, arguments, folder: Path) -> None:
-            self.all, self.arguments, self.folder, self.looks = all_of_them, arguments, folder, 0
-            self.code: int | None = None
+        def __init__(self, all_of_them: Played, run: PlannedRun) -> None:
+            self.all, self.run, self.looks = all_of_them, run, 0
+            self.failure: str | None = None
 
-        def poll(self) -> int | None:
+        def poll(self) -> str | None:
             self.looks += 1
-            if self.code is None and self.looks == 3:
-                self.end(self.all.codes.get(self.folder.name, 0))
-            return self.code
-
-        def end(self, code: int) -> None:
-            self.code = code
-            self.all.alive -= 1
-            if code == 0 and self.arguments[0] == "run":
-                write_result(self.folder, make_metrics(5))
-            elif code == 0:
-                task = Path(self.arguments[3]).stem
-                write_also(self.folder, f"also/{task}.json", metrics_bytes(make_metrics(5, task=task)))
+            if self.failure is None and self.looks == 3:
+                self.failure = self.all.failures.get(self.run.directory.path.name, "")
+                self.all.alive -= 1
+                if not self.failure:
+                    write_result(self.run.directory.path, make_metrics(5))
+                    for task in self.run.transfer:
+                        metrics = metrics_bytes(make_metrics(5, task=task))
+                        write_also(self.run.directory, f"also/{task}.json", metrics)
+            return self.failure
 
         def stop(self, at_once: bool = False) -> None:
             self.all.stops.append(at_once)
-            self.end(-9 if at_once else 130)
-
-        def wait(self) -> None:
-            assert self.code is not None
-
-        def last_words(self) -> str:
-            return "the last line"
-
-
-@pytest.fixture
-def played(monkeypatch) -> Played:
-    played = Played()
-    monkeypatch.setattr(module, "Process", played)
-    return played
+            self.all.alive -= 1
+            self.failure = ""
 
 
 def no_sleep(_: float) -> None:
     pass
+
+
+def carried_out(runs, executor, out: io.StringIO | None = None) -> Jobs:
+    jobs = Jobs(runs)
+    jobs.carry_out(executor, Display(out or io.StringIO()), no_sleep)
+    return jobs
 
 
 def outcomes(jobs: Jobs) -> list[Outcome]:
@@ -101,63 +94,66 @@ def outcomes(jobs: Jobs) -> list[Outcome]:
 
 
 @pytest.mark.parametrize("at_a_time", [1, 2, 3])
-def test_so_many_run_at_a_time_in_the_order_of_the_plan(runs, played, at_a_time):
-    jobs, out = Jobs(runs, at_a_time, 1), io.StringIO()
-    jobs.carry_out(Display(1, out), no_sleep)
-    assert outcomes(jobs) == [Outcome.DONE] * 4
-    assert played.most == at_a_time
-    assert [command[4].rpartition("/")[2] for command in played.started] == [f"seed{k}" for k in range(4)]
+def test_so_many_run_at_a_time_in_the_order_of_the_plan(runs, at_a_time):
+    executor, out = Played(at_a_time), io.StringIO()
+    assert outcomes(carried_out(runs, executor, out)) == [Outcome.DONE] * 4
+    assert executor.most == at_a_time
+    assert executor.started == [f"a/seed{k}" for k in range(4)]
+    assert executor.closed
     assert out.getvalue().count("done after") == 4
 
 
-def test_what_is_finished_is_not_run_again(runs, played):
+def test_what_is_finished_is_not_run_again(runs):
     write_result(runs[1].directory.path, make_metrics(5))
-    Jobs(runs, 1, 1).carry_out(Display(1, io.StringIO()), no_sleep)
-    assert len(played.started) == 3
-    again = Jobs(runs, 1, 1)
-    assert outcomes(again) == [Outcome.DONE] * 4
+    executor = Played()
+    carried_out(runs, executor)
+    assert len(executor.started) == 3
+    assert outcomes(Jobs(runs)) == [Outcome.DONE] * 4
 
 
-def test_a_run_that_fails_does_not_stop_the_others(runs, played):
-    played.codes = {"seed1": 2, "seed2": -signal.SIGKILL}
-    jobs, out = Jobs(runs, 2, 1), io.StringIO()
-    jobs.carry_out(Display(1, out), no_sleep)
+def test_a_run_that_fails_does_not_stop_the_others(runs):
+    executor, out = Played(2, seed1="a reason", seed2="killed by SIGKILL"), io.StringIO()
+    jobs = carried_out(runs, executor, out)
     assert outcomes(jobs) == [Outcome.DONE, Outcome.FAILED, Outcome.FAILED, Outcome.DONE]
-    assert [job.reason for job in jobs.jobs[1:3]] == ["the last line", "killed by SIGKILL"]
-    assert "a/seed1: failed: the last line; its output:" in out.getvalue()
+    assert [job.reason for job in jobs.jobs[1:3]] == ["a reason", "killed by SIGKILL"]
+    assert "a/seed1: failed: a reason; its output:" in out.getvalue()
 
 
-def test_a_command_that_leaves_nothing_has_failed_and_is_not_repeated_for_ever(runs, played, monkeypatch):
-    monkeypatch.setattr(module, "next_command", lambda run, *how: ("run", "x"))
-    jobs = Jobs(runs[:1], 1, 1)
-    jobs.carry_out(Display(1, io.StringIO()), no_sleep)
+def test_what_leaves_nothing_has_failed_and_is_not_repeated_for_ever(runs, monkeypatch):
+    monkeypatch.setattr(f"{__name__}.write_result", lambda *what: None)
+    executor = Played()
+    jobs = carried_out(runs[:1], executor)
     assert outcomes(jobs) == [Outcome.FAILED]
-    assert len(played.started) == 1
+    assert jobs.jobs[0].reason == "it has ended without a result"
+    assert len(executor.started) == 1
 
 
-def test_a_finished_run_is_evaluated_on_the_further_tasks(runs, played):
-    run = replace(runs[0], also={"near": Path("near.yaml"), "far": Path("far.yaml")})
-    jobs, out = Jobs([run], 1, 3), io.StringIO()
-    jobs.carry_out(Display(1, out), no_sleep)
-    assert outcomes(jobs) == [Outcome.DONE]
-    where = str(run.directory.path)
-    rest = ("--save", "--episodes", "100", "--threads", "3")
-    assert played.started[1:] == [
-        ("eval", where, "--task", "near.yaml", *rest),
-        ("eval", where, "--task", "far.yaml", *rest),
-    ]
-    assert next_command(run, 3) is None
+def test_a_run_is_done_when_it_is_evaluated_on_the_transfer_tasks(runs):
+    run = replace(runs[0], transfer={"near": Path("near.yaml"), "far": Path("far.yaml")})
+    write_result(run.directory.path, make_metrics(5))
+    executor = Played()
+    assert outcomes(carried_out([run], executor)) == [Outcome.DONE]
+    assert executor.started == ["a/seed0"]
+    assert outcomes(Jobs([run])) == [Outcome.DONE]
 
 
-def test_runs_train_on_the_device_that_is_asked_for(runs, played):
-    jobs = Jobs(runs[:1], 1, 1, "cuda")
-    jobs.carry_out(Display(1, io.StringIO()), no_sleep)
-    command = played.started[0]
-    assert command[command.index("--device") + 1] == "cuda"
+def test_a_run_begins_after_the_one_whose_policy_it_begins_with(runs):
+    second = replace(runs[1], after=runs[0].name)
+    executor = Played(2)
+    assert outcomes(carried_out([second, runs[0]], executor)) == [Outcome.DONE] * 2
+    assert executor.started == ["a/seed0", "a/seed1"]
+    assert executor.most == 1
 
 
-def test_a_run_that_another_process_is_at_is_waited_for(runs, played):
-    jobs, out, naps = Jobs(runs[:2], 1, 1), io.StringIO(), []
+def test_a_run_whose_first_policy_is_not_made_fails(runs):
+    second = replace(runs[1], after=runs[0].name)
+    jobs = carried_out([runs[0], second], Played(seed0="a reason"))
+    assert outcomes(jobs) == [Outcome.FAILED] * 2
+    assert jobs.jobs[1].reason == "a/seed0, which it begins with, has failed"
+
+
+def test_a_run_that_another_process_is_at_is_waited_for(runs):
+    jobs, naps = Jobs(runs[:2]), []
     with runs[0].directory.occupied() as _:
 
         def sleep(_: float) -> None:
@@ -166,10 +162,10 @@ def test_a_run_that_another_process_is_at_is_waited_for(runs, played):
                 raise Interrupted
 
         with pytest.raises(Interrupted):
-            jobs.carry_out(Display(1, out), sleep)
+            jobs.carry_out(Played(), Display(io.StringIO()), sleep)
     assert set(naps) == {"another process runs in it"}
     assert outcomes(jobs) == [Outcome.WAITING, Outcome.DONE]
-    jobs.carry_out(Display(1, out), no_sleep)
+    jobs.carry_out(Played(), Display(io.StringIO()), no_sleep)
     assert outcomes(jobs) == [Outcome.DONE, Outcome.DONE]
 
 
@@ -178,33 +174,40 @@ class Interrupted(Exception):
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_one_signal_stops_every_run_and_starts_no_other(runs, played, number):
-    jobs, out = Jobs(runs, 2, 1), io.StringIO()
+@pytest.mark.parametrize("times", [1, 2])
+def test_one_signal_stops_every_run_and_starts_no_other_and_a_second_kills(runs, monkeypatch, number, times):
+    monkeypatch.setattr(Played.One, "stop", lambda one, at_once: one.all.stops.append(at_once))
+    jobs, out, executor, sent = Jobs(runs), io.StringIO(), Played(2), []
     before = signal.getsignal(number)
 
     def sleep(_: float) -> None:
-        if not jobs.interrupted:
+        if len(sent) < times:
+            sent.append(number)
             signal.raise_signal(number)
+        elif len(sent) == times:
+            for job in jobs.jobs[:2]:
+                job.execution.looks, job.execution.failure = 9, ""
 
-    jobs.carry_out(Display(1, out), sleep)
+    jobs.carry_out(executor, Display(out), sleep)
     assert outcomes(jobs) == [Outcome.STOPPED] * 4
-    assert (len(played.started), played.stops) == (2, [False, False])
+    assert (len(executor.started), executor.stops) == (2, [False, False, True, True][: 2 * times])
     assert jobs.interrupted
     assert "stopping" in out.getvalue()
     assert signal.getsignal(number) is before
 
 
-def test_an_error_of_the_display_leaves_no_process_behind(runs, played):
+def test_an_error_of_the_display_leaves_nothing_behind(runs):
     class Broken(Display):
-        def update(self, jobs) -> None:
+        def update(self, jobs, at_a_time: int = 1) -> None:
             raise BrokenPipeError
 
+    executor = Played(2)
     with pytest.raises(BrokenPipeError):
-        Jobs(runs, 2, 1).carry_out(Broken(), no_sleep)
-    assert played.alive == 0
+        Jobs(runs).carry_out(executor, Broken(), no_sleep)
+    assert executor.closed
 
 
-def test_a_long_run_is_seen_to_be_alive(runs, played, monkeypatch):
+def test_a_long_run_is_seen_to_be_alive(runs, monkeypatch):
     now = [0.0]
     monkeypatch.setattr(module.time, "monotonic", lambda: now[0])
     out = io.StringIO()
@@ -212,7 +215,7 @@ def test_a_long_run_is_seen_to_be_alive(runs, played, monkeypatch):
     def sleep(_: float) -> None:
         now[0] += 50.0
 
-    Jobs(runs[:2], 1, 1).carry_out(Display(1, out), sleep)
+    Jobs(runs[:2]).carry_out(Played(), Display(out), sleep)
     assert "0 of 2 runs done; time left: unknown until the first iterations have been timed" in out.getvalue()
     assert "1 of 2 runs done; time left: about " in out.getvalue()
 
@@ -220,9 +223,21 @@ def test_a_long_run_is_seen_to_be_alive(runs, played, monkeypatch):
 STARTER = """
 import sys, time
 from pathlib import Path
-from kickbench.launch.process import Process
-print(Process(["bench", "--rounds", "100000"], Path(sys.argv[1]), 1).pid, flush=True)
-time.sleep(1000)
+from kickbench.launch import local
+
+def perform(run):
+    Path(sys.argv[1]).touch()
+    time.sleep(1000)
+
+local.perform = perform
+
+class Run:
+    class directory:
+        log = None
+
+if __name__ == "__main__":
+    print(local.LocalExecutor().start(Run())._process.pid, flush=True)
+    time.sleep(1000)
 """
 
 
@@ -235,29 +250,30 @@ def is_alive(pid: int) -> bool:
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the kernel's help is Linux's")
 def test_a_process_dies_with_its_starter(tmp_path):
-    starter = subprocess.Popen(
-        [sys.executable, "-c", STARTER, str(tmp_path / "run.log")], stdout=subprocess.PIPE, text=True
-    )
+    (tmp_path / "starter.py").write_text(STARTER)
+    command = [sys.executable, str(tmp_path / "starter.py"), str(tmp_path / "performs")]
+    starter = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     assert starter.stdout is not None
     pid = int(starter.stdout.readline())
-    time.sleep(0.5)
-    assert is_alive(pid)
+    while not (tmp_path / "performs").exists():
+        assert is_alive(pid)
+        time.sleep(0.05)
     starter.kill()
     starter.wait()
     starter.stdout.close()
-    deadline = time.monotonic() + 30
+    deadline = time.monotonic() + 60
     while is_alive(pid):
         assert time.monotonic() < deadline, "an orphan has survived"
         time.sleep(0.05)
 
 
-def test_a_process_writes_its_output_to_the_log(tmp_path):
-    log = tmp_path / "deep/run.log"
+def test_a_run_that_raises_says_why_in_its_log(tmp_path):
+    executor, run = LocalExecutor(), planned(tmp_path, 0)
     for _ in range(2):
-        process = Process(["status", str(tmp_path / "nowhere")], log, 1)
-        process.wait()
-        assert process.poll() == 2
-    text = log.read_text()
-    assert text.count("kickbench status") == 2
-    assert process.last_words().endswith("nowhere: no such folder")
-    assert "KICKBENCH_PARENT" not in os.environ
+        execution = executor.start(run)
+        while (failure := execution.poll()) is None:
+            time.sleep(0.05)
+        assert "no such file: '" in failure
+    executor.close()
+    assert run.directory.log.read_text().count("kickbench run t.yaml m.yaml --seed 0") == 2
+    assert last_lines(run.directory.log, 3).splitlines()[-1] == failure

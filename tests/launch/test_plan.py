@@ -37,8 +37,7 @@ def plan(experiment, out: Path, *only: str, **selection) -> Plan:
 def begin(planned, *, finished: bool, **changes) -> None:
     """Leaves a run as `kickbench run` does, with other iterations or overrides if asked."""
     overrides = changes.pop("overrides", ())
-    task, method = planned.arguments[:2]
-    compiled = load_trial(ROOT / task, ROOT / method, overrides)
+    compiled = load_trial(planned.request.task, planned.request.method, overrides)
     write_specs(planned.directory, compiled)
     planned.directory.checkpoints.mkdir()
     (planned.directory.checkpoints / "iteration_000050.pt").write_bytes(checkpoint())
@@ -73,8 +72,7 @@ def test_the_runs_are_the_experiment_s_not_the_method_s(tmp_path):
     own.write_text(text + "\niterations: 60\nevaluation: {episodes: 500}\n")
     (run,) = plan(load_experiment(own), tmp_path, seeds=(0,)).runs
     assert (run.record.iterations, run.record.episodes) == (60, 500)
-    settings = [run.arguments[i + 1] for i, part in enumerate(run.arguments) if part == "--set"]
-    assert settings == ["algorithm.iterations=60", "evaluation.episodes=500"]
+    assert run.request.overrides == ("algorithm.iterations=60", "evaluation.episodes=500")
 
 
 def test_a_scaled_plan_has_a_folder_of_its_own(experiment, tmp_path):
@@ -84,8 +82,7 @@ def test_a_scaled_plan_has_a_folder_of_its_own(experiment, tmp_path):
     assert selection.default_folder("x") == Path("runs/x-scale0.1-changed")
     (run,) = plan(experiment, tmp_path, seeds=(0,), scale=0.1, overrides=TINY).runs
     assert (run.record.iterations, run.record.episodes) == (39, 200)
-    assert run.arguments[run.arguments.index("--scale") + 1] == "0.1"
-    assert "algorithm.num_envs=16" in run.arguments
+    assert (run.request.scale, run.request.overrides) == (0.1, TINY)
 
 
 @pytest.mark.parametrize("finished", [True, False])

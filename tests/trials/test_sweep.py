@@ -1,0 +1,113 @@
+"""Sweeps and first policies in an experiment's file: conditions with names, and errors with places."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from kickbench.errors import SpecError
+from kickbench.launch.plan import Selection, make_plan
+from kickbench.trials.experiment import LoadedExperiment, load_experiment
+
+ROOT = Path(__file__).parents[2]
+
+
+def load(folder: Path, text: str, one: str = "", two: str = "") -> LoadedExperiment:
+    file = folder / "own.yaml"
+    file.write_text(
+        f"task: {ROOT}/tasks/mini_home_field.yaml\nseeds: [0, 1]\nconditions:\n"
+        f"  one: {{method: {ROOT}/methods/mini/baseline.yaml{one}}}\n"
+        f"  two: {{method: {ROOT}/methods/mini/equivariant.yaml{two}}}\n{text}\n"
+    )
+    return load_experiment(file)
+
+
+def test_every_condition_is_done_at_every_point_of_a_grid(tmp_path):
+    experiment = load(tmp_path, "sweep: {algorithm.desired_kl: [0.01, 0.02], algorithm.gamma: [0.9]}")
+    assert list(experiment.conditions) == [
+        f"{name},desired_kl={value},gamma=0.9" for name in ("one", "two") for value in (0.01, 0.02)
+    ]
+    second = experiment.conditions["one,desired_kl=0.02,gamma=0.9"]
+    assert second.method.spec.algorithm.desired_kl == 0.02
+    assert second.overrides == ("algorithm.desired_kl=0.02", "algorithm.gamma=0.9")
+
+
+def test_a_list_of_points_is_taken_as_it_is(tmp_path):
+    points = "sweep:\n- {algorithm.gamma: 0.9}\n- {network.actor_hidden: [16, 8], algorithm.gamma: 0.95}"
+    names = list(load(tmp_path, points).conditions)
+    assert names[:2] == ["one,gamma=0.9", "one,actor_hidden=16_8,gamma=0.95"]
+
+
+def test_the_points_of_a_condition_are_planned_by_its_name(tmp_path):
+    experiment = load(tmp_path, "sweep: {algorithm.gamma: [0.9, 0.95]}")
+    plan = make_plan(experiment, Selection(only=("one",), seeds=(0,), out=tmp_path / "out"))
+    assert [run.name for run in plan.runs] == ["one,gamma=0.9/seed0", "one,gamma=0.95/seed0"]
+    assert plan.runs[1].request.overrides == ("algorithm.gamma=0.95",)
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("sweep: {algorithm.gama: [0.9]}", "own.yaml:6:1: algorithm.gama: unknown key 'gama'"),
+        ("sweep: {algorithm.gamma: [0.9, 0.9]}", "the value 0.9 is there twice"),
+        (
+            "sweep: {algorithm.iterations: [3]}\niterations: 4",
+            "the experiment says algorithm.iterations, too: 4",
+        ),
+        ("sweep: {}", "own.yaml:6:"),
+    ],
+)
+def test_a_wrong_sweep_is_an_error_with_its_place(tmp_path, text, complaint):
+    with pytest.raises(SpecError) as caught:
+        load(tmp_path, text)
+    assert complaint in str(caught.value)
+
+
+def test_what_begins_with_a_condition_is_planned_after_it_at_the_same_point_and_seed(tmp_path):
+    experiment = load(tmp_path, "sweep: {algorithm.gamma: [0.9]}", two=", init_from: one, init_std: 0.4")
+    plan = make_plan(experiment, Selection(only=("two",), seeds=(1,), out=tmp_path / "out"))
+    assert {run.name: run.after for run in plan.runs} == {
+        "one,gamma=0.9/seed1": None,
+        "two,gamma=0.9/seed1": "one,gamma=0.9/seed1",
+    }
+    request = plan.runs[-1].request
+    assert (request.init_from, request.init_std) == (tmp_path / "out/one,gamma=0.9/seed1", 0.4)
+
+
+def test_a_run_s_folder_is_relative_to_the_file(tmp_path):
+    (tmp_path / "runs/x/specs").mkdir(parents=True)
+    assert load(tmp_path, "", one=", init_from: runs/x").conditions["one"].init_from == tmp_path / "runs/x"
+
+
+@pytest.mark.parametrize(
+    ("one", "two", "complaint"),
+    [
+        (", init_from: two", ", init_from: one", "a circle: one -> two -> one"),
+        (", init_from: tow", "", "neither a condition nor the folder of a run: 'tow' (did you mean 'two'?)"),
+        (", init_std: 0.4", "", "the condition 'one' has an init_std, which needs an init_from"),
+    ],
+)
+def test_a_first_policy_that_there_cannot_be_is_an_error(tmp_path, one, two, complaint):
+    with pytest.raises(SpecError) as caught:
+        load(tmp_path, "", one, two)
+    assert complaint in str(caught.value)
+
+
+def test_a_table_calls_the_points_of_a_sweep_by_their_names():
+    from kickbench.results.frame import _with_groups
+
+    points = ("one,gamma=0.9", "one,gamma=0.95", "one")
+    rows = [
+        {
+            "path": Path("runs/x", point, "seed0"),
+            "task": "t",
+            "method": "m",
+            "identity": point,
+            "setting": "s",
+        }
+        for point in points
+    ]
+    frame = _with_groups(pd.DataFrame(rows).assign(state="finished", iterations=1.0, scale=float("nan")))
+    assert list(frame.group) == ["one,gamma=0.9", "one,gamma=0.95", "m"]
