@@ -22,7 +22,7 @@ $(INSTALLED): pyproject.toml constraints.txt
 $(RUNTIME): pyproject.toml constraints.txt
 	@echo "installing kickbench into $(VENV) ..."
 	@$(PYTHON) -m venv $(VENV)
-	@$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[report,view]'
+	@$(BIN)/pip install --quiet --disable-pip-version-check --no-compile -c constraints.txt -e '.[report,view]'
 	@touch $@
 
 demo: $(RUNTIME)  ## train three methods on the mini home-field task; table, page and film

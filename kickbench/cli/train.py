@@ -202,13 +202,13 @@ def demo(
     from kickbench.sim.engine import usable_cores
     from kickbench.trials.experiment import load_experiment
 
-    at_a_time = min(len(CONDITIONS), usable_cores())
-    threads = max(1, usable_cores() // at_a_time)
+    # All at once even on two cores: one by one, the last run would leave a core idle.
+    at_a_time, threads = len(CONDITIONS), max(1, usable_cores() // len(CONDITIONS))
     selection = Selection(CONDITIONS, seeds=(0,), scale=scale, out=out, threads=threads)
     plan = make_plan(load_experiment(find(DEMO, "reported")), selection)
     print(f"""\
 The mini kicker trains with ball and target on its left only. Which method kicks as well on its right?
-Three methods, one seed each, {at_a_time} at a time; Ctrl-C stops, the same command goes on.
+Three methods, one seed each, at the same time; Ctrl-C stops, the same command goes on.
 """)
     sys.stdout.flush()
     if code := _exit_code(carry_out(plan, lambda: LocalExecutor(at_a_time))):
@@ -221,7 +221,7 @@ Three methods, one seed each, {at_a_time} at a time; Ctrl-C stops, the same comm
 Next:
   kickbench play {shown(plan.folder / "equivariant/seed0")}     # watch the policy in a browser
   kickbench new task my_task --from mini_general     # a task of your own
-  kickbench reproduce {DEMO} --jobs {at_a_time}          # five seeds, and a verdict on every claim""")
+  kickbench reproduce {DEMO} --jobs {usable_cores()}          # five seeds, and a verdict on every claim""")
     return 0
 
 

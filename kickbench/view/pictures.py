@@ -294,7 +294,7 @@ def check_mp4(width: int, height: int) -> None:
     Raises:
         KickbenchError: The library is missing, or a side is odd.
     """
-    require("imageio_ffmpeg", "an .mp4")
+    require("imageio_ffmpeg", "an .mp4", "mp4")
     if width % 2 or height % 2:
         raise KickbenchError(f"an .mp4 has even sides; found {width}x{height}")
 
@@ -310,7 +310,7 @@ def write_mp4(path: Path, frames: Iterable[Image.Image], seconds: float) -> None
     Raises:
         KickbenchError: `imageio-ffmpeg` is not installed.
     """
-    ffmpeg, frames = require("imageio_ffmpeg", "an .mp4"), iter(frames)
+    ffmpeg, frames = require("imageio_ffmpeg", "an .mp4", "mp4"), iter(frames)
     first = next(frames)
     # The suffix of the temporary file does not give the format.
     options = {

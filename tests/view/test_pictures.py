@@ -134,7 +134,7 @@ def test_an_mp4_has_even_sides():
 
 def test_without_ffmpeg_the_error_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
-    with pytest.raises(KickbenchError, match=r"an .mp4 needs imageio_ffmpeg, .*'kickbench\[view\]'"):
+    with pytest.raises(KickbenchError, match=r"an .mp4 needs imageio_ffmpeg, .*'kickbench\[mp4\]'"):
         check_mp4(100, 80)
 
 
