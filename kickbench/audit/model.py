@@ -39,8 +39,11 @@ def equal_sided(task: CompiledTask, derivation: Derivation) -> CompiledTask:
     """
     model = symmetrised(task.scene.model, derivation, ROBOT)
     layout, pairs = task.scene.layout, pairs_of(derivation.actuators)
-    places = {c.name: c for c in layout.coordinates}
-    of_joint = [places[match.name].qpos for match in derivation.joints]
+    places = {
+        model.joint(j).name.removeprefix(ROBOT) or f"joint {j}": int(model.jnt_qposadr[j])
+        for j in range(model.njnt)
+    }
+    of_joint = [places[match.name] for match in derivation.joints]
     joints = [Pair(of_joint[p], of_joint[i], s) for p, i, s in pairs_of(derivation.joints)]
     rows = [int(np.flatnonzero(model.jnt_qposadr == place)[0]) for place in layout.joint_qpos]
     limited = model.jnt_limited[rows][:, None] != 0
