@@ -177,13 +177,13 @@ def judge_parts(
     """The verdict on a claim, its figure and why there is not enough data, from what each condition's runs give."""
     if not all(parts.values()):
         return "not enough data", None, None
+    seeds = min(map(len, parts.values()))
     if claim.seeds == "each":
         outcome, estimated, reason = _each(contrast, parts)
     else:
         estimated = estimate(parts)
-        outcome, reason = _outcome(contrast, estimated.interval)
-    few = min(len(runs) for runs in parts.values()) < FEWEST_SEEDS
-    return _OF_POLICIES.get(outcome, outcome) if few else outcome, estimated, reason
+        outcome, reason = _outcome(contrast, estimated.interval, seeds == 1)
+    return _OF_POLICIES.get(outcome, outcome) if seeds < FEWEST_SEEDS else outcome, estimated, reason
 
 
 def _parts(
@@ -213,9 +213,12 @@ def _non_finite(contrast: Contrast, measured: pd.DataFrame) -> str:
     return non_finite_note(max((non_finite_share(run, operands) for run in runs), default=0.0))
 
 
-def _outcome(contrast: Contrast, interval: Interval | None) -> tuple[Outcome, str | None]:
+def _outcome(
+    contrast: Contrast, interval: Interval | None, one_seed: bool = True
+) -> tuple[Outcome, str | None]:
     if interval is None:
-        return "not enough data", "one seed, and no interval is known of its figure"
+        seeds = "one seed" if one_seed else "all seeds give the same"
+        return "not enough data", f"{seeds}, and no interval is known of its figure"
     if contrast.holds(interval):
         return "met", None
     if contrast.fails(interval):

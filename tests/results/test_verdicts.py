@@ -267,6 +267,14 @@ def test_a_raw_reward_is_a_mean_per_step_at_the_end_of_training(experiment, make
     assert found.interval == pytest.approx((1 - 0.0248, 1 + 0.0248), abs=1e-4)
 
 
+def test_a_figure_that_is_equal_in_all_seeds_and_has_no_interval_says_so(experiment, make, tmp_path):
+    claim = "kind: at_least, metric: return_length_correlation, value: {arm: baseline}, bound: 0.9"
+    spec, rows = experiment(claim), [(1, 10), (2, 21), (3, 29), ("", 40)]
+    (found,) = judge(spec, measured_on_disk(spec, make, tmp_path, rows))
+    assert found.basis == "episodes of 3 seeds"
+    assert found.reason == "all seeds give the same, and no interval is known of its figure"
+
+
 def test_a_claim_without_curves_says_so(verdict, seeds):
     claim = "kind: at_least, metric: return_length_correlation, value: {arm: baseline}, bound: 0.9"
     assert (

@@ -9,7 +9,7 @@ import pytest
 
 from kickbench.config.experiment import METRICS, Operand
 from kickbench.errors import SpecError
-from kickbench.results import figures
+from kickbench.results import quantities
 from kickbench.results.metrics import Metrics
 from kickbench.trials.experiment import load_experiment
 
@@ -58,7 +58,7 @@ def test_table_4_2_and_table_4_3():
 
 
 def test_every_metric_has_a_source_and_a_unit():
-    assert set(figures.METRICS) == set(METRICS)
+    assert set(quantities.METRICS) == set(METRICS)
     assert "scale" in Metrics.model_fields
 
 
