@@ -9,15 +9,13 @@ met if one fails.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Literal
 
 import pandas as pd
-from pydantic import Field, TypeAdapter, ValidationError
+from pydantic import Field, TypeAdapter
 
 from kickbench.config.experiment import AnyClaim, Operand, Ratio
-from kickbench.errors import KickbenchError
-from kickbench.results.atomic import Record, problems_of
+from kickbench.results.atomic import Record
 from kickbench.results.contrast import (
     Contrast,
     Estimated,
@@ -41,8 +39,8 @@ FEWEST_SEEDS = 3
 _OF_POLICIES: dict[Outcome, Outcome] = {"met": "holds", "not met": "does not hold"}
 
 
-class RecordedVerdict(Record):
-    """A verdict in the file `verdicts.json`, which is kept beside an experiment's runs."""
+class Verdict(Record):
+    """What the data say of a claim; without the excluded fields a row of `verdicts.json`, beside the runs."""
 
     name: str
     """Name of the claim."""
@@ -58,11 +56,6 @@ class RecordedVerdict(Record):
     """What the interval covers."""
     reason: str | None
     """Why there is not enough data."""
-
-
-class Verdict(RecordedVerdict):
-    """What the data say of a claim."""
-
     claim: AnyClaim = Field(exclude=True)
     """The claim."""
     reported: float | None = Field(exclude=True)
@@ -128,26 +121,9 @@ def _row(verdict: Verdict) -> Row:
     return verdict.name, verdict.words, verdict.measured, verdict.basis, reported
 
 
-_FILE = TypeAdapter(list[RecordedVerdict])
-
-
 def verdicts_json(verdicts: Sequence[Verdict]) -> str:
     """The text of a `verdicts.json`, without a final newline."""
     return TypeAdapter(list[Verdict]).dump_json(list(verdicts), indent=2).decode()
-
-
-def read_verdicts(path: Path) -> list[RecordedVerdict]:
-    """Reads a `verdicts.json`.
-
-    Raises:
-        KickbenchError: the file is missing or not valid; the message names the file and every wrong key.
-    """
-    try:
-        return _FILE.validate_json(Path(path).read_bytes())
-    except OSError as error:
-        raise KickbenchError(f"{path}: cannot read verdicts: {error.strerror}") from error
-    except ValidationError as error:
-        raise KickbenchError(f"{path}: no valid verdicts: {problems_of(error)}") from error
 
 
 def _judge(name: str, claim: AnyClaim, experiment: LoadedExperiment, measured: pd.DataFrame) -> Verdict:
