@@ -21,8 +21,6 @@ KICK_FEET = ("left", "right", "other", "none")
 KICK_COLUMNS = ("touches", "walked_after_touch", "launch_speed", "direction_error")
 """Columns that tables of older versions lack."""
 _MAY_BE_NAN = ("launch_speed", "direction_error")
-_FORMER_COLUMNS = ("world", "episode")
-"""Columns of older versions that are not read: where an episode was run."""
 _SIDES = ("in_distribution", "mirrored")
 _DECIMALS = 6
 
@@ -159,8 +157,8 @@ def read_episodes(path: Path) -> EpisodeSides:
 
 
 def _check_rows(path: Path, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    needed, known = {"side", *_KINDS} - set(KICK_COLUMNS), {"side", *_KINDS, *_FORMER_COLUMNS}
-    if not needed <= set(header) <= known or len(set(header)) < len(header):
+    known = {"side", *_KINDS}
+    if not known - set(KICK_COLUMNS) <= set(header) <= known or len(set(header)) < len(header):
         raise KickbenchError(f"{path}:1: expected the columns {', '.join(['side', *_KINDS])}")
     column = header.index("side")
     for line, row in enumerate(rows, start=2):
@@ -187,9 +185,7 @@ def _format_column(column: NDArray[Any], decimals: int) -> list[str]:
     if column.dtype.kind == "f":
         # Adding zero turns the -0.0 that rounding leaves into 0.0.
         return [f"{value:.{decimals}f}" for value in (np.round(column, decimals) + 0.0).tolist()]
-    if column.dtype.kind == "b":
-        return ["1" if value else "0" for value in column.tolist()]
-    return [str(value) for value in column.tolist()]
+    return [str(value) for value in (column.astype(int) if column.dtype.kind == "b" else column).tolist()]
 
 
 def _checked_column(name: str, column: Any, kind: type[np.generic], episodes: int) -> NDArray[Any]:

@@ -23,7 +23,7 @@ from kickbench.config import experiment as config
 from kickbench.config.experiment import AnyClaim, Metric, Operand, Ratio
 from kickbench.errors import KickbenchError
 from kickbench.results.frame import known
-from kickbench.results.notes import lack, unfinished_words
+from kickbench.results.notes import unfinished_words
 from kickbench.results.progress_table import read_progress
 from kickbench.results.statistics import Interval, wilson
 from kickbench.results.store import RunDirectory
@@ -363,12 +363,11 @@ def row_of(run: pd.DataFrame, operand: Operand) -> pd.Series | None:
 
 def lack_of(run: pd.DataFrame, operands: Sequence[Operand]) -> str | None:
     """Why a run cannot count in a claim about these operands, whatever its figures are; None if it can."""
-    if run.state.iloc[0] != "finished" or run.deviation.iloc[0]:
-        return lack(run.iloc[0])
-    rows = (row_of(run, operand) for operand in operands)
-    for row in rows:
+    for row in (run.iloc[0], *(row_of(run, operand) for operand in operands)):
         if row is not None and row.state != "finished":
             return unfinished_words(row)
+        if row is not None and row.deviation:
+            return str(row.deviation)
     share = non_finite_share(run, operands)
     return f"{100 * share:.1f} % of its episodes became non-finite" if share > MOST_NON_FINITE else None
 

@@ -80,13 +80,6 @@ class Verdict(Record):
             return self.outcome
         return f"{'one policy' if self.seeds == 1 else 'two policies'}: {self.outcome}"
 
-    @property
-    def sentence(self) -> str:
-        """The verdict in one line: claim, outcome, figure with interval, and why."""
-        basis = f" ({self.basis})" if self.figure is not None else ""
-        reason = f"; {self.reason}" if self.reason else ""
-        return f"{self.statement}: {self.words}. {self.measured}{basis}{reason}"
-
 
 def judge(experiment: LoadedExperiment, measured: pd.DataFrame) -> tuple[Verdict, ...]:
     """Judges every claim of an experiment, in the order of its file.

@@ -142,7 +142,7 @@ def test_nothing_measured_gives_no_figure(verdict):
     claim = "kind: at_least, metric: success_rate, value: {arm: baseline}, bound: 0.5"
     found = verdict(claim, {"baseline": [None, None, None]})
     assert (found.outcome, found.figure, found.interval) == ("not enough data", None, None)
-    assert found.sentence == "S: not enough data. -; baseline seeds 0, 1, 2: missing"
+    assert (found.measured, found.reason) == ("-", "baseline seeds 0, 1, 2: missing")
 
 
 def test_a_run_without_the_mirrored_side_says_so(verdict, seeds):
