@@ -21,6 +21,8 @@ KICK_FEET = ("left", "right", "other", "none")
 KICK_COLUMNS = ("touches", "walked_after_touch", "launch_speed", "direction_error")
 """Columns that tables of older versions lack."""
 _MAY_BE_NAN = ("launch_speed", "direction_error")
+_FORMER_COLUMNS = ("world", "episode")
+"""Columns of older versions that are not read: where an episode was run."""
 _SIDES = ("in_distribution", "mirrored")
 _DECIMALS = 6
 
@@ -157,8 +159,8 @@ def read_episodes(path: Path) -> EpisodeSides:
 
 
 def _check_rows(path: Path, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    known = {"side", *_KINDS}
-    if not known - set(KICK_COLUMNS) <= set(header) <= known or len(set(header)) < len(header):
+    needed, known = {"side", *_KINDS} - set(KICK_COLUMNS), {"side", *_KINDS, *_FORMER_COLUMNS}
+    if not needed <= set(header) <= known or len(set(header)) < len(header):
         raise KickbenchError(f"{path}:1: expected the columns {', '.join(['side', *_KINDS])}")
     column = header.index("side")
     for line, row in enumerate(rows, start=2):
