@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from kickbench.results.frame import load_runs, run_path, runs_of
-from kickbench.results.verdicts import judge
+from kickbench.results.verdicts import judge, verdict_lines
 from kickbench.trials.experiment import Condition, load_experiment
 
 ROOT = Path(__file__).parent.parent
@@ -41,6 +41,6 @@ def test_the_claims_about_baseline_and_equivariant_method_are_met_by_a_training_
     assert set(trained.condition) == set(ARMS)
     assert (trained.success_rate > 0.25).all(), "it has learned the task"
     verdicts = [verdict for verdict in judge(experiment, measured) if verdict.name in CLAIMS]
-    print(*(verdict.sentence for verdict in verdicts), sep="\n")
+    print(*verdict_lines(experiment, verdicts), sep="\n")
     # Of one training of each nothing is said of the methods: the claims hold for these two policies.
     assert {verdict.name: verdict.outcome for verdict in verdicts} == dict.fromkeys(CLAIMS, "holds")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import jsonschema
 import pytest
 
 from kickbench.config.terms import TerminationParams
@@ -17,10 +16,9 @@ from kickbench.results.metrics import (
     MirroredPairs,
     SideSuccess,
     load_metrics,
-    metrics_json_schema,
 )
 from kickbench.results.statistics import mcnemar, two_proportions, wilson
-from kickbench.results.verdicts import judge, read_verdicts
+from kickbench.results.verdicts import judge, verdicts_json
 from kickbench.training.trained import load_run
 from kickbench.trials.experiment import load_experiment
 
@@ -38,11 +36,6 @@ def count_of(share: float, total: int) -> int:
     count = round(share * total)
     assert share == pytest.approx(count / total, abs=1e-12), f"{share} is no share of {total}"
     return count
-
-
-@each_file
-def test_it_is_valid_by_its_schema(path):
-    jsonschema.validate(json.loads(path.read_text()), metrics_json_schema(), jsonschema.Draft202012Validator)
 
 
 @each_file
@@ -138,17 +131,15 @@ def test_claims_are_judged_as_recorded(path):
     experiment = load_experiment(path)
     verdicts = judge(experiment, load_runs(MEASURED / path.stem, experiment))
     file = MEASURED / path.stem / "verdicts.json"
-    recorded = read_verdicts(file) if file.is_file() else []
+    recorded = json.loads(file.read_text()) if file.is_file() else []
     print(
         f"if runs were added: kickbench claims results/reported/{path.name} --json > {file.relative_to(ROOT)}"
     )
-    assert [(item.name, item.outcome) for item in recorded] == [
-        (item.name, item.outcome) for item in verdicts
-    ]
-    for old, new in zip(recorded, verdicts, strict=True):
-        assert old.figure == pytest.approx(new.figure, abs=1e-9)
-        assert (old.interval is None) == (new.interval is None)
-        assert old.interval is None or old.interval == pytest.approx(new.interval, abs=1e-9)
+    assert len(recorded) == len(verdicts)
+    for old, new in zip(recorded, json.loads(verdicts_json(verdicts)), strict=True):
+        assert (old["name"], old["outcome"]) == (new["name"], new["outcome"])
+        assert old["figure"] == pytest.approx(new["figure"], abs=1e-9)
+        assert old["interval"] == pytest.approx(new["interval"], abs=1e-9)
 
 
 def test_every_recorded_verdict_belongs_to_an_experiment():

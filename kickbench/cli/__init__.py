@@ -73,7 +73,7 @@ def _call(argv: list[str]) -> int:
         where = context.command_path if context else "kickbench"
         text = error.format_message()
         if parameter is not None and type(error) is typer.BadParameter:
-            text = f"{parameter.opts[0]}: {error.message}"
+            text = f"{parameter.opts[0]}: {error.message.removeprefix('Value error, ')}"
         _report(f"{where}: {text} ({where} --help)")
         raise SystemExit(error.exit_code) from None  # type: ignore[attr-defined]
 

@@ -32,7 +32,6 @@ from kickbench.results.quantities import DISTANCE, PERCENT, SUCCESS, Quantity, U
 from kickbench.results.statistics import (
     Estimate,
     Interval,
-    RankTest,
     Z,
     bootstrap,
     holm,
@@ -78,23 +77,19 @@ class SeedComparison(NamedTuple):
     Attributes:
         difference: mean score of the first minus that of the second; its interval is Welch's.
         improvement: probability that a run of the first is better than one of the second.
-        test: exact rank test of no difference.
+        p_value: of the exact rank test of no difference.
+        smallest_p: the smallest that this number of scores allows.
     """
 
     difference: Estimate
     improvement: Estimate
-    test: RankTest
-
-    @property
-    def p_value(self) -> float:
-        """That of the test."""
-        return self.test.p_value
+    p_value: float
+    smallest_p: float
 
     def cells(self, decimals: int) -> Row:
         """The comparison as cells of a table."""
-        test = self.test
         difference, chance = _estimate(self.difference, decimals), _estimate(self.improvement, 2)
-        return difference, chance, probability(test.p_value), probability(test.smallest_p)
+        return difference, chance, probability(self.p_value), probability(self.smallest_p)
 
 
 class StartComparison(NamedTuple):
@@ -134,7 +129,7 @@ def compare_seeds(
     # Afresh for each pair: what is compared beside it does not change its interval.
     interval = bootstrap(signed, improvement, np.random.default_rng(_PAIR_SEED))
     chance = Estimate(float(improvement(*signed)), interval)
-    return SeedComparison(welch(first, second), chance, rank_test(first, second))
+    return SeedComparison(welch(first, second), chance, *rank_test(first, second))
 
 
 def compare_on_starts(first: NDArray[np.float64], second: NDArray[np.float64]) -> StartComparison | str:

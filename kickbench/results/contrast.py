@@ -11,16 +11,17 @@ nothing is known of other trainings: the interval is then that of the episodes (
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from math import inf, sqrt
+from operator import neg, pos
 from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 
-from kickbench.config.experiment import AnyClaim, Operand
-from kickbench.results.quantities import Figure, figure_of, pair_correlation, row_of
+from kickbench.config.experiment import KINDS, AnyClaim, NearReported, Operand, Ratio
+from kickbench.results.quantities import Figure, check_rows, figure_of, pair_correlation, row_of
 from kickbench.results.statistics import Interval, student, welch
 
 
@@ -57,9 +58,29 @@ class Contrast:
         return min(value - self.low, self.high - value)
 
 
-_ABOVE = ("at_least", "greater_than", "difference_at_least", "ratio_at_least")
-_WITHIN = ("difference_within", "near_reported")
-"""Kinds of claims by where their figure is to lie; of all others it is to lie below the bound."""
+class _Range(NamedTuple):
+    """Where a figure is claimed to lie, given the bound; the ends of an open range do not belong to it."""
+
+    low: Callable[[float], float] = lambda _: -inf
+    high: Callable[[float], float] = lambda _: inf
+    open: bool = False
+
+
+_AT_LEAST, _AT_MOST, _WITHIN = _Range(low=pos), _Range(high=pos), _Range(low=neg, high=pos)
+_RANGES = {
+    "at_least": _AT_LEAST,
+    "at_most": _AT_MOST,
+    "greater_than": _Range(low=pos, open=True),
+    "less_than": _Range(high=pos, open=True),
+    "difference_at_least": _AT_LEAST,
+    "difference_at_most": _AT_MOST,
+    "difference_within": _WITHIN,
+    "ratio_at_least": _AT_LEAST,
+    "ratio_at_most": _AT_MOST,
+    "near_reported": _WITHIN,
+}
+"""Of every kind of claim the range, around 0 or what was reported, that its contrast is to lie in."""
+check_rows(_RANGES, KINDS, "kind of claim")
 
 
 def contrast_of(claim: AnyClaim, reported: float | None = None) -> Contrast:
@@ -70,15 +91,11 @@ def contrast_of(claim: AnyClaim, reported: float | None = None) -> Contrast:
         reported: The reported figure, which `near_reported` compares with.
     """
     value, *others = claim.operands().values()
-    bound, is_ratio = getattr(claim, "bound", 0.0), claim.kind.startswith("ratio")
-    end = 0.0 if is_ratio else bound
-    low, high = (end, inf) if claim.kind in _ABOVE else (-inf, end)
-    if claim.kind in _WITHIN:
-        middle = reported or 0.0 if claim.kind == "near_reported" else 0.0
-        low, high = middle - bound, middle + bound
-    terms = ((1.0, value), *((-bound if is_ratio else -1.0, other) for other in others))
-    is_open = claim.kind in ("greater_than", "less_than")
-    return Contrast(terms, low, high, is_open)
+    bound = getattr(claim, "bound", 0.0)
+    weight, end = (-bound, 0.0) if isinstance(claim, Ratio) else (-1.0, bound)
+    middle = reported or 0.0 if isinstance(claim, NearReported) else 0.0
+    terms, of = ((1.0, value), *((weight, other) for other in others)), _RANGES[claim.kind]
+    return Contrast(terms, middle + of.low(end), middle + of.high(end), of.open)
 
 
 class Term(NamedTuple):

@@ -187,9 +187,7 @@ def _format_column(column: NDArray[Any], decimals: int) -> list[str]:
     if column.dtype.kind == "f":
         # Adding zero turns the -0.0 that rounding leaves into 0.0.
         return [f"{value:.{decimals}f}" for value in (np.round(column, decimals) + 0.0).tolist()]
-    if column.dtype.kind == "b":
-        return ["1" if value else "0" for value in column.tolist()]
-    return [str(value) for value in column.tolist()]
+    return [str(value) for value in (column.astype(int) if column.dtype.kind == "b" else column).tolist()]
 
 
 def _checked_column(name: str, column: Any, kind: type[np.generic], episodes: int) -> NDArray[Any]:

@@ -295,7 +295,7 @@ class _Planned:
         """Whether a run has the planned identity, and began with the policy of the planned run."""
         source, path = self._condition.init_from, Path(row["path"])
         if source is None:
-            return row["identity"] == self.specs.fingerprint
+            return row["identity"] == self.specs.identity.fingerprint
         with suppress(KickbenchError):
             parts, initial = dict(read_identity(path).parts), row["provenance"].initial
             of = source if isinstance(source, Path) else run_path(path.parents[1], source, row["seed"])

@@ -7,7 +7,7 @@ of a distance 95 % percentile bootstrap intervals.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveInt, ValidationError
@@ -233,11 +233,3 @@ def write_metrics(path: Path, metrics: Metrics) -> None:
 def metrics_bytes(metrics: Metrics) -> bytes:
     """The content of a `metrics.json`."""
     return (metrics.model_dump_json(indent=2) + "\n").encode()
-
-
-def metrics_json_schema() -> dict[str, Any]:
-    """JSON Schema (2020-12) of `metrics.json`."""
-    return {
-        "$schema": "https://json-schema.org/draft/2020-12/schema",
-        **Metrics.model_json_schema(mode="serialization"),
-    }

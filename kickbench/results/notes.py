@@ -73,11 +73,6 @@ def unfinished_words(row: pd.Series) -> str:
     return f"{row.state}: {done:,.0f}{'' if planned is None else f' of {planned:,.0f}'} iterations"
 
 
-def lack(row: pd.Series) -> str | None:
-    """Why a row does not count as what was planned; None if it does."""
-    return row.deviation if row.state == "finished" else unfinished_words(row)
-
-
 def repeat_lines(frame: pd.DataFrame, write: Shown = shown) -> list[str]:
     """A line for each run that repeats another."""
     lines = []

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kickbench.config.experiment import AnyClaim, Operand
+from kickbench.config.experiment import AnyClaim, Compared, NearReported, Operand
 from kickbench.results.contrast import RunTerms, Term, contrast_of
 from kickbench.results.quantities import Figure
 from kickbench.results.statistics import wilson
@@ -65,7 +65,7 @@ def rates(experiment: LoadedExperiment, draws: int = 2000) -> dict[str, Rates]:
             met = {
                 world: _met(experiment, claim, world, draws) for world in ("replication", "equal", "worse")
             }
-            compares = claim.kind in ("greater_than", "less_than")
+            compares = isinstance(claim, Compared)
             found[name] = Rates(met["replication"], met["equal"] if compares else None, met["worse"])
     return found
 
@@ -92,7 +92,7 @@ def _met(experiment: LoadedExperiment, claim: AnyClaim, world: str, draws: int) 
     """Share of the draws of a world in which a claim is met."""
     rng = np.random.default_rng(_SEED)
     value = _reported(experiment, claim.value, claim)
-    contrast = contrast_of(claim, value[0] if value and claim.kind == "near_reported" else None)
+    contrast = contrast_of(claim, value[0] if value and isinstance(claim, NearReported) else None)
     others = [_reported(experiment, operand, claim) for operand in claim.operands().values()]
     middle = float(np.mean([other[0] for other in others if other]))
     count = 0

@@ -9,7 +9,7 @@ training.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from math import inf, pi
 from typing import NamedTuple
@@ -19,10 +19,11 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy import stats
 
-from kickbench.config.experiment import AnyClaim, Metric, Operand
+from kickbench.config import experiment as config
+from kickbench.config.experiment import AnyClaim, Metric, Operand, Ratio
 from kickbench.errors import KickbenchError
 from kickbench.results.frame import known
-from kickbench.results.notes import lack, unfinished_words
+from kickbench.results.notes import unfinished_words
 from kickbench.results.progress_table import read_progress
 from kickbench.results.statistics import Interval, wilson
 from kickbench.results.store import RunDirectory
@@ -292,6 +293,16 @@ def return_trough(returns: Curve, _: Curve) -> float | None:
     return float((np.maximum.accumulate(curve) - curve).max()) / spread if spread else None
 
 
+def check_rows(table: Iterable[str], names: Iterable[str], what: str) -> None:
+    """Checks that a table has a row for each name and no other: as its module is imported, not as it is used.
+
+    Raises:
+        TypeError: It has not.
+    """
+    if unequal := set(table) ^ set(names):
+        raise TypeError(f"{what} {', '.join(sorted(unequal))}: no row, or a row of no such name")
+
+
 METRICS: Mapping[Metric, tuple[Measure, Unit]] = {
     "success_rate": (_column("success_rate", "success"), PERCENT),
     "mean_distance": (_column("mean_distance", "mean_distance"), METRES),
@@ -316,12 +327,13 @@ METRICS: Mapping[Metric, tuple[Measure, Unit]] = {
     "return_trough": (_of_curves(return_trough, "mean_return", "env_steps"), Unit("", 1.0, 2)),
 }
 """Of each metric, how it follows from a run, and its unit."""
+check_rows(METRICS, config.METRICS, "metric")
 _POINTS, _RATIO = Unit("points", 100.0, 1), Unit("", 1.0, 2)
 
 
 def unit_of(claim: AnyClaim) -> Unit:
     """The unit of what a claim compares with its bound."""
-    if claim.kind.startswith("ratio"):
+    if isinstance(claim, Ratio):
         return _RATIO
     unit = METRICS[claim.metric][1]
     return _POINTS if unit.is_share and len(claim.operands()) > 1 else unit
@@ -351,12 +363,11 @@ def row_of(run: pd.DataFrame, operand: Operand) -> pd.Series | None:
 
 def lack_of(run: pd.DataFrame, operands: Sequence[Operand]) -> str | None:
     """Why a run cannot count in a claim about these operands, whatever its figures are; None if it can."""
-    if run.state.iloc[0] != "finished" or run.deviation.iloc[0]:
-        return lack(run.iloc[0])
-    rows = (row_of(run, operand) for operand in operands)
-    for row in rows:
+    for row in (run.iloc[0], *(row_of(run, operand) for operand in operands)):
         if row is not None and row.state != "finished":
             return unfinished_words(row)
+        if row is not None and row.deviation:
+            return str(row.deviation)
     share = non_finite_share(run, operands)
     return f"{100 * share:.1f} % of its episodes became non-finite" if share > MOST_NON_FINITE else None
 

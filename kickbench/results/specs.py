@@ -195,11 +195,6 @@ class Specs(NamedTuple):
     values: Mapping[str, BaseModel]
     identity: Identity
 
-    @property
-    def fingerprint(self) -> str:
-        """That of the identity."""
-        return self.identity.fingerprint
-
 
 def stored_specs(directory: RunDirectory) -> Specs:
     """The specs that a run has been made with.

@@ -9,15 +9,13 @@ met if one fails.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Literal
 
 import pandas as pd
-from pydantic import Field, TypeAdapter, ValidationError
+from pydantic import Field, TypeAdapter
 
 from kickbench.config.experiment import AnyClaim, Operand, Ratio
-from kickbench.errors import KickbenchError
-from kickbench.results.atomic import Record, problems_of
+from kickbench.results.atomic import Record
 from kickbench.results.contrast import (
     Contrast,
     Estimated,
@@ -41,8 +39,8 @@ FEWEST_SEEDS = 3
 _OF_POLICIES: dict[Outcome, Outcome] = {"met": "holds", "not met": "does not hold"}
 
 
-class RecordedVerdict(Record):
-    """A verdict in the file `verdicts.json`, which is kept beside an experiment's runs."""
+class Verdict(Record):
+    """What the data say of a claim; without the excluded fields a row of `verdicts.json`, beside the runs."""
 
     name: str
     """Name of the claim."""
@@ -58,11 +56,6 @@ class RecordedVerdict(Record):
     """What the interval covers."""
     reason: str | None
     """Why there is not enough data."""
-
-
-class Verdict(RecordedVerdict):
-    """What the data say of a claim."""
-
     claim: AnyClaim = Field(exclude=True)
     """The claim."""
     reported: float | None = Field(exclude=True)
@@ -86,13 +79,6 @@ class Verdict(RecordedVerdict):
         if self.outcome not in _OF_POLICIES.values():
             return self.outcome
         return f"{'one policy' if self.seeds == 1 else 'two policies'}: {self.outcome}"
-
-    @property
-    def sentence(self) -> str:
-        """The verdict in one line: claim, outcome, figure with interval, and why."""
-        basis = f" ({self.basis})" if self.figure is not None else ""
-        reason = f"; {self.reason}" if self.reason else ""
-        return f"{self.statement}: {self.words}. {self.measured}{basis}{reason}"
 
 
 def judge(experiment: LoadedExperiment, measured: pd.DataFrame) -> tuple[Verdict, ...]:
@@ -128,26 +114,9 @@ def _row(verdict: Verdict) -> Row:
     return verdict.name, verdict.words, verdict.measured, verdict.basis, reported
 
 
-_FILE = TypeAdapter(list[RecordedVerdict])
-
-
 def verdicts_json(verdicts: Sequence[Verdict]) -> str:
     """The text of a `verdicts.json`, without a final newline."""
     return TypeAdapter(list[Verdict]).dump_json(list(verdicts), indent=2).decode()
-
-
-def read_verdicts(path: Path) -> list[RecordedVerdict]:
-    """Reads a `verdicts.json`.
-
-    Raises:
-        KickbenchError: the file is missing or not valid; the message names the file and every wrong key.
-    """
-    try:
-        return _FILE.validate_json(Path(path).read_bytes())
-    except OSError as error:
-        raise KickbenchError(f"{path}: cannot read verdicts: {error.strerror}") from error
-    except ValidationError as error:
-        raise KickbenchError(f"{path}: no valid verdicts: {problems_of(error)}") from error
 
 
 def _judge(name: str, claim: AnyClaim, experiment: LoadedExperiment, measured: pd.DataFrame) -> Verdict:
@@ -177,13 +146,13 @@ def judge_parts(
     """The verdict on a claim, its figure and why there is not enough data, from what each condition's runs give."""
     if not all(parts.values()):
         return "not enough data", None, None
+    seeds = min(map(len, parts.values()))
     if claim.seeds == "each":
         outcome, estimated, reason = _each(contrast, parts)
     else:
         estimated = estimate(parts)
-        outcome, reason = _outcome(contrast, estimated.interval)
-    few = min(len(runs) for runs in parts.values()) < FEWEST_SEEDS
-    return _OF_POLICIES.get(outcome, outcome) if few else outcome, estimated, reason
+        outcome, reason = _outcome(contrast, estimated.interval, seeds == 1)
+    return _OF_POLICIES.get(outcome, outcome) if seeds < FEWEST_SEEDS else outcome, estimated, reason
 
 
 def _parts(
@@ -213,9 +182,12 @@ def _non_finite(contrast: Contrast, measured: pd.DataFrame) -> str:
     return non_finite_note(max((non_finite_share(run, operands) for run in runs), default=0.0))
 
 
-def _outcome(contrast: Contrast, interval: Interval | None) -> tuple[Outcome, str | None]:
+def _outcome(
+    contrast: Contrast, interval: Interval | None, one_seed: bool = True
+) -> tuple[Outcome, str | None]:
     if interval is None:
-        return "not enough data", "one seed, and no interval is known of its figure"
+        seeds = "one seed" if one_seed else "all seeds give the same"
+        return "not enough data", f"{seeds}, and no interval is known of its figure"
     if contrast.holds(interval):
         return "met", None
     if contrast.fails(interval):

@@ -264,7 +264,7 @@ def test_two_methods_over_three_seeds() -> None:
     assert isinstance(outcome, SeedComparison)
     assert outcome.difference == welch([0.7, 0.8, 0.9], [0.1, 0.2, 0.3])
     assert outcome.improvement == (1.0, (1.0, 1.0))
-    assert outcome.test == pytest.approx((0.1, 0.1))
+    assert (outcome.p_value, outcome.smallest_p) == pytest.approx((0.1, 0.1))
 
 
 def test_a_smaller_distance_can_be_the_better_one() -> None:

@@ -13,7 +13,7 @@ from kickbench.results.frame import frame_of, load_runs, run_path, runs_of
 from kickbench.results.identity import identity_of
 from kickbench.results.integrity import seal
 from kickbench.results.metrics import write_metrics
-from kickbench.results.notes import lack
+from kickbench.results.quantities import lack_of
 from kickbench.results.specs import write_specs
 from kickbench.results.store import RunDirectory
 from kickbench.trials.trial import load_trial
@@ -76,7 +76,11 @@ def test_every_planned_run_is_listed_whatever_is_there(spec, make, identity, tmp
     (unfinished / "progress.csv").write_text("iteration,mean_return\n0,1\n1,2\n")
     runs = of(tmp_path, spec)
     assert list(runs.state) == ["finished", "unfinished", "missing"]
-    assert [lack(run) for _, run in runs.iterrows()] == [None, "unfinished: 2 of 390 iterations", "missing"]
+    assert [lack_of(runs.loc[[index]], []) for index in runs.index] == [
+        None,
+        "unfinished: 2 of 390 iterations",
+        "missing",
+    ]
     assert list(runs.counted) == [True, False, False]
 
 

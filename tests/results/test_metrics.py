@@ -10,7 +10,7 @@ from pydantic import ValidationError
 
 from kickbench.errors import KickbenchError
 from kickbench.results.episode_table import EpisodeSides, EpisodeTable
-from kickbench.results.metrics import Metrics, load_metrics, metrics_json_schema, write_metrics
+from kickbench.results.metrics import Metrics, load_metrics, write_metrics
 from kickbench.results.statistics import wilson
 from kickbench.results.summary import summarise, summarise_sides
 
@@ -145,17 +145,6 @@ def test_a_file_from_before_the_kick_was_measured_is_loaded(tmp_path: Path) -> N
     assert raw["evaluation"]["in_distribution"].pop("kick", 0) is None
     (tmp_path / "metrics.json").write_text(json.dumps(raw))
     assert load_metrics(tmp_path / "metrics.json").evaluation.in_distribution.kick is None
-
-
-def test_the_json_schema_describes_the_file() -> None:
-    schema = metrics_json_schema()
-    assert schema["$schema"].startswith("https://json-schema.org/")
-    assert set(schema["required"]) >= {"task", "method", "seed", "evaluation", "provenance"}
-    interval = schema["$defs"]["EvaluationMetrics"]["properties"]["success_ci"]
-    definition = schema["$defs"].get("Interval", interval)
-    assert definition["type"] == "array"
-    assert definition["maxItems"] == definition["minItems"] == 2
-    json.dumps(schema)
 
 
 @pytest.mark.parametrize(

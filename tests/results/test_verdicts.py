@@ -142,7 +142,7 @@ def test_nothing_measured_gives_no_figure(verdict):
     claim = "kind: at_least, metric: success_rate, value: {arm: baseline}, bound: 0.5"
     found = verdict(claim, {"baseline": [None, None, None]})
     assert (found.outcome, found.figure, found.interval) == ("not enough data", None, None)
-    assert found.sentence == "S: not enough data. -; baseline seeds 0, 1, 2: missing"
+    assert (found.measured, found.reason) == ("-", "baseline seeds 0, 1, 2: missing")
 
 
 def test_a_run_without_the_mirrored_side_says_so(verdict, seeds):
@@ -265,6 +265,14 @@ def test_a_raw_reward_is_a_mean_per_step_at_the_end_of_training(experiment, make
     (found,) = judge(spec, measured_on_disk(spec, make, tmp_path, rows))
     assert (found.figure, found.outcome) == (pytest.approx(1.0), "met")
     assert found.interval == pytest.approx((1 - 0.0248, 1 + 0.0248), abs=1e-4)
+
+
+def test_a_figure_that_is_equal_in_all_seeds_and_has_no_interval_says_so(experiment, make, tmp_path):
+    claim = "kind: at_least, metric: return_length_correlation, value: {arm: baseline}, bound: 0.9"
+    spec, rows = experiment(claim), [(1, 10), (2, 21), (3, 29), ("", 40)]
+    (found,) = judge(spec, measured_on_disk(spec, make, tmp_path, rows))
+    assert found.basis == "episodes of 3 seeds"
+    assert found.reason == "all seeds give the same, and no interval is known of its figure"
 
 
 def test_a_claim_without_curves_says_so(verdict, seeds):
