@@ -78,6 +78,11 @@ class PlannedRun:
         """The transfer tasks that there is no valid evaluation on."""
         return tuple(name for name in self.transfer if not _is_valid(self.directory.also(name)))
 
+    @property
+    def is_done(self) -> bool:
+        """Whether it is finished, with all evaluations."""
+        return self.read_state().state is State.FINISHED and not self.missing_evaluations
+
     def read_state(self) -> RunState:
         """How far it is now."""
         return read_state(self.directory, self.record.iterations)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import signal
 import subprocess
 import sys
@@ -13,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from kickbench.launch import jobs as module
-from kickbench.launch.jobs import Display, Jobs, Outcome
+from kickbench.launch.jobs import Jobs, Outcome
 from kickbench.launch.local import LocalExecutor
 from kickbench.launch.plan import PlannedRun
 from kickbench.launch.record import RunRecord
@@ -83,9 +82,9 @@ def no_sleep(_: float) -> None:
     pass
 
 
-def carried_out(runs, executor, out: io.StringIO | None = None) -> Jobs:
+def carried_out(runs, executor) -> Jobs:
     jobs = Jobs(runs)
-    jobs.carry_out(executor, Display(out or io.StringIO()), no_sleep)
+    jobs.carry_out(executor, no_sleep)
     return jobs
 
 
@@ -94,13 +93,13 @@ def outcomes(jobs: Jobs) -> list[Outcome]:
 
 
 @pytest.mark.parametrize("at_a_time", [1, 2, 3])
-def test_so_many_run_at_a_time_in_the_order_of_the_plan(runs, at_a_time):
-    executor, out = Played(at_a_time), io.StringIO()
-    assert outcomes(carried_out(runs, executor, out)) == [Outcome.DONE] * 4
+def test_so_many_run_at_a_time_in_the_order_of_the_plan(runs, capsys, at_a_time):
+    executor = Played(at_a_time)
+    assert outcomes(carried_out(runs, executor)) == [Outcome.DONE] * 4
     assert executor.most == at_a_time
     assert executor.started == [f"a/seed{k}" for k in range(4)]
     assert executor.closed
-    assert out.getvalue().count("done after") == 4
+    assert capsys.readouterr().out.count("done after") == 4
 
 
 def test_what_is_finished_is_not_run_again(runs):
@@ -111,12 +110,11 @@ def test_what_is_finished_is_not_run_again(runs):
     assert outcomes(Jobs(runs)) == [Outcome.DONE] * 4
 
 
-def test_a_run_that_fails_does_not_stop_the_others(runs):
-    executor, out = Played(2, seed1="a reason", seed2="killed by SIGKILL"), io.StringIO()
-    jobs = carried_out(runs, executor, out)
+def test_a_run_that_fails_does_not_stop_the_others(runs, capsys):
+    jobs = carried_out(runs, Played(2, seed1="a reason", seed2="killed by SIGKILL"))
     assert outcomes(jobs) == [Outcome.DONE, Outcome.FAILED, Outcome.FAILED, Outcome.DONE]
     assert [job.reason for job in jobs.jobs[1:3]] == ["a reason", "killed by SIGKILL"]
-    assert "a/seed1: failed: a reason; its output:" in out.getvalue()
+    assert "a/seed1: failed: a reason; its output:" in capsys.readouterr().out
 
 
 def test_what_leaves_nothing_has_failed_and_is_not_repeated_for_ever(runs, monkeypatch):
@@ -162,10 +160,10 @@ def test_a_run_that_another_process_is_at_is_waited_for(runs):
                 raise Interrupted
 
         with pytest.raises(Interrupted):
-            jobs.carry_out(Played(), Display(io.StringIO()), sleep)
+            jobs.carry_out(Played(), sleep)
     assert set(naps) == {"another process runs in it"}
     assert outcomes(jobs) == [Outcome.WAITING, Outcome.DONE]
-    jobs.carry_out(Played(), Display(io.StringIO()), no_sleep)
+    jobs.carry_out(Played(), no_sleep)
     assert outcomes(jobs) == [Outcome.DONE, Outcome.DONE]
 
 
@@ -175,9 +173,11 @@ class Interrupted(Exception):
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize("times", [1, 2])
-def test_one_signal_stops_every_run_and_starts_no_other_and_a_second_kills(runs, monkeypatch, number, times):
+def test_one_signal_stops_every_run_and_starts_no_other_and_a_second_kills(
+    runs, monkeypatch, capsys, number, times
+):
     monkeypatch.setattr(Played.One, "stop", lambda one, at_once: one.all.stops.append(at_once))
-    jobs, out, executor, sent = Jobs(runs), io.StringIO(), Played(2), []
+    jobs, executor, sent = Jobs(runs), Played(2), []
     before = signal.getsignal(number)
 
     def sleep(_: float) -> None:
@@ -188,36 +188,37 @@ def test_one_signal_stops_every_run_and_starts_no_other_and_a_second_kills(runs,
             for job in jobs.jobs[:2]:
                 job.execution.looks, job.execution.failure = 9, ""
 
-    jobs.carry_out(executor, Display(out), sleep)
+    jobs.carry_out(executor, sleep)
     assert outcomes(jobs) == [Outcome.STOPPED] * 4
     assert (len(executor.started), executor.stops) == (2, [False, False, True, True][: 2 * times])
     assert jobs.interrupted
-    assert "stopping" in out.getvalue()
+    assert "stopping" in capsys.readouterr().out
     assert signal.getsignal(number) is before
 
 
-def test_an_error_of_the_display_leaves_nothing_behind(runs):
-    class Broken(Display):
-        def update(self, jobs, at_a_time: int = 1) -> None:
+def test_an_error_of_the_output_leaves_nothing_behind(runs, monkeypatch):
+    class Closed:
+        def write(self, text: str) -> None:
             raise BrokenPipeError
 
     executor = Played(2)
+    monkeypatch.setattr(sys, "stdout", Closed())
     with pytest.raises(BrokenPipeError):
-        Jobs(runs).carry_out(executor, Broken(), no_sleep)
+        carried_out(runs, executor)
     assert executor.closed
 
 
-def test_a_long_run_is_seen_to_be_alive(runs, monkeypatch):
+def test_a_long_run_is_seen_to_be_alive(runs, monkeypatch, capsys):
     now = [0.0]
     monkeypatch.setattr(module.time, "monotonic", lambda: now[0])
-    out = io.StringIO()
 
     def sleep(_: float) -> None:
         now[0] += 50.0
 
-    Jobs(runs[:2]).carry_out(Played(), Display(out), sleep)
-    assert "0 of 2 runs done; time left: unknown until the first iterations have been timed" in out.getvalue()
-    assert "1 of 2 runs done; time left: about " in out.getvalue()
+    Jobs(runs[:2]).carry_out(Played(), sleep)
+    printed = capsys.readouterr().out
+    assert "0 of 2 runs done; time left: unknown until the first iterations have been timed" in printed
+    assert "1 of 2 runs done; time left: about " in printed
 
 
 STARTER = """
