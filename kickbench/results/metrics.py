@@ -178,15 +178,34 @@ class Asymmetry(Record):
     """Null without a mirrored evaluation."""
 
 
+class GridCell(Record):
+    """Episodes of a goal grid with one target, over all ball positions."""
+
+    distance: NonNegativeFloat
+    """Of the target from the robot [m]."""
+    angle: float
+    """Of the target from straight ahead, positive to the left [rad]."""
+    episodes: PositiveInt
+    success_rate: Fraction
+    mean_distance: NonNegativeFloat
+    """Mean distance from ball to target at the end [m]."""
+    mean_launch_speed: NonNegativeFloat | None = None
+    """As in `KickFigures` [m/s]; null without a touch."""
+    mean_direction_error: Angle | None = None
+    """As in `KickFigures` [rad]; null without a launched ball."""
+
+
 class Evaluation(Record):
-    """Both sides of an evaluation."""
+    """Both sides of an evaluation, or a goal grid."""
 
     in_distribution: EvaluationMetrics
     """Episodes as the task samples them."""
     mirrored: EvaluationMetrics | None = None
     """Episodes from the exact mirror images of those starts; null if not asked for."""
     asymmetry: Asymmetry | None = None
-    """How differently the policy treats left and right; null in older files."""
+    """How differently the policy treats left and right; null in older files and of a grid."""
+    grid: tuple[GridCell, ...] | None = None
+    """The targets of a goal grid, by distance and then by angle; null if the task samples initial states."""
 
 
 class Metrics(Record):

@@ -21,6 +21,7 @@ from kickbench.results.metrics import (
     Evaluation,
     EvaluationMetrics,
     FootCounts,
+    GridCell,
     KickFigures,
     Kicks,
     LegPreference,
@@ -165,6 +166,33 @@ def measure_kick(episodes: EpisodeTable, control_interval: float) -> KickFigures
             "direction_bias": np.arctan2(np.sin(error).mean(), np.cos(error).mean()),
         }
     return KickFigures(**figures)
+
+
+def grid_cell(episodes: EpisodeTable, rows: NDArray[np.int64], distance: float, angle: float) -> GridCell:
+    """Figures of the rows of a goal grid that have one target.
+
+    Args:
+        episodes: all episodes of the grid.
+        rows: those of the target.
+        distance: its distance from the robot [m].
+        angle: its angle from straight ahead [rad].
+    """
+    assert episodes.launch_speed is not None
+    assert episodes.direction_error is not None
+    return GridCell(
+        distance=distance,
+        angle=angle,
+        episodes=len(rows),
+        success_rate=float(episodes.success[rows].mean()),
+        mean_distance=float(episodes.distance[rows].mean()),
+        mean_launch_speed=_mean_of_known(episodes.launch_speed[rows]),
+        mean_direction_error=_mean_of_known(np.abs(episodes.direction_error[rows])),
+    )
+
+
+def _mean_of_known(values: NDArray[np.float64]) -> float | None:
+    known = values[~np.isnan(values)]
+    return float(known.mean()) if known.size else None
 
 
 def measure_asymmetry(sides: EpisodeSides, equivariance: EquivarianceError | None = None) -> Asymmetry:
