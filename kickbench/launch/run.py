@@ -17,10 +17,10 @@ from kickbench.envs.engines import make_engine
 from kickbench.envs.env import KickEnv
 from kickbench.errors import KickbenchError, SpecError, shown
 from kickbench.evaluation.grid import evaluate_grid
-from kickbench.evaluation.rollouts import Policy, run_sides, success_by_side
+from kickbench.evaluation.rollouts import Policy, PolicySymmetry, run_sides, success_by_side
 from kickbench.nets.build import build_actor, update_threads
 from kickbench.results.episode_table import EpisodeSides, write_episodes
-from kickbench.results.metrics import EquivarianceError, Evaluation, Metrics, load_metrics
+from kickbench.results.metrics import Evaluation, Metrics, load_metrics
 from kickbench.results.provenance import ExperimentRef, RunHistory, earlier_parts
 from kickbench.results.specs import update_specs
 from kickbench.results.store import RunDirectory
@@ -270,7 +270,7 @@ def _evaluate(
     policy, trial = trainer.ppo.get_policy().eval().cpu(), trainer.trial
     save_policy(made.policy, policy)
     try:
-        sides, equivariance = run_sides(trial.task, policy, trial.symmetry, num_threads=threads)
+        sides, symmetry = run_sides(trial.task, policy, trial.symmetry, num_threads=threads)
     except KeyboardInterrupt:
         return None
     write_episodes(made.episodes, sides)
@@ -280,16 +280,16 @@ def _evaluate(
         env_steps=training.env_steps,
         training_seconds=round(training.seconds, 3),
         schedule_iterations=training.horizon if training.iterations > training.horizon else None,
-        evaluation=_summary(trial.task, sides, equivariance),
+        evaluation=_summary(trial.task, sides, symmetry),
         provenance=history.provenance(training.env_steps),
     )
     made.finish(metrics)
     return metrics
 
 
-def _summary(task: CompiledTask, sides: EpisodeSides, equivariance: EquivarianceError | None) -> Evaluation:
+def _summary(task: CompiledTask, sides: EpisodeSides, symmetry: PolicySymmetry) -> Evaluation:
     radius, interval = task.spec.evaluation.success_radius, task.spec.simulation.control_interval
-    return summarise_sides(sides, radius, interval, equivariance)
+    return summarise_sides(sides, radius, interval, *symmetry)
 
 
 def train(

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveInt, ValidationError
+from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt, ValidationError
 
 from kickbench.errors import KickbenchError
 from kickbench.results.atomic import Fraction, Record, atomic_write_bytes, problems_of, read_regular
@@ -166,6 +166,25 @@ class MirroredPairs(Record):
     """Exact McNemar test of equal success on both sides."""
 
 
+class TwinDistance(Record):
+    """How far episodes are from the mirror images of their twins, which start from mirrored initial states.
+
+    At one time, over all pairs. An episode that has ended keeps its last state: no pair is left out. Rounding
+    errors grow in contact, so the distance of an equivariant policy is small, and not zero.
+    """
+
+    time: PositiveFloat
+    """Since the initial state [s]."""
+    ball_median: NonNegativeFloat
+    """Median of the distance of the balls [m]."""
+    ball_q90: NonNegativeFloat
+    """Its 90 % quantile [m]."""
+    joints_median: NonNegativeFloat
+    """Median of the root mean square over the observed joints [rad]."""
+    joints_q90: NonNegativeFloat
+    """Its 90 % quantile [rad]."""
+
+
 class Asymmetry(Record):
     """How differently a policy treats left and right."""
 
@@ -176,6 +195,8 @@ class Asymmetry(Record):
     """Null if all balls start on one side."""
     pairs: MirroredPairs | None = None
     """Null without a mirrored evaluation."""
+    twins: tuple[TwinDistance, ...] | None = None
+    """Distance of the same pairs over time; null without a mirrored evaluation and in older files."""
 
 
 class GridCell(Record):

@@ -27,6 +27,7 @@ from kickbench.results.metrics import (
     LegPreference,
     MirroredPairs,
     SideSuccess,
+    TwinDistance,
 )
 from kickbench.results.statistics import bootstrap, mcnemar, two_proportions, wilson
 
@@ -85,6 +86,7 @@ def summarise_sides(
     success_radius: float,
     control_interval: float,
     equivariance: EquivarianceError | None = None,
+    twins: tuple[TwinDistance, ...] | None = None,
 ) -> Evaluation:
     """Metrics of both sides of an evaluation.
 
@@ -93,12 +95,13 @@ def summarise_sides(
         success_radius: as for `summarise`.
         control_interval: as for `summarise`.
         equivariance: the policy's equivariance error over the states visited in these episodes, if measured.
+        twins: the distance between the sides over time, if measured.
     """
     home, mirrored = sides
     return Evaluation(
         in_distribution=summarise(home, success_radius, control_interval),
         mirrored=None if mirrored is None else summarise(mirrored, success_radius, control_interval),
-        asymmetry=measure_asymmetry(sides, equivariance),
+        asymmetry=measure_asymmetry(sides, equivariance).model_copy(update={"twins": twins}),
     )
 
 
