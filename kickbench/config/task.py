@@ -217,7 +217,7 @@ class EvaluationSpec(Spec):
     every_episodes: PositiveInt = 200
     """Episodes a side of such an evaluation: the first of the whole."""
     grid: GridSpec | None = None
-    """Places of ball and target that `kickbench eval --grid` goes through; default: from the sampling regions."""
+    """Places of ball and target for `kickbench eval --grid`; default: from the sampling regions."""
 
 
 COMPETENCE = "competence"
