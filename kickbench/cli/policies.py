@@ -19,35 +19,45 @@ _SHEET_SIZE, _FILM_SIZE = (400, 300), (640, 480)
 def evaluate(
     run: cli.Run,
     task: Path | None = cli.option("Another task: file or name (default: the run's).", metavar="TASK"),
-    save: bool = cli.flag("Keep the figures on another task in RUN/also/<task>.json.", "--save"),
-    episodes: int | None = cli.count("Episodes a side (default: the task's)."),
+    grid: bool = cli.flag("On a goal grid: every ball position with every target.", "--grid"),
+    save: bool = cli.flag("Keep what --task or --grid gives in RUN/also/<task>[_grid].json.", "--save"),
+    episodes: int | None = cli.count("Episodes a side (default: the task's), of a grid: a place (1)."),
     seed: cli.TaskSeed = None,
     json: cli.Json = False,
     threads: cli.Threads = None,
     trust_code: cli.Trust = False,
 ) -> None:
     """Evaluate the policy of a finished run again."""
-    if save and not task:
-        raise KickbenchError("--save keeps the figures on another task beside the run: it needs --task")
+    if save and not (task or grid):
+        raise KickbenchError("--save keeps other figures beside the run's own: it needs --task or --grid")
     task = find(task, "task") if task else None
     from kickbench.launch.run import evaluate as measure
     from kickbench.results.frame import frame_of
     from kickbench.results.integrity import write_also
     from kickbench.results.metrics import metrics_bytes
     from kickbench.results.store import RunDirectory
-    from kickbench.results.tables import render_table
+    from kickbench.results.tables import render_grid, render_table
     from kickbench.training.trained import load_run
 
     loaded = load_run(run, task, trust_code=trust_code)
-    figures = measure(loaded, episodes=episodes, seed=seed, threads=threads)
+    figures = measure(loaded, episodes=episodes, seed=seed, threads=threads, grid=grid)
     # Where a run keeps its task, the file's name is not the task's.
     name = loaded.trial.task.name if task else loaded.metrics.task
+    name += "_grid" if grid else ""
     metrics = loaded.metrics.model_copy(update={"task": name, "evaluation": figures})
     if save:
         directory = RunDirectory(run)
         with directory.occupied():
             write_also(directory, f"also/{metrics.task}.json", metrics_bytes(metrics))
-    print(metrics.model_dump_json(indent=2) if json else render_table(frame_of([metrics])))
+    if json:
+        print(metrics.model_dump_json(indent=2))
+    elif figures.grid is not None:
+        count = figures.in_distribution.episodes
+        print(
+            render_grid(f"goal grid: {name}: {count} episodes on {len(figures.grid)} targets", figures.grid)
+        )
+    else:
+        print(render_table(frame_of([metrics])))
 
 
 @cli.verb("Look at results", "render mini_home_field --out sheet.png")

@@ -10,6 +10,7 @@ from pydantic import AfterValidator, Field, create_model, model_validator
 from kickbench.config.base import (
     Bounds,
     FileRef,
+    FloatList,
     Fraction,
     NonNegativeFloat,
     NonNegativeInt,
@@ -20,6 +21,7 @@ from kickbench.config.base import (
     Seed,
     Spec,
     VectorPair,
+    distinct,
 )
 from kickbench.config.terms import RewardTable, TermTable
 
@@ -119,7 +121,7 @@ class BallSampling(Spec):
     """Lateral offset, m; left is positive."""
 
 
-def _within_a_turn(angle: tuple[float, float]) -> tuple[float, float]:
+def _within_a_turn(angle: tuple[float, ...]) -> tuple[float, ...]:
     if max(map(abs, angle)) > _TURN:
         worst = max(angle, key=abs)
         raise ValueError(f"expected angles from -2 pi to 2 pi, in radians, found {worst:g}")
@@ -174,6 +176,26 @@ class ObservationSpec(Spec):
     """What the value function sees in training."""
 
 
+class GridSpec(Spec):
+    """Places for `kickbench eval --grid`: every ball with every target, in the robot's start frame.
+
+    What is left out is taken from the sampling regions: the middles of 3 x 3 equal parts of the ball's, of 3
+    of the target's distance and of 5 of its angle.
+    """
+
+    ball: Annotated[tuple[VectorPair, ...], Field(strict=False, min_length=1), distinct("ball")] | None = None
+    """Ball positions [x, y], m."""
+    distance: (
+        Annotated[tuple[NonNegativeFloat, ...], Field(strict=False, min_length=1), distinct("distance")]
+        | None
+    ) = None
+    """Distances of the target from the robot, m."""
+    angle: (
+        Annotated[FloatList, Field(min_length=1), distinct("angle"), AfterValidator(_within_a_turn)] | None
+    ) = None
+    """Angles of the target from straight ahead, rad; left is positive."""
+
+
 class EvaluationSpec(Spec):
     """How a policy is measured."""
 
@@ -194,6 +216,8 @@ class EvaluationSpec(Spec):
     exploration; default: none. They do not change the training."""
     every_episodes: PositiveInt = 200
     """Episodes a side of such an evaluation: the first of the whole."""
+    grid: GridSpec | None = None
+    """Places of ball and target for `kickbench eval --grid`; default: from the sampling regions."""
 
 
 COMPETENCE = "competence"

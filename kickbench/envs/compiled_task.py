@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from pydantic import ValidationError
 
 from kickbench.config.load import Loaded, LoadedTask, load_task
@@ -20,7 +21,7 @@ from kickbench.config.task import Ramp, TaskSpec
 from kickbench.config.terms import ObservationParams, RewardParams, TermParams
 from kickbench.envs.catalog import Catalog, catalog, model_of_task
 from kickbench.envs.curriculum import spec_at, value_at
-from kickbench.envs.initial_states import LEAST_FREE, free_share
+from kickbench.envs.initial_states import LEAST_FREE, free_share, overlaps
 from kickbench.envs.term import Bound, Field, Term, field_size
 from kickbench.errors import KeyPath, Problem, SpecError, did_you_mean
 from kickbench.sim.build import Scene, build_scene
@@ -177,6 +178,7 @@ def _task_problems(task: LoadedTask[Any], terms: Catalog) -> Iterator[Problem]:
 def _scene_problems(task: LoadedTask[Any], layout: SceneLayout) -> Iterator[Problem]:
     """Regions of the ball that leave it no room beside the robot, those of a curriculum's first level as well."""
     yield from _region_problems(task, layout)
+    yield from _grid_problems(task, layout)
     if (first := _first(task)) is not None:
         for problem in (*_field_problems(first), *_region_problems(first, layout)):
             yield task.document.problem(("curriculum",), f"at first, {problem.message}", problem.hint)
@@ -219,6 +221,16 @@ def _region_problems(task: LoadedTask[Any], layout: SceneLayout) -> Iterator[Pro
     message = f"the ball would overlap the robot {where} this region"
     hint = f"at least {100.0 * LEAST_FREE:.0f} % of it must be clear of the robot in its default pose"
     yield task.document.problem(("sampling", "ball"), message, hint)
+
+
+def _grid_problems(task: LoadedTask[Any], layout: SceneLayout) -> Iterator[Problem]:
+    """Ball positions of a grid inside the robot."""
+    grid = task.spec.evaluation.grid
+    for row, (x, y) in enumerate(grid.ball or () if grid else ()):
+        if overlaps(np.array(x), np.array(y), layout.obstacles, task.spec.ball.radius):
+            message = f"a ball at [{x:g}, {y:g}] would overlap the robot"
+            hint = "a place that is clear of the robot in its default pose"
+            yield task.document.problem(("evaluation", "grid", "ball", row), message, hint)
 
 
 def _first(task: LoadedTask[Any]) -> LoadedTask[Any] | None:

@@ -10,17 +10,21 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 
+from kickbench.envs.compiled_task import CompiledTask
 from kickbench.envs.state import State
 from kickbench.envs.tensors import Tensors
-from kickbench.results.metrics import EquivarianceError
+from kickbench.results.metrics import EquivarianceError, TwinDistance
 from kickbench.symmetry.representation import Representation
 from kickbench.symmetry.torch_ops import Mirror
+from kickbench.trials.trial import state_symmetry
 
 LAUNCH_WINDOW = 0.2
 """Time from the beginning of the first touch within which the ball is launched, s. A kick takes a few control
 steps; a ball that the foot overtakes and hits again is still the same kick."""
 EVERY = 5
 """Control steps between two states that are evaluated: neighbouring states give nearly the same error."""
+TWIN_TIMES = (0.2, 0.5, 1.0, 2.0, 4.0, 8.0)
+"""Times at which an episode is compared with its twin, s."""
 
 
 class KickRecord(Tensors):
@@ -90,6 +94,52 @@ class KickRecord(Tensors):
             "launch_speed": self.launch_speed.masked_fill(self.touches == 0, torch.nan),
             "direction_error": error.masked_fill(self.launch_speed < stop_speed, torch.nan),
         }
+
+
+class StateTrack:
+    """Generalised positions of episodes at `TWIN_TIMES`; an episode that has ended keeps its last ones.
+
+    Args:
+        task: Compiled task. Times beyond its longest episode are left out.
+        qpos: Positions in the initial states [N, nq].
+
+    Attributes:
+        times: The times, s.
+        qpos: The positions [times, N, nq].
+    """
+
+    def __init__(self, task: CompiledTask, qpos: Tensor) -> None:
+        interval = task.spec.simulation.control_interval
+        self.times = [time for time in TWIN_TIMES if time <= interval * task.spec.episode.max_steps]
+        self._due = [max(1, round(time / interval)) for time in self.times]
+        self.qpos = qpos.repeat(len(self.times), 1, 1)
+
+    def note(self, qpos: Tensor, steps: Tensor, running: Tensor, failed: Tensor) -> None:
+        """Records one control step.
+
+        Args:
+            qpos: Positions at its end [B, nq].
+            steps: Control steps since the initial state [B].
+            running: Episode of every env, -1: none [B].
+            failed: Envs whose state has NaN or infinite numbers [B] bool; they keep the one before.
+        """
+        for kept, due in zip(self.qpos, self._due, strict=True):
+            envs = (running >= 0) & (steps <= due) & ~failed
+            kept[running[envs]] = qpos[envs]
+
+
+def twin_distances(task: CompiledTask, home: StateTrack, away: StateTrack) -> tuple[TwinDistance, ...]:
+    """Distance between episodes and the mirror images of their twins, at every time of their tracks."""
+    layout, mirror = task.scene.layout, Mirror(state_symmetry(task)[0])
+    apart = home.qpos - mirror(away.qpos.flatten(0, 1)).view_as(away.qpos)
+    ball = apart[..., layout.ball_qpos : layout.ball_qpos + 3].norm(dim=-1)
+    joints = apart[..., torch.as_tensor(layout.joint_qpos)].square().mean(dim=-1).sqrt()
+    found = []
+    for row, time in enumerate(home.times):
+        names = ("ball_median", "ball_q90", "joints_median", "joints_q90")
+        values = (float(of[row].quantile(q)) for of in (ball, joints) for q in (0.5, 0.9))
+        found.append(TwinDistance(time=time, **dict(zip(names, values, strict=True))))
+    return tuple(found)
 
 
 class EquivarianceProbe:

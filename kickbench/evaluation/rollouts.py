@@ -8,6 +8,7 @@ that no env has taken. An episode does not depend on when it runs, or in which e
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -20,12 +21,12 @@ from kickbench.envs.engines import make_engine
 from kickbench.envs.env import KickEnv
 from kickbench.envs.episode import FOOT_NAMES
 from kickbench.envs.initial_states import InitialStates, InitialStateSampler
-from kickbench.evaluation.probes import EquivarianceProbe, KickRecord
+from kickbench.evaluation.probes import EquivarianceProbe, KickRecord, StateTrack, twin_distances
 from kickbench.evaluation.progress_bar import EVALUATING, Steps
 from kickbench.nets.build import torch_threads
 from kickbench.results.episode_table import NON_FINITE, EpisodeSides, EpisodeTable
 from kickbench.results.frame import SIDES
-from kickbench.results.metrics import EquivarianceError
+from kickbench.results.metrics import EquivarianceError, TwinDistance
 from kickbench.symmetry.torch_ops import Mirror
 from kickbench.trials.trial import Symmetry, state_symmetry
 
@@ -122,11 +123,13 @@ class _Evaluation:
         self.env, self.schedule, self.kick = smaller, schedule, self.kick.take(rows)
         self.observations = self.observations[rows]
 
-    def step(self, actions: Tensor) -> dict[str, np.ndarray]:
+    def step(self, actions: Tensor, track: StateTrack | None = None) -> dict[str, np.ndarray]:
         """Advances all envs by one control step; the columns of the episodes that it has ended."""
         env, running, before = self.env, self.schedule.running, self.env.state()
         state = env.advance(actions)
         self.kick.note(before, state, env.engine.failed, self.task.spec.simulation.control_interval)
+        if track is not None:
+            track.note(env.engine.qpos, env.episode.step, running, env.engine.failed)
         self.observations = env.finish(state)[0]
         columns = self.kick.columns(self.task.spec.episode.stop_speed)
         ended = _ended(env, running, before.ball_pos[:, :2], columns)
@@ -144,6 +147,7 @@ def run_episodes(
     num_threads: int | None = None,
     probe: EquivarianceProbe | None = None,
     note: Callable[[int], None] | None = None,
+    track: StateTrack | None = None,
 ) -> EpisodeTable:
     """Runs one episode from each initial state with a deterministic policy, on the CPU.
 
@@ -160,6 +164,7 @@ def run_episodes(
         num_threads: Physics threads.
         probe: Shown every observation of the recorded episodes and the policy's answer.
         note: Called after every step with the number of episodes that it has ended.
+        track: Filled with what the episodes are at a few times.
 
     Returns:
         Row i is the episode from initial state i.
@@ -172,10 +177,22 @@ def run_episodes(
             actions = policy(running.observations)
             if probe is not None:
                 probe(running.observations, actions, running.env.episode.step, running.schedule.running >= 0)
-            ended.append(running.step(actions))
+            ended.append(running.step(actions, track))
             if note is not None:
                 note(len(ended[-1]["running"]))
     return _table(task, initial_states, ended)
+
+
+class PolicySymmetry(NamedTuple):
+    """What an evaluation measures of a policy's symmetry beyond its table; None: not measured.
+
+    Attributes:
+        equivariance: Its equivariance error over the states that it visits.
+        twins: The distance between the two sides over time.
+    """
+
+    equivariance: EquivarianceError | None
+    twins: tuple[TwinDistance, ...] | None
 
 
 def run_sides(
@@ -186,7 +203,7 @@ def run_sides(
     episodes: int | None = None,
     seed: int | None = None,
     num_threads: int | None = None,
-) -> tuple[EpisodeSides, EquivarianceError | None]:
+) -> tuple[EpisodeSides, PolicySymmetry]:
     """Runs the episodes of a task's protocol, and those of the mirrored side if it has one.
 
     Args:
@@ -202,14 +219,17 @@ def run_sides(
     seed = protocol.seed if seed is None else seed
     sides = _sides(task, draw_initial_states(task, episodes or protocol.episodes, seed))
     if symmetry is not None:
-        tables = {name: table.representation for name, table in symmetry.groups.items()}
-        probe = EquivarianceProbe(policy, tables, symmetry.actions)
+        groups = {name: table.representation for name, table in symmetry.groups.items()}
+        probe = EquivarianceProbe(policy, groups, symmetry.actions)
+    tracks = [StateTrack(task, of.qpos) for of in sides.values()]
     with Steps(EVALUATING, "episodes", sum(map(len, sides.values()))) as steps:
+        options = {"num_threads": num_threads, "probe": probe, "note": steps.advance}
         tables = [
-            run_episodes(task, policy, of, seed, num_threads=num_threads, probe=probe, note=steps.advance)
-            for of in sides.values()
+            run_episodes(task, policy, of, seed, track=track, **options)
+            for of, track in zip(sides.values(), tracks, strict=True)
         ]
-    return EpisodeSides(*tables), probe.result() if probe else None
+    twins = twin_distances(task, *tracks) if len(tracks) > 1 else None
+    return EpisodeSides(*tables), PolicySymmetry(probe.result() if probe else None, twins)
 
 
 def _sides(task: CompiledTask, home: InitialStates) -> dict[str, InitialStates]:

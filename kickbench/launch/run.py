@@ -16,10 +16,11 @@ from kickbench.envs.compiled_task import CompiledTask, read_task
 from kickbench.envs.engines import make_engine
 from kickbench.envs.env import KickEnv
 from kickbench.errors import KickbenchError, SpecError, shown
-from kickbench.evaluation.rollouts import Policy, run_sides, success_by_side
+from kickbench.evaluation.grid import evaluate_grid
+from kickbench.evaluation.rollouts import Policy, PolicySymmetry, run_sides, success_by_side
 from kickbench.nets.build import build_actor, update_threads
 from kickbench.results.episode_table import EpisodeSides, write_episodes
-from kickbench.results.metrics import EquivarianceError, Evaluation, Metrics, load_metrics
+from kickbench.results.metrics import Evaluation, Metrics, load_metrics
 from kickbench.results.provenance import ExperimentRef, RunHistory, earlier_parts
 from kickbench.results.specs import update_specs
 from kickbench.results.store import RunDirectory
@@ -269,7 +270,7 @@ def _evaluate(
     policy, trial = trainer.ppo.get_policy().eval().cpu(), trainer.trial
     save_policy(made.policy, policy)
     try:
-        sides, equivariance = run_sides(trial.task, policy, trial.symmetry, num_threads=threads)
+        sides, symmetry = run_sides(trial.task, policy, trial.symmetry, num_threads=threads)
     except KeyboardInterrupt:
         return None
     write_episodes(made.episodes, sides)
@@ -279,16 +280,16 @@ def _evaluate(
         env_steps=training.env_steps,
         training_seconds=round(training.seconds, 3),
         schedule_iterations=training.horizon if training.iterations > training.horizon else None,
-        evaluation=_summary(trial.task, sides, equivariance),
+        evaluation=_summary(trial.task, sides, symmetry),
         provenance=history.provenance(training.env_steps),
     )
     made.finish(metrics)
     return metrics
 
 
-def _summary(task: CompiledTask, sides: EpisodeSides, equivariance: EquivarianceError | None) -> Evaluation:
+def _summary(task: CompiledTask, sides: EpisodeSides, symmetry: PolicySymmetry) -> Evaluation:
     radius, interval = task.spec.evaluation.success_radius, task.spec.simulation.control_interval
-    return summarise_sides(sides, radius, interval, equivariance)
+    return summarise_sides(sides, radius, interval, *symmetry)
 
 
 def train(
@@ -331,6 +332,7 @@ def evaluate(
     episodes: int | None = None,
     seed: int | None = None,
     threads: int | None = None,
+    grid: bool = False,
 ) -> Evaluation:
     """Evaluates a policy by a task's protocol, on the mirrored side too where it asks for it.
 
@@ -341,6 +343,8 @@ def evaluate(
         episodes: Episodes a side; default: the task's.
         seed: Seed of the initial states; default: the task's.
         threads: Physics threads; default: the cores that this process may use.
+        grid: Whether on the task's goal grid instead; see `evaluate_grid`. Episodes are then of each ball
+            position with each target; default: one.
 
     Raises:
         KickbenchError: The directory holds no run with a policy, or the task does not suit it.
@@ -356,5 +360,7 @@ def evaluate(
         compiled, symmetry, function = read_task(task), None, policy
     else:
         raise TypeError("evaluate: a policy that is no run needs a `task`")
+    if grid:
+        return evaluate_grid(compiled, function, episodes=episodes or 1, seed=seed, num_threads=threads)
     figures = run_sides(compiled, function, symmetry, episodes=episodes, seed=seed, num_threads=threads)
     return _summary(compiled, *figures)

@@ -332,3 +332,27 @@ def equivariance_errors(runs: pd.DataFrame, looks: Looks) -> Figure:
     axes.set(xscale="log", xlim=(5e-10, 4.0), xlabel="equivariance error, relative to the actions")
     _name_rows(axes, conditions)
     return figure
+
+
+def twin_distances(runs: pd.DataFrame, looks: Looks) -> Figure:
+    """Distance of episodes from the mirror images of their twins over time, a line per run.
+
+    Thick lines are medians, thin broken ones 90 % quantiles.
+
+    Args:
+        runs: Rows of the runs that have it.
+        looks: The look of each condition.
+    """
+    figure, (panels,) = subplots(760, 280, 1, 2)
+    for axes, of, unit in zip(panels, ("ball", "joints"), ("m", "rad"), strict=True):
+        for condition, own in runs.groupby("condition", sort=False):
+            for number, twins in enumerate(own.twins):
+                values, look = pd.DataFrame(list(twins)).clip(lower=1e-9), looks[condition]
+                label = str(condition) if number == 0 else None
+                axes.plot(
+                    values.time, values[f"{of}_median"], color=look.colour, marker=look.marker, label=label
+                )
+                axes.plot(values.time, values[f"{of}_q90"], "--", color=look.colour, linewidth=0.9)
+        axes.set(xscale="log", yscale="log", xlabel="time, s", ylabel=f"{of}, {unit}")
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside right upper")
+    return figure

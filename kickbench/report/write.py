@@ -87,6 +87,8 @@ def _figures(study: Study) -> dict[str, Figure]:
             drawn["feet"] = plots.kicking_feet(kicks)
     if len(known := runs[(runs.side == "in_distribution") & runs["equivariance/relative"].notna()]):
         drawn["errors"] = plots.equivariance_errors(known, looks)
+    if len(known := runs[(runs.side == "in_distribution") & runs.twins.notna()]):
+        drawn["twins"] = plots.twin_distances(known, looks)
     return drawn
 
 
@@ -103,5 +105,6 @@ def _without(study: Study) -> dict[str, str]:
         "curves": ~runs.path.isin(study.curves.path),
         "episodes": ~runs.path.isin(study.episodes.path),
         "errors": ~runs.counted | runs["equivariance/relative"].isna(),
+        "twins": ~runs.counted | runs.twins.isna(),
     }
     return {name: listed(runs[of]) for name, of in silent.items()}

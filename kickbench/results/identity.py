@@ -35,10 +35,10 @@ ITERATIONS: KeyPath = ("algorithm", "iterations")
 """The one key of a method that a run may have more of later."""
 _UNCOUNTED = {
     ITERATIONS,
-    *(("evaluation", key) for key in ("every", "every_episodes")),
+    *(("evaluation", key) for key in ("every", "every_episodes", "grid")),
     *(("simulation", key) for key in ("jacobian", "max_contacts", "max_constraints", "allowed_overflow")),
 }
-"""Keys that decide how long or how fast a run computes, not what."""
+"""Keys that decide how long or how fast a run computes, not what; and what only `eval --grid` reads."""
 
 _TINY = 1e-13
 """Smaller numbers count as 0."""

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveInt, ValidationError
+from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt, ValidationError
 
 from kickbench.errors import KickbenchError
 from kickbench.results.atomic import Fraction, Record, atomic_write_bytes, problems_of, read_regular
@@ -166,6 +166,25 @@ class MirroredPairs(Record):
     """Exact McNemar test of equal success on both sides."""
 
 
+class TwinDistance(Record):
+    """How far episodes are from the mirror images of their twins, which start from mirrored initial states.
+
+    At one time, over all pairs. An episode that has ended keeps its last state: no pair is left out. Rounding
+    errors grow in contact, so the distance of an equivariant policy is small, and not zero.
+    """
+
+    time: PositiveFloat
+    """Since the initial state [s]."""
+    ball_median: NonNegativeFloat
+    """Median of the distance of the balls [m]."""
+    ball_q90: NonNegativeFloat
+    """Its 90 % quantile [m]."""
+    joints_median: NonNegativeFloat
+    """Median of the root mean square over the observed joints [rad]."""
+    joints_q90: NonNegativeFloat
+    """Its 90 % quantile [rad]."""
+
+
 class Asymmetry(Record):
     """How differently a policy treats left and right."""
 
@@ -176,17 +195,38 @@ class Asymmetry(Record):
     """Null if all balls start on one side."""
     pairs: MirroredPairs | None = None
     """Null without a mirrored evaluation."""
+    twins: tuple[TwinDistance, ...] | None = None
+    """Distance of the same pairs over time; null without a mirrored evaluation and in older files."""
+
+
+class GridCell(Record):
+    """Episodes of a goal grid with one target, over all ball positions."""
+
+    distance: NonNegativeFloat
+    """Of the target from the robot [m]."""
+    angle: float
+    """Of the target from straight ahead, positive to the left [rad]."""
+    episodes: PositiveInt
+    success_rate: Fraction
+    mean_distance: NonNegativeFloat
+    """Mean distance from ball to target at the end [m]."""
+    mean_launch_speed: NonNegativeFloat | None = None
+    """As in `KickFigures` [m/s]; null without a touch."""
+    mean_direction_error: Angle | None = None
+    """As in `KickFigures` [rad]; null without a launched ball."""
 
 
 class Evaluation(Record):
-    """Both sides of an evaluation."""
+    """Both sides of an evaluation, or a goal grid."""
 
     in_distribution: EvaluationMetrics
     """Episodes as the task samples them."""
     mirrored: EvaluationMetrics | None = None
     """Episodes from the exact mirror images of those starts; null if not asked for."""
     asymmetry: Asymmetry | None = None
-    """How differently the policy treats left and right; null in older files."""
+    """How differently the policy treats left and right; null in older files and of a grid."""
+    grid: tuple[GridCell, ...] | None = None
+    """The targets of a goal grid, by distance and then by angle; null if the task samples initial states."""
 
 
 class Metrics(Record):

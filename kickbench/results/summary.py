@@ -21,11 +21,13 @@ from kickbench.results.metrics import (
     Evaluation,
     EvaluationMetrics,
     FootCounts,
+    GridCell,
     KickFigures,
     Kicks,
     LegPreference,
     MirroredPairs,
     SideSuccess,
+    TwinDistance,
 )
 from kickbench.results.statistics import bootstrap, mcnemar, two_proportions, wilson
 
@@ -84,6 +86,7 @@ def summarise_sides(
     success_radius: float,
     control_interval: float,
     equivariance: EquivarianceError | None = None,
+    twins: tuple[TwinDistance, ...] | None = None,
 ) -> Evaluation:
     """Metrics of both sides of an evaluation.
 
@@ -92,12 +95,13 @@ def summarise_sides(
         success_radius: as for `summarise`.
         control_interval: as for `summarise`.
         equivariance: the policy's equivariance error over the states visited in these episodes, if measured.
+        twins: the distance between the sides over time, if measured.
     """
     home, mirrored = sides
     return Evaluation(
         in_distribution=summarise(home, success_radius, control_interval),
         mirrored=None if mirrored is None else summarise(mirrored, success_radius, control_interval),
-        asymmetry=measure_asymmetry(sides, equivariance),
+        asymmetry=measure_asymmetry(sides, equivariance).model_copy(update={"twins": twins}),
     )
 
 
@@ -165,6 +169,33 @@ def measure_kick(episodes: EpisodeTable, control_interval: float) -> KickFigures
             "direction_bias": np.arctan2(np.sin(error).mean(), np.cos(error).mean()),
         }
     return KickFigures(**figures)
+
+
+def grid_cell(episodes: EpisodeTable, rows: NDArray[np.int64], distance: float, angle: float) -> GridCell:
+    """Figures of the rows of a goal grid that have one target.
+
+    Args:
+        episodes: all episodes of the grid.
+        rows: those of the target.
+        distance: its distance from the robot [m].
+        angle: its angle from straight ahead [rad].
+    """
+    assert episodes.launch_speed is not None
+    assert episodes.direction_error is not None
+    return GridCell(
+        distance=distance,
+        angle=angle,
+        episodes=len(rows),
+        success_rate=float(episodes.success[rows].mean()),
+        mean_distance=float(episodes.distance[rows].mean()),
+        mean_launch_speed=_mean_of_known(episodes.launch_speed[rows]),
+        mean_direction_error=_mean_of_known(np.abs(episodes.direction_error[rows])),
+    )
+
+
+def _mean_of_known(values: NDArray[np.float64]) -> float | None:
+    known = values[~np.isnan(values)]
+    return float(known.mean()) if known.size else None
 
 
 def measure_asymmetry(sides: EpisodeSides, equivariance: EquivarianceError | None = None) -> Asymmetry:

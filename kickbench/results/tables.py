@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
+import numpy as np
 import pandas as pd
 
 from kickbench.errors import printable
 from kickbench.results.frame import HOME, known
+from kickbench.results.metrics import GridCell
 from kickbench.results.notes import remark_lines
 from kickbench.results.quantities import (
     ASYMMETRY,
@@ -188,6 +191,35 @@ def render_table(frame: pd.DataFrame, columns: Literal["success", "kick"] = "suc
         "\n\n".join(block for block in (*blocks, "\n".join(remark_lines(frame))) if block)
         or "no finished runs"
     )
+
+
+_GRID_FIGURES = (
+    ("success [%]", "success_rate", 100.0, 0),
+    ("mean distance [m]", "mean_distance", 1.0, 2),
+    ("launch [m/s]", "mean_launch_speed", 1.0, 1),
+    ("aim error [deg]", "mean_direction_error", math.degrees(1.0), 0),
+)
+"""Heading of a figure of a goal grid, its column, factor and decimals."""
+
+
+def render_grid(title: str, cells: Sequence[GridCell]) -> str:
+    """A goal grid, without a final newline: a block per figure, a line per distance, a column per angle.
+
+    The last column is the mean over the angles.
+
+    Args:
+        title: first line.
+        cells: of every distance every angle.
+    """
+    grid, blocks = pd.DataFrame([cell.model_dump() for cell in cells]).astype(float), []
+    for heading, column, factor, decimals in _GRID_FIGURES:
+        values = factor * grid.pivot(index="distance", columns="angle", values=column)
+        rows = values.assign(mean=values.mean(axis=1)).to_numpy()
+        texts = [[NOTHING if np.isnan(v) else f"{v:.{decimals}f}" for v in row] for row in rows]
+        named = zip(values.index, texts, strict=True)
+        blocks.append([(heading, f"{distance:.3g}", *row) for distance, row in named])
+    degrees = (f"{math.degrees(angle):+.0f} deg" for angle in sorted(set(grid.angle)))
+    return render_block(title, ("", "target [m]", *degrees, "mean"), blocks, groups=None)
 
 
 def pairs_of(rows: pd.DataFrame) -> pd.DataFrame:

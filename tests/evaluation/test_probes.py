@@ -10,8 +10,20 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from kickbench.evaluation.probes import EVERY, LAUNCH_WINDOW, EquivarianceProbe, KickRecord
-from kickbench.evaluation.rollouts import draw_initial_states, run_episodes
+from kickbench.evaluation.probes import (
+    EVERY,
+    LAUNCH_WINDOW,
+    EquivarianceProbe,
+    KickRecord,
+    StateTrack,
+    twin_distances,
+)
+from kickbench.evaluation.rollouts import (
+    draw_initial_states,
+    mirror_initial_states,
+    run_episodes,
+    run_sides,
+)
 from kickbench.nets.build import build_actor
 from kickbench.results.metrics import EquivarianceError
 from kickbench.symmetry.representation import REGULAR, SIGN, TRIVIAL
@@ -249,6 +261,61 @@ def test_answers_that_are_not_finite_are_left_out():
     result = probe.result()
     assert result is not None
     assert result.states == 3
+
+
+def twin_task(length: float = 1.0) -> SimpleNamespace:
+    """What `StateTrack` asks of a task: control steps of 0.1 s."""
+    simulation, episode = (
+        SimpleNamespace(control_interval=0.1),
+        SimpleNamespace(max_steps=round(length / 0.1)),
+    )
+    return SimpleNamespace(spec=SimpleNamespace(simulation=simulation, episode=episode))
+
+
+def test_a_track_has_the_state_at_its_times_and_of_an_ended_episode_the_last_one():
+    track = StateTrack(twin_task(), torch.zeros(3, 1).double())  # type: ignore[arg-type]
+    assert track.times == [0.2, 0.5, 1.0]
+    fine, running = torch.zeros(2, dtype=torch.bool), torch.tensor([0, 2])
+    for step in range(1, 11):
+        # Episode 0 runs to the end; episode 2 ends in step 3, and its env goes on with nothing.
+        running[1] = 2 if step <= 3 else -1
+        seen = torch.tensor([[1.0 * step], [100.0 + step]]).double()
+        track.note(seen, torch.tensor([step, step]), running, fine)
+    assert track.qpos[:, 0, 0].tolist() == [2, 5, 10]
+    assert track.qpos[:, 2, 0].tolist() == [102, 103, 103]
+    assert track.qpos[:, 1, 0].tolist() == [0, 0, 0], "an episode that never ran is where it began"
+    track.note(seen * nan, torch.tensor([10, 10]), torch.tensor([0, 2]), ~fine)
+    assert track.qpos.isfinite().all(), "a state that is not finite is not kept"
+
+
+def test_times_beyond_the_longest_episode_are_left_out():
+    assert StateTrack(twin_task(0.6), torch.zeros(1, 1)).times == [0.2, 0.5]  # type: ignore[arg-type]
+
+
+def test_the_distance_of_twins_is_that_of_the_balls_and_joints_after_mirroring(experiment):
+    task = experiment("mini_home_field", "baseline").task
+    initial, layout = draw_initial_states(task, 10, 0), task.scene.layout
+    home, away = StateTrack(task, initial.qpos), StateTrack(task, mirror_initial_states(task, initial).qpos)
+    for of in twin_distances(task, home, away):
+        assert max(of.ball_q90, of.joints_q90) < 1e-12, "exact mirror images"
+    away.qpos[0, :, layout.ball_qpos + 1] += torch.linspace(0.0, 0.9, 10)
+    away.qpos[0, :, layout.joint_qpos[0]] += 0.5
+    first, second, *_ = twin_distances(task, home, away)
+    assert (first.ball_median, first.ball_q90) == pytest.approx((0.45, 0.81))
+    expected = 0.5 / sqrt(len(layout.joint_qpos))
+    assert (first.joints_median, first.joints_q90) == pytest.approx((expected, expected))
+    assert second.ball_q90 < 1e-12
+
+
+@pytest.mark.parametrize("method", ["equivariant", "baseline"])
+def test_twins_stay_together_under_an_equivariant_policy_only(experiment, method):
+    chosen = experiment("mini_home_field", method, "episode.max_steps=60")
+    torch.manual_seed(0)
+    actor = build_actor(chosen.method.spec, chosen.symmetry.groups["actor"], chosen.symmetry.actions).eval()
+    _, measured = run_sides(chosen.task, lambda seen: 6.0 * actor(seen), episodes=10)
+    assert measured.equivariance is None
+    assert [of.time for of in measured.twins] == [0.2, 0.5, 1.0]
+    assert all((of.joints_median < 0.01) == (method == "equivariant") for of in measured.twins)
 
 
 def probe_of(chosen, policy) -> EquivarianceProbe:

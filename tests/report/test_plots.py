@@ -194,6 +194,21 @@ def test_an_error_of_nothing_can_be_drawn():
     assert [line.get_xdata()[0] for line in axes.lines[:2]] == [1e-9, 1.2]
 
 
+def test_every_run_has_a_line_of_its_twins_and_a_condition_one_label():
+    twins = [
+        {"time": time, "ball_median": 0.0, "ball_q90": 0.3, "joints_median": 0.1, "joints_q90": 0.2}
+        for time in (0.2, 1.0)
+    ]
+    runs = pd.DataFrame({"condition": ["a", "a", "b"], "twins": [twins] * 3})
+    with style():
+        figure = plots.twin_distances(runs, looks_of(["a", "b"]))
+    ball, joints = figure.axes
+    assert len(ball.lines) == len(joints.lines) == 6
+    assert list(ball.lines[0].get_ydata()) == [1e-9, 1e-9], "no distance can be drawn"
+    assert list(joints.lines[1].get_ydata()) == [0.2, 0.2]
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["a", "b"]
+
+
 def draw():
     with style():
         figure, ((axes,),) = subplots(200, 100)

@@ -12,7 +12,7 @@ from kickbench.cli import main
 from kickbench.results.frame import frame_of, load_runs, run_path, runs_of
 from kickbench.results.identity import identity_of
 from kickbench.results.integrity import seal
-from kickbench.results.metrics import write_metrics
+from kickbench.results.metrics import Asymmetry, LegPreference, TwinDistance, write_metrics
 from kickbench.results.quantities import lack_of
 from kickbench.results.specs import write_specs
 from kickbench.results.store import RunDirectory
@@ -189,6 +189,18 @@ def test_a_copied_run_counts_once(make, tmp_path, capsys):
     assert mean_of(text)[2] == "60.0"
     assert text.count("counted once: ") == 1
     assert f"{tmp_path}/b/seed0 is a copy of {tmp_path}/a/seed0" in text
+
+
+def test_a_repeat_with_figures_that_older_results_lack_is_a_copy(make, tmp_path):
+    twins = (TwinDistance(time=0.2, ball_median=0.0, ball_q90=0.1, joints_median=0.0, joints_q90=0.1),)
+    old = Asymmetry(legs=LegPreference(kicks=0))
+    for name, asymmetry in {"a": old, "b": old.model_copy(update={"twins": twins})}.items():
+        write_real(tmp_path / name / "seed0", make, asymmetry=asymmetry)
+    frame = load_runs(tmp_path)
+    assert list(runs_of(frame).counted) == [True, False]
+    assert frame.contradicts.isna().all()
+    first, second = runs_of(frame).twins
+    assert (first, second[0]["ball_q90"]) == (None, 0.1)
 
 
 def test_another_result_of_one_seed_is_shown_and_not_averaged(make, tmp_path, capsys):

@@ -1,0 +1,109 @@
+"""A goal grid: every ball position with every target, the format in which RoboCup teams compare kicks."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+import torch
+
+from kickbench.config.task import GridSpec
+from kickbench.envs.compiled_task import CompiledTask
+from kickbench.envs.initial_states import InitialStates, InitialStateSampler, overlaps
+from kickbench.errors import KickbenchError
+from kickbench.evaluation.progress_bar import EVALUATING, Steps
+from kickbench.evaluation.rollouts import Policy, run_episodes
+from kickbench.results.episode_table import EpisodeTable
+from kickbench.results.metrics import Evaluation, GridCell
+from kickbench.results.summary import grid_cell, summarise
+
+_BALL_PARTS, _DISTANCE_PARTS, _ANGLE_PARTS = 3, 3, 5
+"""Equal parts of each range of the task's regions whose middles make the default grid."""
+
+
+def evaluate_grid(
+    task: CompiledTask,
+    policy: Policy,
+    *,
+    episodes: int = 1,
+    seed: int | None = None,
+    num_threads: int | None = None,
+) -> Evaluation:
+    """Evaluates a policy on a task's grid, without observation noise and pushes.
+
+    Args:
+        task: Compiled task.
+        policy: As for `run_episodes`.
+        episodes: Episodes from each ball position with each target. 1: nothing is random, the robot is the
+            nominal one; more: each has the task's randomisation of the robot and its delays.
+        seed: Seed of that randomisation; default: the task's.
+        num_threads: Physics threads.
+
+    Raises:
+        KickbenchError: No ball position of the default grid is clear of the robot.
+    """
+    protocol = task.spec.evaluation.model_copy(update={"observation_noise": False, "pushes": False})
+    task = replace(task, spec=task.spec.model_copy(update={"evaluation": protocol}))
+    if episodes == 1:
+        task = replace(task, randomizers=(), processes=())
+    seed, grid = protocol.seed if seed is None else seed, grid_of(task)
+    states = grid_states(task, grid, episodes, seed)
+    with Steps(EVALUATING, "episodes", len(states)) as steps:
+        table = run_episodes(task, policy, states, seed, num_threads=num_threads, note=steps.advance)
+    figures = summarise(table, protocol.success_radius, task.spec.simulation.control_interval)
+    return Evaluation(in_distribution=figures, grid=_cells(table, grid))
+
+
+def grid_of(task: CompiledTask) -> GridSpec:
+    """The grid of a task, with what it leaves open taken from the sampling regions.
+
+    Ball positions of the region that overlap the robot are left out, and reported.
+    """
+    given, sampling = task.spec.evaluation.grid or GridSpec(), task.spec.sampling
+    return GridSpec(
+        ball=given.ball or _clear_of_the_robot(task),
+        distance=given.distance or _middles(sampling.target.distance, _DISTANCE_PARTS),
+        angle=given.angle or _middles(sampling.target.angle, _ANGLE_PARTS),
+    )
+
+
+def _clear_of_the_robot(task: CompiledTask) -> tuple[tuple[float, float], ...]:
+    region = task.spec.sampling.ball
+    places = list(product(_middles(region.x, _BALL_PARTS), _middles(region.y, _BALL_PARTS)))
+    x, y = np.array(places).T
+    inside = overlaps(x, y, task.scene.layout.obstacles, task.spec.ball.radius)
+    clear = tuple(place for place, is_inside in zip(places, inside, strict=True) if not is_inside)
+    if not clear:
+        raise KickbenchError("goal grid: every ball position would overlap the robot: name some in the task")
+    if len(clear) < len(places):
+        left_out = len(places) - len(clear)
+        print(f"goal grid: {left_out} of {len(places)} ball positions overlap the robot", file=sys.stderr)
+    return clear
+
+
+def _middles(bounds: tuple[float, float], parts: int) -> tuple[float, ...]:
+    """Middles of equal parts of a range, rounded so that those of a symmetric range are symmetric."""
+    low, high = bounds
+    if low == high:
+        return (low,)
+    return tuple(round(low + (high - low) * (part + 0.5) / parts, 6) for part in range(parts))
+
+
+def grid_states(task: CompiledTask, grid: GridSpec, episodes: int, seed: int) -> InitialStates:
+    """Initial states target by target, within these ball by ball, and for each so many episodes."""
+    targets = np.array(list(product(grid.distance or (), grid.angle or ())))
+    distance, angle = np.repeat(targets, len(grid.ball or ()) * episodes, axis=0).T
+    ball = np.tile(np.repeat(grid.ball or (), episodes, axis=0), (len(targets), 1))
+    states = InitialStateSampler(task, torch.Generator().manual_seed(seed)).sample(len(ball))
+    place = task.scene.layout.ball_qpos
+    states.qpos[:, place : place + 2] = torch.from_numpy(ball)
+    goal = np.stack([distance * np.cos(angle), distance * np.sin(angle)], axis=1)
+    return replace(states, target=torch.from_numpy(goal))
+
+
+def _cells(table: EpisodeTable, grid: GridSpec) -> tuple[GridCell, ...]:
+    targets = list(product(grid.distance or (), grid.angle or ()))
+    rows = np.arange(len(table)).reshape(len(targets), -1)
+    return tuple(grid_cell(table, own, *target) for own, target in zip(rows, targets, strict=True))
