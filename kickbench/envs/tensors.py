@@ -83,6 +83,9 @@ class Tensors(dict[str, Any]):
             qvel: The model's mirror map of velocities.
             actions: The mirror map of actions, and so of control targets.
             fields: The mirror maps of the actor's fields by name; needed of those that are sampled.
+
+        Raises:
+            KeyError: The map of a sampled field is missing.
         """
         samples = {f"perception.{name}.history": (fields or {})[name] for name in self.get("perception", {})}
         images: dict[str, Callable[[Tensor], Tensor]] = {
