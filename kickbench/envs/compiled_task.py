@@ -189,6 +189,14 @@ def _term_problems(task: LoadedTask[Any], path: KeyPath, term: Term, params: Ter
     document, robot = task.document, f"the robot {task.robot.document.file.name}"
     for key, message in params.misfits(task.spec):
         yield document.problem((*path, key), message)
+    if path[:2] == ("observations", "critic") and isinstance(params, ObservationParams):
+        for key in ("rate", "dropout", "delay"):
+            if getattr(params, key):
+                yield document.problem(
+                    (*path, key),
+                    f"the critic sees its fields exactly: no `{key}`",
+                    "only fields of the actor have one",
+                )
     observed = task.robot.spec.observed_joints
     for key, joint in params.named_joints():
         if joint not in observed:

@@ -17,6 +17,7 @@ from kickbench.envs.engines import make_engine as make_engine
 from kickbench.envs.episode import EpisodeRecord, Outcome, Totals
 from kickbench.envs.initial_states import InitialStatePool, InitialStates, InitialStateSampler
 from kickbench.envs.observations import Observer
+from kickbench.envs.perception import Perception
 from kickbench.envs.randomizations import ModelVariation
 from kickbench.envs.state import EpisodeState, State, StateIndex
 from kickbench.envs.tensors import Tensors, plain
@@ -100,6 +101,7 @@ class KickEnv(VecEnv):
             totals=Totals.zeros(len(task.terminations), self._weights),
             by_side=Tensors(),
             observations=Tensors(groups),
+            perception=self._perception.memory,
             **{stage: process.memory for stage, process in self._processes.items()},
         )
 
@@ -112,13 +114,14 @@ class KickEnv(VecEnv):
         self._everywhere = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
         concludes = [not bound.term.truncates for bound in task.terminations]
         self._concludes = torch.tensor(concludes, device=self.device)
-        self._observer = Observer(task.groups, self.device, noise=self._noise)
         self._senses_floor = any(name.endswith("_foot_floor") for name in layout.contacts)
         self._has_feet = bool(layout.feet)
         self._variation = ModelVariation(task.scene, self.device)
         time = task.spec.simulation
         target, envs = self._default_target, self.num_envs
         self._setting = Setting(time.timestep, time.decimation, target, envs, self._draws)
+        self._perception = Perception(task.groups["actor"], self._setting)
+        self._observer = Observer(task.groups, self.device, noise=self._noise, perception=self._perception)
 
     def _make_source(self) -> InitialStateSource:
         return self.sampler if self._resident else InitialStatePool(self.sampler, _POOLED * self.num_envs)
@@ -277,7 +280,7 @@ class KickEnv(VecEnv):
         self.episode.reset(mask)
         self.episode.target = target
         self.record.reset(mask)
-        for process in self._processes.values():
+        for process in (*self._processes.values(), self._perception):
             process.reset(mask)
         self._observe()
 

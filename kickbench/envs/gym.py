@@ -72,12 +72,10 @@ class KickVectorEnv(VectorEnv):
         if np.shape(actions) != self.action_space.shape:
             raise ValueError(f"expected actions {self.action_space.shape}, found {np.shape(actions)}")
         state = self.env.advance(torch.tensor(actions, dtype=torch.float32))
-        ending = state.episode.clone()
+        # Now: the end of a step overwrites the episodes and what their actors have sampled.
+        final = _array(self.env.observations_of(state, self._draws)["actor"])
         observations, rewards, done, extras = self.env.finish(state)
-        state.episode, infos = ending, dict[str, Any]()  # a reset has overwritten the episode
-        if done.any():
-            final = _array(self.env.observations_of(state, self._draws)["actor"])
-            infos = self._endings(final, _array(done))
+        infos = self._endings(final, _array(done)) if done.any() else dict[str, Any]()
         truncated = _array(extras["time_outs"])
         return (
             _array(observations["actor"]), _array(rewards), _array(done) & ~truncated, truncated, infos,

@@ -13,6 +13,7 @@ import torch
 
 from kickbench.config.terms import ObservationParams
 from kickbench.envs.disturbances import Draws, uniform
+from kickbench.envs.perception import Perception
 from kickbench.envs.state import State
 from kickbench.envs.term import Field, observation
 
@@ -134,11 +135,17 @@ def foot_contact_forces(state: State, params: ObservationParams) -> Tensor:
 class Observer:
     """Evaluates all observation groups of a task on a state.
 
-    Groups share most of their fields. Each is evaluated once; only noise and clipping are a group's own.
+    Groups share most of their fields. Each is evaluated once; only noise and clipping are a group's own, and
+    what the actor's fields have lost on the way (`perception`).
     """
 
     def __init__(
-        self, groups: Mapping[str, Sequence[Field]], device: torch.device, *, noise: bool = True
+        self,
+        groups: Mapping[str, Sequence[Field]],
+        device: torch.device,
+        *,
+        noise: bool = True,
+        perception: Perception | None = None,
     ) -> None:
         """Finds what the groups share.
 
@@ -146,7 +153,9 @@ class Observer:
             groups: Observation group -> fields in the order of its vector.
             device: Where the observations live.
             noise: Whether noise applies.
+            perception: What the group `actor` sees of its fields; default: all, at once.
         """
+        self._perception = perception
         self._bounds = {field.key: field.bound for fields in groups.values() for field in fields}
         self._groups = {
             name: ([field.key for field in fields], Disturbance(fields, device, noise=noise))
@@ -161,8 +170,10 @@ class Observer:
             generator: Source of the noise.
         """
         fields = {key: bound(state) for key, bound in self._bounds.items()}
+        seen = self._perception(fields, state.episode.step) if self._perception else fields
+        by_group = {"actor": seen}
         return {
-            name: disturb(torch.cat([fields[key] for key in keys], dim=1), generator)
+            name: disturb(torch.cat([by_group.get(name, fields)[key] for key in keys], dim=1), generator)
             for name, (keys, disturb) in self._groups.items()
         }
 

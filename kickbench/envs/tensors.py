@@ -69,7 +69,9 @@ class Tensors(dict[str, Any]):
         }
         return type(self)({**self, **taken})
 
-    def mirrored(self, qpos: Mirror, qvel: Mirror, actions: Mirror) -> Tensors:
+    def mirrored(
+        self, qpos: Mirror, qvel: Mirror, actions: Mirror, fields: Mapping[str, Mirror] | None = None
+    ) -> Tensors:
         """The reflection in the xz plane of every env in a snapshot (`KickEnv.snapshot`).
 
         Random numbers that are yet to be drawn stay the same, but a push that follows from them is reflected,
@@ -80,7 +82,12 @@ class Tensors(dict[str, Any]):
             qpos: The model's mirror map of positions.
             qvel: The model's mirror map of velocities.
             actions: The mirror map of actions, and so of control targets.
+            fields: The mirror maps of the actor's fields by name; needed of those that are sampled.
+
+        Raises:
+            KeyError: The map of a sampled field is missing.
         """
+        samples = {f"perception.{name}.history": (fields or {})[name] for name in self.get("perception", {})}
         images: dict[str, Callable[[Tensor], Tensor]] = {
             "qpos": qpos,
             "qvel": qvel,
@@ -94,6 +101,7 @@ class Tensors(dict[str, Any]):
             "command.history": actions,
             "push.force": across,
             "push.side": torch.neg,
+            **samples,
         }  # fmt: skip
         sensed = {
             part: {_other_side(name): value for name, value in self[part].items()}

@@ -153,8 +153,8 @@ class Field:
 
     @cached_property
     def key(self) -> str:
-        """What the exact value depends on: the term and its parameters, but for noise and clipping."""
-        return f"{self.name} {self.params.model_dump(exclude={'noise', 'clip'})}"
+        """What the exact value depends on: the term and its own parameters."""
+        return f"{self.name} {self.params.model_dump(exclude=set(ObservationParams.model_fields))}"
 
 
 def field_size(term: Term, own: Mapping[str, Representation]) -> int:

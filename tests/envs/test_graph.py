@@ -30,6 +30,7 @@ VARIED = (
 K1 = (
     "episode.max_steps=12",
     "randomization.pushes={interval: [0.04, 0.1], duration: 0.04, force: [10, 30]}",
+    "observations.actor.ball_position={rate: 16, delay: [0.0, 0.1], dropout: 0.2}",
     *VARIED,
 )
 
@@ -96,6 +97,7 @@ def test_steps_between_buffers_give_the_trajectories_of_plain_steps_bit_for_bit(
     if name == "k1":
         assert any(step[".state.tensors.push.force"].any() for step in expected), "so are pushes"
         assert ".state.tensors.command.history" in expected[0], "and the delay"
+        assert ".state.tensors.perception.ball_position.history" in expected[0], "and late samples"
 
 
 def addresses(env: KickEnv) -> dict[str, int]:

@@ -40,12 +40,13 @@ def assert_equal(table, other):
 
 @pytest.fixture(scope="module")
 def disturbed(experiment):
-    """The same with everything that an evaluation may draw: noise, delays and pushes."""
+    """The same with everything that an evaluation may draw: noise, delays, lost samples and pushes."""
     return experiment(
         "mini_home_field",
         "equivariant",
         "episode.max_steps=60",
         "observations.actor.base_lin_vel.noise=0.2",
+        "observations.actor.ball_position={rate: 16, delay: [0.0, 0.1], dropout: 0.2}",
         "randomization.action_delay={delay: [0.0, 0.04], hold_probability: 0.3}",
         "randomization.pushes={interval: [0.1, 0.4], duration: 0.1, force: [0.0, 30.0]}",
         "evaluation.observation_noise=true",

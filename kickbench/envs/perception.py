@@ -1,0 +1,133 @@
+"""What reaches the policy of its fields, and when: sampled at a rate, late, and now and then lost."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import torch
+
+from kickbench.envs.disturbances import Setting, uniform
+from kickbench.envs.tensors import Tensors
+from kickbench.envs.term import Field
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+_ROUNDING = 1e-6
+"""What a number of control steps may lack to be whole, by rounding."""
+
+
+class SampleMemory(Tensors):
+    """What is known of one field.
+
+    Attributes:
+        history: Last sample that was not lost, at this control step and those before it, newest first
+            [B, depth, size].
+        age: Delay of the running episode, control steps [B].
+        step: Control step of the newest entry [B]; -1 after a reset, before the first entry.
+    """
+
+    history: Tensor
+    age: Tensor
+    step: Tensor
+
+
+class Sampler:
+    """Samples one field: `rate`, `dropout` and `delay` of `ObservationParams`, in this order.
+
+    The k-th sample, at k / rate seconds into the episode, is that of the first control step at or after that
+    time. It is lost with the probability `dropout`; the last sample that was not lost is held. What is held
+    is seen `delay` seconds later, rounded up to whole control steps. The first sample, of the initial state,
+    is never lost, and has been seen when the episode begins.
+
+    At 50 control steps a second, a rate of 16 Hz samples at control steps 0, 4, 7, 10, 13, 16, 19, 22, 25, 29;
+    with a delay of 0.06 s, control steps 7, 8 and 9 see the sample of step 4.
+
+    Attributes:
+        memory: Its tensors.
+    """
+
+    def __init__(self, field: Field, setting: Setting) -> None:
+        """Makes room for the longest delay."""
+        params, interval = field.params, setting.timestep * setting.decimation
+        self._delay = tuple(seconds / interval for seconds in params.delay or (0.0, 0.0))
+        self._dropout = params.dropout or 0.0
+        self._samples_a_step = params.rate * interval if params.rate else 1.0
+        self._generator, envs = setting.generator, setting.num_envs
+        depth, device = math.ceil(self._delay[1] - _ROUNDING) + 1, setting.default_target.device
+        whole = {"dtype": torch.int64, "device": device}
+        self.memory = SampleMemory(
+            history=torch.zeros(envs, depth, field.size, device=device),
+            age=torch.zeros(envs, **whole),
+            step=torch.full((envs,), -1, **whole),
+        )
+        # Place of every env's newest entry in the flattened history.
+        self._first = depth * torch.arange(envs, device=device)
+
+    def reset(self, mask: Tensor) -> None:
+        """Forgets the samples of the envs in `mask` [B] and draws their delays."""
+        memory, (low, high) = self.memory, self._delay
+        memory.step = torch.where(mask, -1, memory.step)
+        if low < high:
+            drawn = low + (high - low) * uniform(self._generator, mask.shape, env_axis=0)
+            memory.age = torch.where(mask, self._whole(drawn), memory.age)
+        else:
+            memory.age.fill_(math.ceil(high - _ROUNDING))
+
+    def __call__(self, value: Tensor, step: Tensor) -> Tensor:
+        """What is seen of a field; a second look within a control step sees the same.
+
+        Args:
+            value: The exact value now [B, size].
+            step: Control steps since the initial state [B].
+        """
+        memory, history = self.memory, self.memory.history
+        arrives = self._count(step) > self._count(step - 1)
+        if self._dropout:
+            arrives &= uniform(self._generator, step.shape, env_axis=0) >= self._dropout
+        held = torch.where(arrives.unsqueeze(1), value, history[:, 0])
+        longer = torch.cat([held.unsqueeze(1), history[:, :-1]], dim=1)
+        is_later, is_first = (part.view(-1, 1, 1) for part in (step != memory.step, memory.step < 0))
+        history = torch.where(is_later, longer, history)
+        memory.history = torch.where(is_first, value.unsqueeze(1), history)
+        memory.step = step
+        return memory.history.flatten(0, 1).index_select(0, self._first + memory.age)
+
+    def _count(self, step: Tensor) -> Tensor:
+        """Samples since the first, up to and including a control step [B]."""
+        return (step.double() * self._samples_a_step + _ROUNDING).floor()
+
+    def _whole(self, steps: Tensor) -> Tensor:
+        """Times in control steps, rounded up to whole ones; float32 knows few digits of them."""
+        return (steps - 1e-4).ceil().long().clamp(0, self.memory.history.shape[1] - 1)
+
+
+class Perception:
+    """The samplers of the fields that have one.
+
+    Attributes:
+        memory: Their tensors by the name of the field.
+    """
+
+    def __init__(self, fields: Sequence[Field], setting: Setting) -> None:
+        """Makes a sampler for each field whose parameters ask for one."""
+        found = [field for field in fields if field.params.is_sampled]
+        self._samplers = {field.key: Sampler(field, setting) for field in found}
+        self.memory = Tensors({field.name: self._samplers[field.key].memory for field in found})
+
+    def reset(self, mask: Tensor) -> None:
+        """Begins anew in the envs in `mask` [B]."""
+        for sampler in self._samplers.values():
+            sampler.reset(mask)
+
+    def __call__(self, fields: Mapping[str, Tensor], step: Tensor) -> dict[str, Tensor]:
+        """What is seen of all fields; those without a sampler are exact.
+
+        Args:
+            fields: Exact value of every field [B, size] by its key.
+            step: Control steps since the initial state [B].
+        """
+        seen = {key: sampler(fields[key], step) for key, sampler in self._samplers.items()}
+        return {**fields, **seen}
