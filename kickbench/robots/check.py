@@ -176,7 +176,7 @@ def _joints(
 
 
 def _sizes(robot: Loaded[RobotSpec], model: mujoco.MjModel) -> Iterator[Fact]:
-    data = posed(model, robot.spec.initial)
+    data = posed(model, robot.spec.initial.position, robot.spec.pose)
     yield Fact("mass", f"{model.body_mass[1:].sum():.4g} kg")
     geoms = touching_geoms(model)
     if geoms:
@@ -187,7 +187,7 @@ def _sizes(robot: Loaded[RobotSpec], model: mujoco.MjModel) -> Iterator[Fact]:
 
 
 def _box(robot: Loaded[RobotSpec], model: mujoco.MjModel) -> tuple[float, float]:
-    places = posed(model, robot.spec.initial).xpos[1:]
+    places = posed(model, robot.spec.initial.position, robot.spec.pose).xpos[1:]
     return float(np.abs(places[:, :2]).max()) + _ROOM, float(places[:, 2].max()) + _ROOM
 
 
@@ -199,7 +199,7 @@ def _found(found: Sequence[Finding]) -> Iterator[Fact]:
 
 
 def _limits(robot: Loaded[RobotSpec], model: mujoco.MjModel) -> Iterator[Fact]:
-    data = posed(model, robot.spec.initial)
+    data = posed(model, robot.spec.initial.position, robot.spec.pose)
     limited = [j for j in range(model.njnt) if model.jnt_limited[j]]
     near = [
         j for j in limited if np.abs(data.qpos[model.jnt_qposadr[j]] - model.jnt_range[j]).min() < _AT_LIMIT
@@ -219,7 +219,8 @@ def _efforts(joints: Sequence[JointFact]) -> Iterator[Fact]:
 
 def _ankles(robot: Loaded[RobotSpec], model: mujoco.MjModel) -> Iterator[Fact]:
     """Stiffness of the joints next to the feet against that of the tipping robot."""
-    data, servos = posed(model, robot.spec.initial), {s.joint: s for s in robot.spec.actuators.values()}
+    data = posed(model, robot.spec.initial.position, robot.spec.pose)
+    servos = {s.joint: s for s in robot.spec.actuators.values()}
     if base_joint(model) is None or not robot.spec.feet:
         return
     tipping = GRAVITY * model.body_mass[1:].sum() * centre_height(model, data) / len(supports(model, data))

@@ -11,7 +11,6 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from kickbench.config.robot import InitialSpec
 from kickbench.errors import KickbenchError
 from kickbench.sim.carried import lost_parts, read_mjcf, unfit_parts
 from kickbench.sim.pose import apparent_inertia, base_joint, lowest_point, posed, touching_geoms, underside
@@ -134,13 +133,13 @@ class Candidate:
     @cached_property
     def height(self) -> float:
         """Height of the base's joint with the lowest geom on the floor, m."""
-        data = posed(self.model, InitialSpec(position=(0.0, 0.0, 0.0), joints=self.joints))
+        data = posed(self.model, (0.0, 0.0, 0.0), self.joints)
         return -min(lowest_point(self.model, data, geom) for geom in touching_geoms(self.model))
 
     @cached_property
     def data(self) -> mujoco.MjData:
         """The pose, on the floor."""
-        return posed(self.model, InitialSpec(position=(0.0, 0.0, self.height), joints=self.joints))
+        return posed(self.model, (0.0, 0.0, self.height), self.joints)
 
     # Feet
 

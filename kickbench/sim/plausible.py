@@ -60,7 +60,7 @@ def findings(robot: Loaded[RobotSpec], model: mujoco.MjModel | None = None) -> I
         SpecError: The MJCF cannot be read, or lacks a name.
     """
     model = model or read_robot(robot)[1]
-    data = posed(model, robot.spec.initial)
+    data = posed(model, robot.spec.initial.position, robot.spec.pose)
     yield from (Finding("pose", problem, True) for problem in pose_problems(robot, model, data))
     for topic, path, distance, what in (*_floor(model, data), *_soles(robot, model, data)):
         if abs(distance) > _OFF:
@@ -148,7 +148,7 @@ class Stepped:
 
 def stepped(robot: RobotSpec, model: mujoco.MjModel, timestep: float, integrator: str) -> Iterator[Stepped]:
     """How every driven joint of a robot gets on with a time step, s, and an integrator."""
-    inertia = apparent_inertia(model, posed(model, robot.initial))
+    inertia = apparent_inertia(model, posed(model, robot.initial.position, robot.pose))
     for name, servo in robot.actuators.items():
         if servo.joint is not None:
             own = float(inertia[model.joint(servo.joint).dofadr[0]])

@@ -2,26 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 # pyright: reportAttributeAccessIssue=false
 import mujoco
 import numpy as np
 
-from kickbench.config.robot import ActuatorSpec, InitialSpec
+from kickbench.config.base import Vector3
+from kickbench.config.robot import ActuatorSpec
 
 _FREE = mujoco.mjtJoint.mjJNT_FREE
 _Geom = mujoco.mjtGeom
 
 
-def posed(model: mujoco.MjModel, initial: InitialSpec) -> mujoco.MjData:
+def posed(model: mujoco.MjModel, position: Vector3 | None, joints: Mapping[str, float]) -> mujoco.MjData:
     """The default pose of a robot's own model, with the places of all bodies and the joint-space inertia."""
     data = mujoco.MjData(model)
     base = base_joint(model)
-    if base is not None and initial.position is not None:
+    if base is not None and position is not None:
         place = model.jnt_qposadr[base]
-        data.qpos[place : place + 3] = initial.position
-    for name, value in initial.joints.items():
+        data.qpos[place : place + 3] = position
+    for name, value in joints.items():
         data.joint(name).qpos[0] = value
     mujoco.mj_forward(model, data)
     return data

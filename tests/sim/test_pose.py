@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import mujoco
 import numpy as np
 import pytest
 
-from kickbench.config.robot import ActuatorSpec
+from kickbench.config.load import load
+from kickbench.config.robot import ActuatorSpec, RobotSpec
 from kickbench.sim.build import servo_law
+from kickbench.sim.check import read_robot
 from kickbench.sim.layout import Servo
-from kickbench.sim.pose import apparent_inertia, lowest_point, share_of_limit
+from kickbench.sim.pose import apparent_inertia, lowest_point, posed, share_of_limit
 
 SHAPES = {
     "sphere": 'type="sphere" size="0.1"',
@@ -32,6 +36,14 @@ def test_the_lowest_point_is_where_a_floor_begins_to_touch(shape):
         data.qpos[2] = 1.0 - height + gap
         mujoco.mj_forward(model, data)
         assert (data.ncon > 0) == touches
+
+
+def test_a_pose_stated_for_one_side_puts_all_four_soles_on_the_floor():
+    robot = load(RobotSpec, Path(__file__).parents[2] / "assets/quadruped/robot.yaml")
+    model = read_robot(robot)[1]
+    data = posed(model, robot.spec.initial.position, robot.spec.pose)
+    feet = [model.geom(name).id for foot in robot.spec.feet.named().values() for name in foot.geoms]
+    assert [lowest_point(model, data, geom) for geom in feet] == pytest.approx([0.0] * 4, abs=1e-3)
 
 
 HINGE = """<mujoco><option timestep="0.005" integrator="{integrator}" gravity="0 0 0"/><worldbody><body name="b">
