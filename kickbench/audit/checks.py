@@ -279,6 +279,8 @@ def _sampling_rows(task: CompiledTask) -> Iterator[Row]:
     """Check 5: which sampling regions are their own mirror images, and what the others' are."""
     sampling = task.spec.sampling
     lateral = {"ball y": (sampling.ball.y, "m"), "target angle": (sampling.target.angle, "rad")}
+    if sampling.ball.speed is not None:
+        lateral["ball direction"] = (sampling.ball.direction or (0.0, 0.0), "rad")
     for name, ((low, high), unit) in lateral.items():
         error = abs(low + high)
         detail = f"[{low:g}, {high:g}] {unit}"

@@ -110,15 +110,6 @@ class EpisodeSpec(Spec):
     """Speed epsilon below which the ball counts as stopped, m/s."""
 
 
-class BallSampling(Spec):
-    """Where the ball starts, in the robot's start frame."""
-
-    x: Range
-    """Forward distance, m."""
-    y: Range
-    """Lateral offset, m; left is positive."""
-
-
 def _within_a_turn(angle: tuple[float, float]) -> tuple[float, float]:
     if max(map(abs, angle)) > _TURN:
         worst = max(angle, key=abs)
@@ -126,12 +117,36 @@ def _within_a_turn(angle: tuple[float, float]) -> tuple[float, float]:
     return angle
 
 
+Angles = Annotated[Range, AfterValidator(_within_a_turn)]
+"""A `Range` of angles, rad."""
+
+
+class BallSampling(Spec):
+    """Where the ball starts, in the robot's start frame."""
+
+    x: Range
+    """Forward distance, m."""
+    y: Range
+    """Lateral offset, m; left is positive."""
+    speed: NonNegativeRange | None = None
+    """Speed at which it rolls, m/s; default: it is at rest."""
+    direction: Angles | None = None
+    """Direction in which it rolls, from the line that leads from the ball to the robot, rad: 0 rolls at the robot,
+    pi away from it; counter-clockwise from above is positive. Default: 0."""
+
+    @model_validator(mode="after")
+    def _direction_has_a_speed(self) -> BallSampling:
+        if self.direction is not None and self.speed is None:
+            raise ValueError("a ball at rest rolls in no direction: add speed: [low, high], in m/s")
+        return self
+
+
 class TargetSampling(Spec):
     """Where the target lies, in polar coordinates of the robot's start frame."""
 
     distance: NonNegativeRange
     """Distance from the robot, m."""
-    angle: Annotated[Range, AfterValidator(_within_a_turn)]
+    angle: Angles
     """Angle from straight ahead, rad; left is positive."""
 
     def extent(self) -> tuple[tuple[float, float], tuple[float, float]]:

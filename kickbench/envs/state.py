@@ -266,6 +266,11 @@ class State:
         return self.ball_speed < self.limits.stop_speed
 
     @cached_property
+    def kick_moves_ball(self) -> Tensor:
+        """The ball moves, and has been touched: rolling in by itself is no kick [B] bool."""
+        return self.ball_touched & ~self.ball_stopped
+
+    @cached_property
     def target_pos(self) -> Tensor:
         """Target on the floor [B, 3], m."""
         return torch.nn.functional.pad(self.episode.target, (0, 1))

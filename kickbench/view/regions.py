@@ -136,7 +136,8 @@ def _target_words(task: CompiledTask) -> str:
 
 def _ball_words(task: CompiledTask) -> str:
     ball = task.spec.sampling.ball
-    return f"ball, radius {task.spec.ball.radius:g} m: x {_words(ball.x)} m, y {_words(ball.y)} m"
+    rolling = f", rolling at {_words(ball.speed)} m/s" if ball.speed else ""
+    return f"ball, radius {task.spec.ball.radius:g} m: x {_words(ball.x)} m, y {_words(ball.y)} m{rolling}"
 
 
 def _words(interval: Interval, form: str = ".4g") -> str:

@@ -66,7 +66,7 @@ REWARDS = [
         "0.6 / 1",
         0.6,
         True,
-        {"target": (4.0, 0.0), "ball_vel": (0.6, 0.8, 0.0)},
+        {"target": (4.0, 0.0), "ball_vel": (0.6, 0.8, 0.0), "contact_count": 1},
     ),
     Case(
         "ball_approach_target",
@@ -117,7 +117,10 @@ REWARDS = [
         {**WALK, "base_vel": FAST, "contact_count": 1},
     ),
     Case("ball_not_moving", "ball at 0.3 m/s", "1", 1.0, True, {"ball_vel": SLOW}),
-    Case("ball_not_moving", "ball at 0.6 m/s", "0", 0.0, False, {"ball_vel": FAST}),
+    Case(
+        "ball_not_moving", "touched ball at 0.6 m/s", "0", 0.0, False, {"ball_vel": FAST, "contact_count": 1}
+    ),
+    Case("ball_not_moving", "ball rolls in at 0.6 m/s", "1", 1.0, True, {"ball_vel": FAST}),
     Case("survival", "any state", "1", 1.0, None),
     Case("survival", "a fallen robot", "1", 1.0, None, {"quat": tilted(HALF_TURN)}),
     Case("upright", "level", "exp(0)", 1.0, None),
