@@ -74,7 +74,7 @@ def differences(native: mujoco.MjModel, scene: mujoco.MjModel) -> Iterator[str]:
     mine = [body for body in range(1, scene.nbody) if scene.body(body).name.startswith(ROBOT)]
     counts = {
         "bodies": (native.nbody - 1, len(mine)),
-        "joints": (native.njnt, scene.njnt - 1),
+        "joints": (native.njnt, sum(scene.joint(j).name.startswith(ROBOT) for j in range(scene.njnt))),
         "contact pairs": (native.npair, scene.npair),
         "contact exclusions": (native.nexclude, scene.nexclude),
         "equality constraints": (native.neq, scene.neq),
