@@ -128,7 +128,7 @@ def _joint_rows(recording: Recording, declared: Image, exact: np.ndarray, scale:
     joints = {c.name: c.qvel for c in scene.layout.coordinates if not c.free}
     kinds = dict(zip((c.name for c in scene.layout.coordinates), scene.model.jnt_type, strict=True))
     names, places = list(joints), list(joints.values())
-    table = mirror_joints(names, declared)
+    table = mirror_joints(names, {**declared, **scene.layout.scene_image})
     mine, theirs = recording.velocity.original[:, places], recording.velocity.image[:, places]
     off = np.abs(_apply(table, mine) - theirs)
     found = measure(mine[exact], theirs[exact], table, _EXACT, _EXACT) if exact.any() else None
@@ -278,7 +278,11 @@ def _term_row(kind: str, pairs: Pairs, relative: float) -> Row:
 def _sampling_rows(task: CompiledTask) -> Iterator[Row]:
     """Check 5: which sampling regions are their own mirror images, and what the others' are."""
     sampling = task.spec.sampling
-    lateral = {"ball y": (sampling.ball.y, "m"), "target angle": (sampling.target.angle, "rad")}
+    target = sampling.target
+    lateral = {"ball y": (sampling.ball.y, "m")}
+    lateral |= {"target y": (target.y, "m")} if target.y else {"target angle": (target.polar()[1], "rad")}
+    if sampling.ball.speed is not None:
+        lateral["ball direction"] = (sampling.ball.direction or (0.0, 0.0), "rad")
     for name, ((low, high), unit) in lateral.items():
         error = abs(low + high)
         detail = f"[{low:g}, {high:g}] {unit}"

@@ -48,7 +48,8 @@ class Reflection:
     @staticmethod
     def of(task: CompiledTask, image: Image) -> Reflection:
         """The reflection that follows from a joint table."""
-        coordinates, image = task.scene.layout.coordinates, {**image, "ball": ("ball", 1)}
+        layout = task.scene.layout
+        coordinates, image = layout.coordinates, {**image, **layout.scene_image}
         return Reflection(
             Mirror(mirror_qpos(coordinates, image)),
             Mirror(mirror_qvel(coordinates, image)),

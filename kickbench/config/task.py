@@ -112,15 +112,6 @@ class EpisodeSpec(Spec):
     """Speed epsilon below which the ball counts as stopped, m/s."""
 
 
-class BallSampling(Spec):
-    """Where the ball starts, in the robot's start frame."""
-
-    x: Range
-    """Forward distance, m."""
-    y: Range
-    """Lateral offset, m; left is positive."""
-
-
 def _within_a_turn(angle: tuple[float, ...]) -> tuple[float, ...]:
     if max(map(abs, angle)) > _TURN:
         worst = max(angle, key=abs)
@@ -128,20 +119,74 @@ def _within_a_turn(angle: tuple[float, ...]) -> tuple[float, ...]:
     return angle
 
 
-class TargetSampling(Spec):
-    """Where the target lies, in polar coordinates of the robot's start frame."""
+Angles = Annotated[Range, AfterValidator(_within_a_turn)]
+"""A `Range` of angles, rad."""
 
-    distance: NonNegativeRange
+
+class BallSampling(Spec):
+    """Where the ball starts, in the robot's start frame."""
+
+    x: Range
+    """Forward distance, m."""
+    y: Range
+    """Lateral offset, m; left is positive."""
+    speed: NonNegativeRange | None = None
+    """Speed at which it rolls, m/s; default: it is at rest."""
+    direction: Angles | None = None
+    """Direction in which it rolls, from the line that leads from the ball to the robot, rad: 0 rolls at the robot,
+    pi away from it; counter-clockwise from above is positive. Default: 0."""
+
+    @model_validator(mode="after")
+    def _direction_has_a_speed(self) -> BallSampling:
+        if self.direction is not None and self.speed is None:
+            raise ValueError("a ball at rest rolls in no direction: add speed: [low, high], in m/s")
+        return self
+
+
+class TargetSampling(Spec):
+    """Where the target lies in the robot's start frame: in polar coordinates, or in Cartesian ones.
+
+    With a `width` it is the middle of a goal mouth, which stands across the x axis.
+    """
+
+    distance: NonNegativeRange | None = None
     """Distance from the robot, m."""
-    angle: Annotated[Range, AfterValidator(_within_a_turn)]
+    angle: Angles | None = None
     """Angle from straight ahead, rad; left is positive."""
+    x: Range | None = None
+    """Forward distance, m; instead of distance and angle."""
+    y: Range | None = None
+    """Lateral offset, m; left is positive."""
+    width: PositiveFloat | None = Field(default=None, le=100)
+    """Clear width between the posts of a goal, m; its line is parallel to the y axis. Default: no goal, a point."""
+
+    @model_validator(mode="after")
+    def _in_one_kind_of_coordinates(self) -> TargetSampling:
+        given = {key for key in ("distance", "angle", "x", "y") if getattr(self, key) is not None}
+        if given not in ({"distance", "angle"}, {"x", "y"}):
+            found = ", ".join(sorted(given)) or "none of them"
+            raise ValueError(f"expected distance and angle, or x and y (the others null), found {found}")
+        if self.width is not None and self.x is None:
+            raise ValueError(
+                "a goal lies in Cartesian coordinates: give x and y, and distance and angle null"
+            )
+        return self
+
+    def polar(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Distance, m, and angle, rad, of a polar region."""
+        assert self.distance is not None, "the region is Cartesian"
+        assert self.angle is not None
+        return self.distance, self.angle
 
     def extent(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Smallest and largest x and y of the region, m."""
-        low, high = self.angle
+        """Smallest and largest x and y of the region, the mouth of a goal included, m."""
+        if self.x is not None and self.y is not None:
+            half = (self.width or 0.0) / 2
+            return self.x, (self.y[0] - half, self.y[1] + half)
+        distance, (low, high) = self.polar()
         quarter = math.pi / 2
         axes = [k * quarter for k in range(math.ceil(low / quarter), math.floor(high / quarter) + 1)]
-        points = [(r * math.cos(a), r * math.sin(a)) for r in self.distance for a in (low, high, *axes)]
+        points = [(r * math.cos(a), r * math.sin(a)) for r in distance for a in (low, high, *axes)]
         x, y = zip(*points, strict=True)
         return (min(x), max(x)), (min(y), max(y))
 
@@ -206,7 +251,8 @@ class EvaluationSpec(Spec):
     mirrored: bool
     """Also evaluate the exact mirror images of the starts."""
     success_radius: PositiveFloat
-    """An episode succeeds if the ball ends at rest within this distance of the target, m."""
+    """An episode succeeds if the ball ends at rest within this distance of the target, m. In a goal it succeeds
+    when the ball crosses the line between the posts."""
     observation_noise: bool = False
     """Apply the observation noise of the task."""
     pushes: bool = False

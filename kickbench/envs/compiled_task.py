@@ -167,6 +167,7 @@ def _task_problems(task: LoadedTask[Any], terms: Catalog) -> Iterator[Problem]:
         for name, params in active.items():
             yield from _term_problems(task, (*path, name), known[name], params)
     yield from _field_problems(task)
+    yield from _goal_problems(task)
     yield from _curriculum_problems(task)
     limits = [name for name, term in terms.terminations.items() if term.truncates]
     endings = spec.terminations.active(TermParams)
@@ -179,6 +180,7 @@ def _scene_problems(task: LoadedTask[Any], layout: SceneLayout) -> Iterator[Prob
     """Regions of the ball that leave it no room beside the robot, those of a curriculum's first level as well."""
     yield from _region_problems(task, layout)
     yield from _grid_problems(task, layout)
+    yield from _goal_place_problems(task, layout)
     if (first := _first(task)) is not None:
         for problem in (*_field_problems(first), *_region_problems(first, layout)):
             yield task.document.problem(("curriculum",), f"at first, {problem.message}", problem.hint)
@@ -241,6 +243,39 @@ def _grid_problems(task: LoadedTask[Any], layout: SceneLayout) -> Iterator[Probl
             yield task.document.problem(("evaluation", "grid", "ball", row), message, hint)
 
 
+def _goal_problems(task: LoadedTask[Any]) -> Iterator[Problem]:
+    """Terms of a goal without one, a goal without its termination, or one that no ball fits in."""
+    spec, document, name = task.spec, task.document, "goal"
+    target, place = spec.sampling.target, ("sampling", "target")
+    used = [key for key in ("rewards", "terminations") if name in getattr(spec, key).active(TermParams)]
+    if target.width is None:
+        for key in used:
+            what = "the target is a point: there is no goal to cross"
+            yield document.problem((key, name), what, "add sampling.target.width, in m")
+        return
+    if "terminations" not in used:
+        what = "a target with a width is a goal, which the termination 'goal' has to end"
+        yield document.problem(("terminations",), what, "add goal: {}")
+    if target.width <= 2.0 * spec.ball.radius:
+        what = f"the ball, {2.0 * spec.ball.radius:g} m wide, does not fit in"
+        yield document.problem((*place, "width"), what)
+
+
+def _goal_place_problems(task: LoadedTask[Any], layout: SceneLayout) -> Iterator[Problem]:
+    """A goal behind the robot or in it, or with a ball that starts behind its line."""
+    target, ball = task.spec.sampling.target, task.spec.sampling.ball
+    if target.width is None or target.x is None:
+        return
+    front, nearest = float(layout.obstacles[:, 1].max(initial=0.0)), target.x[0]
+    for limit, what in ((front, "in or behind the robot"), (ball.x[1], "before the ball")):
+        if nearest <= limit:
+            message = f"the goal may stand {what}: x from {nearest:g} m"
+            yield task.document.problem(
+                ("sampling", "target", "x"), message, f"expected more than {limit:.3g} m"
+            )
+            return
+
+
 def _first(task: LoadedTask[Any]) -> LoadedTask[Any] | None:
     """The task with the first values of its curriculum, if it has one."""
     curriculum = task.spec.curriculum
@@ -266,6 +301,8 @@ def _ramp_problem(task: LoadedTask[Any], key: str, ramp: Ramp) -> Problem | None
     owner = value_at(task.spec, path)
     if owner is None:
         return task.document.problem(place, f"the term '{path[-1]}' is off in this task")
+    if getattr(owner, name) is None:
+        return task.document.problem(place, f"this task has no {key}")
     is_range = isinstance(getattr(owner, name), tuple)
     if not is_range and ramp.first[0] != ramp.first[1]:
         return task.document.problem((*place, "from"), f"expected a number, as {key} is one, found a range")

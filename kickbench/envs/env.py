@@ -93,10 +93,12 @@ class KickEnv(VecEnv):
         self.reset()
 
     def _make_tensors(self) -> Tensors:
-        task, envs = self.task, self.num_envs
+        task, envs, layout = self.task, self.num_envs, self.task.scene.layout
         groups = {name: torch.zeros(envs, task.width(name), device=self.device) for name in task.groups}
         return Tensors(
-            episode=EpisodeState.zeros(envs, self.num_actions, len(task.scene.layout.feet), self.device),
+            episode=EpisodeState.zeros(
+                envs, self.num_actions, len(layout.feet), self.device, has_goal=self._has_goal
+            ),
             record=EpisodeRecord.empty(envs, len(task.rewards), self.device),
             totals=Totals.zeros(len(task.terminations), self._weights),
             by_side=Tensors(),
@@ -115,7 +117,7 @@ class KickEnv(VecEnv):
         concludes = [not bound.term.truncates for bound in task.terminations]
         self._concludes = torch.tensor(concludes, device=self.device)
         self._senses_floor = any(name.endswith("_foot_floor") for name in layout.contacts)
-        self._has_feet = bool(layout.feet)
+        self._has_feet, self._has_goal = bool(layout.feet), layout.goal_qpos is not None
         self._variation = ModelVariation(task.scene, self.device)
         time = task.spec.simulation
         target, envs = self._default_target, self.num_envs
@@ -254,6 +256,9 @@ class KickEnv(VecEnv):
         if self._senses_floor:
             dt = self.task.spec.simulation.control_interval
             episode.air_time = torch.where(state.foot_floor_contact, 0.0, episode.air_time + dt)
+        if self._has_goal:
+            episode.scored |= state.ball_enters_goal
+            episode.ball = state.ball_pos[:, :2]
         self.record.note_touch(state, self.engine.failed, self._has_feet)
 
     def _reward(self, state: State) -> Tensor:
@@ -265,7 +270,8 @@ class KickEnv(VecEnv):
 
     def _conclude(self, state: State, terminated: Tensor, failed: Tensor, done: Tensor) -> None:
         radius = self.task.spec.evaluation.success_radius
-        success = done & ~failed & (state.target_distance < radius) & state.ball_stopped & state.ball_touched
+        reached = (state.target_distance < radius) & state.ball_stopped & state.ball_touched
+        success = done & ~failed & (self.episode.scored if self._has_goal else reached)
         record, steps = self.record.clone(), self.episode.step.clone()
         ball = state.ball_pos[:, :2]
         distance, weights = state.target_distance, self._weights
@@ -279,6 +285,10 @@ class KickEnv(VecEnv):
         target = torch.where(mask.unsqueeze(1), states.target.float(), self.episode.target)
         self.episode.reset(mask)
         self.episode.target = target
+        if self._has_goal:
+            place = self.task.scene.layout.ball_qpos
+            ball = states.qpos[:, place : place + 2].float()
+            self.episode.ball = torch.where(mask.unsqueeze(1), ball, self.episode.ball)
         self.record.reset(mask)
         for process in (*self._processes.values(), self._perception):
             process.reset(mask)

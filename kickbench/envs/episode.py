@@ -23,7 +23,7 @@ class EpisodeRecord(Tensors):
         by_reward_raw: Unweighted sum of every reward term [B, R].
         kick_foot: What touched the ball first [B], codes of this module.
         kick_step: Control step of the first touch, -1 before [B].
-        peak_ball_speed: Largest horizontal ball speed so far [B], m/s.
+        peak_ball_speed: Largest horizontal ball speed since the first touch, or without one so far [B], m/s.
     """
 
     by_reward_raw: Tensor
@@ -63,7 +63,8 @@ class EpisodeRecord(Tensors):
         else:
             self.kick_foot = torch.where(first, OTHER, self.kick_foot)
         self.kick_step = torch.where(first, state.episode.step, self.kick_step)
-        peak = torch.maximum(self.peak_ball_speed, state.ball_ground_speed)
+        before = self.peak_ball_speed.masked_fill(first, 0.0)
+        peak = torch.maximum(before, state.ball_ground_speed)
         self.peak_ball_speed = torch.where(failed, self.peak_ball_speed, peak)
 
 

@@ -119,7 +119,8 @@ class InitialStateSampler:
         """
         layout, spec, device = task.scene.layout, task.spec, generator.device
         self._regions, self._radius, self._randomizers = spec.sampling, spec.ball.radius, task.randomizers
-        self._place, self._nv = layout.ball_qpos, task.scene.model.nv
+        self._place, self._rolling, self._nv = layout.ball_qpos, layout.ball_qvel, task.scene.model.nv
+        self._goal = layout.goal_qpos
         self._default = torch.as_tensor(layout.default_qpos, device=device)
         self._obstacles = torch.as_tensor(layout.obstacles, device=device)
         self._joints, self._feet = torch.as_tensor(layout.joint_qpos, device=device), len(layout.feet)
@@ -137,13 +138,13 @@ class InitialStateSampler:
 
     def sample(self, count: int) -> InitialStates:
         """Draws `count` independent initial states."""
-        target = self._regions.target
         qpos = self._default.repeat(count, 1)
         qpos[:, self._place : self._place + 2] = self._draw_ball(count)
         qpos[:, self._place + 2].fill_(self._radius)
-        distance, angle = self.draw(*target.distance, count), self.draw(*target.angle, count)
-        goal = torch.stack([distance * angle.cos(), distance * angle.sin()], dim=1)
-        states = InitialStates(qpos, qpos.new_zeros(count, self._nv), goal, self._joints, feet=self._feet)
+        target, qvel = self._draw_target(count), self._draw_velocities(qpos)
+        if self._goal is not None:
+            qpos[:, self._goal : self._goal + 2] = target
+        states = InitialStates(qpos, qvel, target, self._joints, feet=self._feet)
         for randomize in self._randomizers:
             states = randomize(states, self.draw)
         return states
@@ -161,6 +162,30 @@ class InitialStateSampler:
         x, y = self.draw(*region.x, tries, count), self.draw(*region.y, tries, count)
         first = (~self.overlaps(x, y)).int().argmax(dim=0, keepdim=True)
         return torch.stack([x.gather(0, first)[0], y.gather(0, first)[0]], dim=1)
+
+    def _draw_target(self, count: int) -> Tensor:
+        """Targets [count, 2] from their region."""
+        region = self._regions.target
+        if region.x is not None and region.y is not None:
+            return torch.stack([self.draw(*region.x, count), self.draw(*region.y, count)], dim=1)
+        distance, angle = (self.draw(*bounds, count) for bounds in region.polar())
+        return torch.stack([distance * angle.cos(), distance * angle.sin()], dim=1)
+
+    def _draw_velocities(self, qpos: Tensor) -> Tensor:
+        """Generalised velocities [N, nv] of the initial positions: all at rest but the ball, which may roll."""
+        ball, count = self._regions.ball, len(qpos)
+        qvel = qpos.new_zeros(count, self._nv)
+        if ball.speed is not None:
+            speed, turn = self.draw(*ball.speed, count), self.draw(*(ball.direction or (0.0, 0.0)), count)
+            x, y = qpos[:, self._place : self._place + 2].unbind(dim=1)
+            heading = torch.atan2(-y, -x) + turn
+            velocity = speed.unsqueeze(1) * torch.stack([heading.cos(), heading.sin()], dim=1)
+            first = self._rolling
+            qvel[:, first : first + 2] = velocity
+            # It rolls and does not slip: spin = up x velocity / radius. Its axes are the world's.
+            qvel[:, first + 3] = -velocity[:, 1] / self._radius
+            qvel[:, first + 4] = velocity[:, 0] / self._radius
+        return qvel
 
     def _tries(self) -> int:
         """Candidates: one where the region is clear of the robot, else enough to find a free place."""

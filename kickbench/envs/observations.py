@@ -54,7 +54,7 @@ def ball_position(state: State, params: ObservationParams) -> Tensor:
 
 @observation(_POLAR, "m", "Table 3.2; the frame, not in the thesis, is the ball's", frame="base")
 def target_position(state: State, params: ObservationParams) -> Tensor:
-    """Target, a point on the floor, relative to the origin of the base, in the base frame."""
+    """Target, a point on the floor or the middle of a goal, relative to the origin of the base, in the base frame."""
     return state.target_from_base
 
 

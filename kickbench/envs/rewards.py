@@ -47,9 +47,15 @@ def target_distance(state: State, params: TargetDistance) -> Tensor:
 
 @reward(source="3.2.3 Ball Approach Target")
 def ball_approach_target(state: State, params: RewardParams) -> Tensor:
-    """max(0, cos) of the angle between ball velocity and ball-to-target, while the ball moves; else 0."""
+    """max(0, cos) of the angle between ball velocity and ball-to-target, while a touched ball moves; else 0."""
     lengths = state.ball_ground_speed * state.target_distance
-    return _cosine(state.ball_lin_vel[:, :2], state.ball_to_target, lengths) * ~state.ball_stopped
+    return _cosine(state.ball_lin_vel[:, :2], state.ball_to_target, lengths) * state.kick_moves_ball
+
+
+@reward(source="not in the thesis")
+def goal(state: State, params: RewardParams) -> Tensor:
+    """1 once the ball has crossed the line between the posts, which ends the episode; else 0."""
+    return state.episode.scored.float()
 
 
 class AgentApproachBall(RewardParams):
@@ -80,8 +86,8 @@ def agent_approach_ball(state: State, params: AgentApproachBall) -> Tensor:
 
 @reward(source="A Ball Not Moving Penalty")
 def ball_not_moving(state: State, params: RewardParams) -> Tensor:
-    """1 while the ball is slower than `episode.stop_speed`, else 0."""
-    return state.ball_stopped.float()
+    """1 while the ball is slower than `episode.stop_speed` or has not been touched, else 0."""
+    return (~state.kick_moves_ball).float()
 
 
 @reward(source="A Action Rate; the sign is not the thesis'")

@@ -29,6 +29,8 @@ class EpisodeState(Tensors):
         action: Action of the last control step [B, nu].
         previous_action: Action of the step before [B, nu].
         air_time: Time since each foot last touched the floor [B, F], s.
+        ball: In tasks with a goal: where the ball was one control step ago [B, 2], m.
+        scored: In tasks with a goal: the ball has crossed the line between the posts [B] bool.
     """
 
     step: Tensor
@@ -37,9 +39,13 @@ class EpisodeState(Tensors):
     action: Tensor
     previous_action: Tensor
     air_time: Tensor
+    ball: Tensor
+    scored: Tensor
 
     @staticmethod
-    def zeros(num_envs: int, num_actions: int, num_feet: int, device: torch.device) -> EpisodeState:
+    def zeros(
+        num_envs: int, num_actions: int, num_feet: int, device: torch.device, *, has_goal: bool = False
+    ) -> EpisodeState:
         """All counters and actions at zero."""
 
         def zeros(*shape: int, dtype: torch.dtype = torch.float32) -> Tensor:
@@ -52,6 +58,7 @@ class EpisodeState(Tensors):
             action=zeros(num_actions),
             previous_action=zeros(num_actions),
             air_time=zeros(num_feet),
+            **({"ball": zeros(2), "scored": zeros(dtype=torch.bool)} if has_goal else {}),
         )
 
 
@@ -72,6 +79,7 @@ class StateIndex:
         self.ball_qpos, self.ball_qvel = layout.ball_qpos, layout.ball_qvel
         self.frames = {name: slice(int(c[0]), int(c[-1]) + 1) for name, c in layout.frames.items()}
         self.feet = layout.feet
+        self.goal_half = layout.goal_width / 2
         sensed = np.concatenate(list(layout.contacts.values()))
         first = int(sensed.min())
         self.counts = slice(first, int(sensed.max()) + 1)
@@ -266,19 +274,43 @@ class State:
         return self.ball_speed < self.limits.stop_speed
 
     @cached_property
+    def kick_moves_ball(self) -> Tensor:
+        """The ball moves, and has been touched: rolling in by itself is no kick [B] bool."""
+        return self.ball_touched & ~self.ball_stopped
+
+    @cached_property
     def target_pos(self) -> Tensor:
         """Target on the floor [B, 3], m."""
         return torch.nn.functional.pad(self.episode.target, (0, 1))
 
     @cached_property
     def ball_to_target(self) -> Tensor:
-        """Horizontal vector from the ball to the target [B, 2], m."""
-        return self.episode.target - self.ball_pos[:, :2]
+        """Horizontal vector from the ball to the target, of a goal to the nearest point of its line [B, 2], m."""
+        offset = self.episode.target - self.ball_pos[:, :2]
+        if half := self._index.goal_half:
+            x, y = offset.unbind(dim=1)
+            offset = torch.stack([x, y - y.clamp(-half, half)], dim=1)
+        return offset
 
     @cached_property
     def target_distance(self) -> Tensor:
-        """Horizontal distance of ball and target [B], m."""
-        return length(self.ball_to_target)
+        """Horizontal distance of ball and target [B], m; 0 once the ball is in the goal."""
+        distance = length(self.ball_to_target)
+        return distance.masked_fill(self.episode.scored, 0.0) if self._index.goal_half else distance
+
+    @cached_property
+    def ball_enters_goal(self) -> Tensor:
+        """The centre of a touched ball has crossed the goal line from the front, between the posts [B] bool.
+
+        Its way in the control step counts as straight: from b to b', it meets the line x = g at
+        b_y + (g - b_x) / (b'_x - b_x) (b'_y - b_y).
+        """
+        before, now, goal = self.episode.ball, self.ball_pos[:, :2], self.episode.target
+        way = now - before
+        share = (goal[:, 0] - before[:, 0]) / way[:, 0].clamp(min=1e-9)
+        aside = before[:, 1] + share * way[:, 1] - goal[:, 1]
+        crosses = (before[:, 0] < goal[:, 0]) & (now[:, 0] >= goal[:, 0])
+        return crosses & (aside.abs() < self._index.goal_half) & self.ball_touched
 
     @cached_property
     def foot_pos(self) -> Tensor:

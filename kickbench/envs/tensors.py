@@ -94,6 +94,7 @@ class Tensors(dict[str, Any]):
             "forces": lambda value: value * value.new_tensor(POLAR),
             "by_side": sides_swapped,
             "episode.target": across,
+            "episode.ball": across,
             "episode.action": actions,
             "episode.previous_action": actions,
             "episode.air_time": sides_swapped,

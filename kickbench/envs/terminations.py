@@ -38,6 +38,12 @@ def target_missed(state: State, params: TargetRadius) -> Tensor:
     return (state.target_distance >= params.radius) & state.ball_stopped & state.contact_window_passed
 
 
+@termination("not in the thesis")
+def goal(state: State, params: TerminationParams) -> Tensor:
+    """The ball has crossed the line between the posts, after a touch."""
+    return state.episode.scored
+
+
 @termination("Table 3.3")
 def double_touch(state: State, params: TerminationParams) -> Tensor:
     """The robot touches the ball after the contact window: c_t > T_window."""

@@ -268,6 +268,7 @@ def _ended(env: KickEnv, running: Tensor, before: Tensor, kick: dict[str, Tensor
         "running": running,
         "final_ball_x": ball[:, 0],
         "final_ball_y": ball[:, 1],
+        "distance": outcome.distance,
         "success": outcome.success,
         "termination": ending,
         "steps": outcome.steps,
@@ -293,16 +294,19 @@ def _table(
     place = task.scene.layout.ball_qpos
     start_ball, target = initial_states.qpos[:, place : place + 2].numpy(), initial_states.target.numpy()
     endings = np.array([*(bound.name for bound in task.terminations), NON_FINITE])
+    nearest = rows.pop("distance")
     final = np.stack([rows["final_ball_x"], rows["final_ball_y"]], axis=1).astype(np.float64)
     names = {
         "termination": endings[rows["termination"]],
         "kick_foot": np.array(FOOT_NAMES)[rows["kick_foot"]],
     }
+    # In double precision; of a goal it is that to the nearest point of its line.
+    to_point = np.linalg.norm(final - target, axis=1)
     return EpisodeTable(
         start_ball_x=start_ball[:, 0],
         start_ball_y=start_ball[:, 1],
         target_x=target[:, 0],
         target_y=target[:, 1],
-        distance=np.linalg.norm(final - target, axis=1),
+        distance=to_point if task.scene.layout.goal_qpos is None else nearest.astype(np.float64),
         **{**rows, **names},
     )

@@ -12,15 +12,19 @@ import mujoco
 
 from kickbench.config.load import Loaded
 from kickbench.config.robot import RobotSpec
-from kickbench.config.task import BallSpec, SimulationSpec, TaskSpec
+from kickbench.config.task import BallSpec, SimulationSpec, TargetSampling, TaskSpec
 from kickbench.errors import SpecError
 from kickbench.sim.carried import differences
 from kickbench.sim.check import check_start, model_error, read_robot
-from kickbench.sim.layout import SceneLayout, Servo, read_layout
+from kickbench.sim.layout import GOAL, SceneLayout, Servo, read_layout
 from kickbench.sim.sensors import ALWAYS, ROBOT, SensorGroup, plan_sensors, robot_feet, sole_site
 
 _AXES = ("x", "y", "z", "rx", "ry", "rz")
 _BASE_SITE = "kickbench_base"
+_POST = (0.05, 0.4)
+"""Radius and half of the height of a goal post, m."""
+_UNMOVED = 1000.0
+"""Mass of a goal, kg: a ball's hit moves it by less than a millimetre a second."""
 _FOOT_PRIORITY = 1
 """Feet decide their contact with the floor, else the larger friction would hide theirs; the ball decides all
 of its own; everything else has priority 0."""
@@ -81,7 +85,9 @@ def build_scene(task: TaskSpec, robot: Loaded[RobotSpec], needs: frozenset[Senso
     _add_sites(body, robot.spec)
     scene.attach(body, prefix=ROBOT, frame=scene.worldbody.add_frame())
     _add_ball(scene, task.ball)
-    _add_target(scene, task.evaluation.success_radius)
+    _add_target(scene, task)
+    if task.sampling.target.width is not None:
+        _add_goal(scene, task.sampling.target)
     _add_actuators(scene, robot.spec)
     plans = plan_sensors(robot.spec, root, body_geoms, needs | frozenset(ALWAYS))
     for plan in plans:
@@ -210,18 +216,44 @@ def _add_ball(scene: mujoco.MjSpec, ball: BallSpec) -> None:
     )
 
 
-def _add_target(scene: mujoco.MjSpec, radius: float) -> None:
-    """A mocap body, so that a viewer can place it; it touches nothing."""
+def _add_target(scene: mujoco.MjSpec, task: TaskSpec) -> None:
+    """A mocap body, so that a viewer can place it; it touches nothing. A disc, or the line of a goal."""
+    kinds, width = mujoco.mjtGeom, task.sampling.target.width
+    kind = kinds.mjGEOM_BOX if width else kinds.mjGEOM_CYLINDER
+    size = [0.02, width / 2, 0.002] if width else [task.evaluation.success_radius, 0.002, 0]
     target = scene.worldbody.add_body(name="target", mocap=True, pos=[2.0, 0.0, 0.0])
     target.add_geom(
         name="target",
-        type=mujoco.mjtGeom.mjGEOM_CYLINDER,
-        size=[radius, 0.002, 0],
+        type=kind,
+        size=size,
         mass=0.0,
         contype=0,
         conaffinity=0,
         rgba=[0.95, 0.80, 0.15, 0.6],
     )
+
+
+def _add_goal(scene: mujoco.MjSpec, target: TargetSampling) -> None:
+    """Two posts on slides, so that each env has its goal elsewhere; its place in qpos is that in the world.
+
+    They end just above the floor, and so touch the ball and the robot alone.
+    """
+    radius, half_height = _POST
+    (x0, x1), (y0, y1) = target.x or (0.0, 0.0), target.y or (0.0, 0.0)
+    place = ((x0 + x1) / 2, (y0 + y1) / 2)
+    goal = scene.worldbody.add_body(name="goal", pos=[*place, half_height + 0.01])
+    for axis, name in enumerate(GOAL):
+        along = [float(i == axis) for i in range(3)]
+        goal.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=along, ref=place[axis])
+    for side, sign in (("left", 1.0), ("right", -1.0)):
+        goal.add_geom(
+            name=f"goal_{side}",
+            type=mujoco.mjtGeom.mjGEOM_CYLINDER,
+            size=[radius, half_height, 0],
+            pos=[0.0, sign * ((target.width or 0.0) / 2 + radius), 0.0],
+            mass=_UNMOVED / 2,
+            rgba=[0.98, 0.98, 0.98, 1.0],
+        )
 
 
 def _add_sites(body: mujoco.MjSpec, robot: RobotSpec) -> None:

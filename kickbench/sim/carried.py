@@ -8,6 +8,7 @@ from collections.abc import Iterator
 import mujoco
 import numpy as np
 
+from kickbench.sim.layout import GOAL
 from kickbench.sim.read_parts import name_parts, part_name, unsupported
 from kickbench.sim.sensors import ROBOT
 
@@ -72,9 +73,10 @@ def differences(native: mujoco.MjModel, scene: mujoco.MjModel) -> Iterator[str]:
         scene: The compiled scene.
     """
     mine = [body for body in range(1, scene.nbody) if scene.body(body).name.startswith(ROBOT)]
+    added = [j for j in range(scene.njnt) if scene.joint(j).name in ("ball", *GOAL)]
     counts = {
         "bodies": (native.nbody - 1, len(mine)),
-        "joints": (native.njnt, scene.njnt - 1),
+        "joints": (native.njnt, scene.njnt - len(added)),
         "contact pairs": (native.npair, scene.npair),
         "contact exclusions": (native.nexclude, scene.nexclude),
         "equality constraints": (native.neq, scene.neq),

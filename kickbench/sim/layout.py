@@ -49,6 +49,10 @@ class Servo(NamedTuple):
         return Servo(spec.kind == "velocity", spec.kp or 0.0, spec.kd, spec.effort, limit, torque)
 
 
+GOAL = ("scene/goal_x", "scene/goal_y")
+"""Slides of a goal, if the scene has one."""
+
+
 @dataclass(frozen=True)
 class SceneLayout:
     """Index maps of a scene.
@@ -76,6 +80,8 @@ class SceneLayout:
         servos: Gains and limits of the actuators, each an array [nu].
         obstacles: What a ball on the floor could overlap in the default pose: ground rectangles of the
             robot's low colliding geoms [K, 4], each x low, x high, y low, y high, m.
+        goal_qpos: First place of the goal in qpos (x, y); None without a goal.
+        goal_width: Clear width between its posts, m; 0 without a goal.
     """
 
     coordinates: tuple[Coordinate, ...]
@@ -99,6 +105,16 @@ class SceneLayout:
     actuator_sides: Indices
     servos: Servo
     obstacles: np.ndarray
+    goal_qpos: int | None = None
+    goal_width: float = 0.0
+
+    @property
+    def scene_image(self) -> dict[str, tuple[str, int]]:
+        """Images of the joints that are none of the robot's, in the form of a joint table."""
+        images = {"ball": ("ball", 1)}
+        return images | (
+            dict(zip(GOAL, zip(GOAL, (1, -1), strict=True), strict=True)) if self.goal_width else {}
+        )
 
 
 def read_layout(
@@ -147,7 +163,16 @@ def read_layout(
         actuator_sides=np.array([joint_sides.get(str(spec.joint), MIDDLE) for spec in actuators]),
         servos=Servo(*map(np.array, zip(*map(Servo.of, actuators), strict=True))),
         obstacles=_obstacles(model, default, sides),
+        **_goal(model, by_name),
     )
+
+
+def _goal(model: mujoco.MjModel, by_name: Mapping[str, Coordinate]) -> dict[str, Any]:
+    if GOAL[0] not in by_name:
+        return {}
+    left, right = (model.geom(f"goal_{side}") for side in SIDES)
+    width = float(left.pos[1] - right.pos[1] - 2.0 * left.size[0])
+    return {"goal_qpos": by_name[GOAL[0]].qpos, "goal_width": width}
 
 
 def _coordinate(model: mujoco.MjModel, joint: int) -> Coordinate:

@@ -137,6 +137,6 @@ def symmetry_of(task: CompiledTask, representations: Loaded[RepresentationSpec])
 
 def state_symmetry(task: CompiledTask) -> tuple[Representation, Representation]:
     """Representations of the reflection on qpos [nq] and qvel [nv], from the robot's joint table."""
-    image = task.robot.spec.symmetry.image() | {"ball": ("ball", 1)}
+    image = task.robot.spec.symmetry.image() | task.scene.layout.scene_image
     coordinates = task.scene.layout.coordinates
     return mirror_qpos(coordinates, image), mirror_qvel(coordinates, image)

@@ -34,7 +34,11 @@ def outlines(sampling: SamplingSpec) -> tuple[np.ndarray, np.ndarray]:
     """Corners of the regions of ball and target [K, 2], in the robot's start frame: x forward, y left, m."""
     (x0, x1), (y0, y1) = sampling.ball.x, sampling.ball.y
     ball = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
-    return ball, sector(sampling.target.distance, sampling.target.angle)
+    target = sampling.target
+    if target.distance is None:
+        (x0, x1), (y0, y1) = target.extent()
+        return ball, np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
+    return ball, sector(*target.polar())
 
 
 def sector(distance: Interval, angle: Interval) -> np.ndarray:
@@ -129,14 +133,18 @@ def _draw_robot(axes: Any, obstacles: np.ndarray) -> None:
 
 def _target_words(task: CompiledTask) -> str:
     target = task.spec.sampling.target
-    degrees = (float(np.degrees(target.angle[0])), float(np.degrees(target.angle[1])))
-    angles = f"{_words(target.angle)} rad ({_words(degrees, '.0f')}°)"
-    return f"target: {_words(target.distance)} m away, at {angles}"
+    if target.x is not None and target.y is not None:
+        what = f"goal, {target.width:g} m wide" if target.width else "target"
+        return f"{what}: x {_words(target.x)} m, y {_words(target.y)} m"
+    distance, angle = target.polar()
+    degrees = (float(np.degrees(angle[0])), float(np.degrees(angle[1])))
+    return f"target: {_words(distance)} m away, at {_words(angle)} rad ({_words(degrees, '.0f')}°)"
 
 
 def _ball_words(task: CompiledTask) -> str:
     ball = task.spec.sampling.ball
-    return f"ball, radius {task.spec.ball.radius:g} m: x {_words(ball.x)} m, y {_words(ball.y)} m"
+    rolling = f", rolling at {_words(ball.speed)} m/s" if ball.speed else ""
+    return f"ball, radius {task.spec.ball.radius:g} m: x {_words(ball.x)} m, y {_words(ball.y)} m{rolling}"
 
 
 def _words(interval: Interval, form: str = ".4g") -> str:

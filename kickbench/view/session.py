@@ -121,6 +121,8 @@ class Session:
             return False
         qpos = self.start.qpos.clone()
         qpos[0, self._ball : self._ball + 2] = moved[:2]
+        if (goal := self.env.task.scene.layout.goal_qpos) is not None:
+            qpos[0, goal : goal + 2] = moved[2:]
         self.start = replace(self.start, qpos=qpos, target=moved[2:].unsqueeze(0))
         self.restart()
         return True

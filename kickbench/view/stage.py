@@ -163,7 +163,8 @@ def dress(scene: mujoco.MjSpec, width: int, height: int) -> mujoco.MjModel:
     # Planes near and far, and the haze, are in units of the extent.
     visual.map.znear, visual.map.zfar, visual.map.shadowclip, visual.map.shadowscale = 0.01, 40.0, 1.0, 0.9
     _paint(scene)
-    _add_flag(scene)
+    if scene.body("goal") is None:
+        _add_flag(scene)
     return scene.compile()
 
 

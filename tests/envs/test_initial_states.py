@@ -4,6 +4,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from kickbench.config.task import BallSampling, BallSpec, SamplingSpec, TargetSampling
 from kickbench.envs.catalog import catalog
@@ -179,6 +181,40 @@ def test_rows_can_be_taken_in_any_order(moving):
 
 def test_rows_without_friction_stay_without(sample):
     assert sample(count=3).take(torch.tensor([2])).by_side == {}
+
+
+# Balls that roll in
+
+angles = st.floats(-3.0, 3.0)
+
+
+@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(speed=st.floats(0.0, 5.0), direction=angles, seed=st.integers(0, 99))
+def test_a_ball_rolls_in_without_slipping_and_so_does_its_mirror_image(
+    sample, mirror, mini, speed, direction, seed
+):
+    rolling = region()
+    moving = {"speed": (speed, speed), "direction": (direction, direction)}
+    states = sample(rolling.model_copy(update={"ball": rolling.ball.model_copy(update=moving)}), 20, seed)
+    first = mini.scene.layout.ball_qvel
+    for rows, turn in ((states, direction), (mirror(states), -direction)):
+        x, y, _ = ball(rows, mini).T
+        vx, vy, vz, wx, wy, wz = rows.qvel[:, first : first + 6].numpy().T
+        to_robot = -np.stack([x, y]) / np.hypot(x, y)
+        c, s = math.cos(turn), math.sin(turn)
+        expected = speed * np.stack([c * to_robot[0] - s * to_robot[1], s * to_robot[0] + c * to_robot[1]])
+        assert np.stack([vx, vy]) == pytest.approx(expected, abs=1e-12)
+        # The velocity of the point that touches the floor: v + w x (0, 0, -r).
+        assert np.stack([vx - wy * 0.08, vy + wx * 0.08]) == pytest.approx(np.zeros((2, 20)), abs=1e-12)
+        assert not vz.any()
+        assert not wz.any()
+    assert torch.equal(mirror(mirror(states)).qvel, states.qvel)
+
+
+def test_a_ball_that_rolls_is_where_it_would_rest(sample):
+    resting, rolling = region(), region()
+    rolling = rolling.model_copy(update={"ball": rolling.ball.model_copy(update={"speed": (0.5, 1.0)})})
+    assert torch.equal(sample(rolling).qpos, sample(resting).qpos)
 
 
 # Regions that the robot stands in

@@ -55,7 +55,8 @@ def test_target_distance_is_wider_for_a_larger_sigma(term):
 )
 def test_ball_approach_target_is_the_cosine_of_a_moving_ball(term, velocity, value):
     state = {"ball": (1.0, 1.0, 0.08), "target": (3.0, 1.0), "ball_vel": velocity}
-    assert term("ball_approach_target", **state) == pytest.approx(value, abs=1e-4)
+    assert term("ball_approach_target", **state, contact_count=1) == pytest.approx(value, abs=1e-4)
+    assert term("ball_approach_target", **state) == 0.0, "a ball that rolls in by itself earns nothing"
 
 
 APPROACH = {"base": (0.0, 0.0, 0.4), "ball": (2.0, 0.0, 0.08), "target": (2.0, 3.0)}
@@ -111,7 +112,8 @@ def test_agent_approach_ball_looks_at_the_world_whatever_the_heading(term):
     [((0.0, 0.0, 0.0), 1.0), ((0.1, 0.1, 0.1), 1.0), ((0.0, 0.0, 0.3), 0.0), (MOVING, 0.0)],
 )
 def test_ball_not_moving_is_one_below_the_stop_speed(term, velocity, value):
-    assert term("ball_not_moving", ball_vel=velocity) == value
+    assert term("ball_not_moving", ball_vel=velocity, contact_count=1) == value
+    assert term("ball_not_moving", ball_vel=velocity) == 1.0, "no kick moves it"
 
 
 def test_action_rate_is_the_squared_change_of_the_action(term):
