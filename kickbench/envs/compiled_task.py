@@ -236,7 +236,8 @@ def _region_problems(task: LoadedTask[Any], layout: SceneLayout) -> Iterator[Pro
 def _grid_problems(task: LoadedTask[Any], layout: SceneLayout) -> Iterator[Problem]:
     """Ball positions of a grid inside the robot."""
     grid = task.spec.evaluation.grid
-    for row, (x, y) in enumerate(grid.ball or () if grid else ()):
+    places: Sequence[tuple[float, float]] = (grid and grid.ball) or ()
+    for row, (x, y) in enumerate(places):
         if overlaps(np.array(x), np.array(y), layout.obstacles, task.spec.ball.radius):
             message = f"a ball at [{x:g}, {y:g}] would overlap the robot"
             hint = "a place that is clear of the robot in its default pose"

@@ -60,13 +60,21 @@ def grid_of(task: CompiledTask) -> GridSpec:
     """The grid of a task, with what it leaves open taken from the sampling regions.
 
     Ball positions of the region that overlap the robot are left out, and reported.
+
+    Raises:
+        KickbenchError: The task's target region is Cartesian, and it gives no grid of its own.
     """
-    given, sampling = task.spec.evaluation.grid or GridSpec(), task.spec.sampling
-    return GridSpec(
-        ball=given.ball or _clear_of_the_robot(task),
-        distance=given.distance or _middles(sampling.target.distance, _DISTANCE_PARTS),
-        angle=given.angle or _middles(sampling.target.angle, _ANGLE_PARTS),
-    )
+    given, target = task.spec.evaluation.grid or GridSpec(), task.spec.sampling.target
+    distance, angle = given.distance, given.angle
+    if target.distance is not None and target.angle is not None:
+        distance = distance or _middles(target.distance, _DISTANCE_PARTS)
+        angle = angle or _middles(target.angle, _ANGLE_PARTS)
+    if distance is None or angle is None:
+        raise KickbenchError(
+            f"the target region of {task.name} has no distances and angles to make a grid of; "
+            "give evaluation.grid.distance and evaluation.grid.angle"
+        )
+    return GridSpec(ball=given.ball or _clear_of_the_robot(task), distance=distance, angle=angle)
 
 
 def _clear_of_the_robot(task: CompiledTask) -> tuple[tuple[float, float], ...]:
