@@ -16,6 +16,7 @@ from kickbench.errors import KickbenchError
 from kickbench.sim.carried import lost_parts, read_mjcf, unfit_parts
 from kickbench.sim.pose import apparent_inertia, base_joint, lowest_point, posed, touching_geoms, underside
 from kickbench.sim.read_parts import read_parts
+from kickbench.sim.sensors import SIDES
 from kickbench.symmetry.derive import Derivation, derive
 
 GRAVITY = 9.81
@@ -150,8 +151,8 @@ class Candidate:
         return supports(self.model, self.data)
 
     @cached_property
-    def feet(self) -> tuple[int, int] | None:
-        """Left and right foot: of the bodies that stand on the floor the front-most with a mirror image."""
+    def feet(self) -> dict[str, int]:
+        """Feet by place: the left-right pairs of the bodies that stand on the floor, two at most; hind ones last."""
         images = {match.name: match.partner for match in self.derivation.bodies}
         pairs = []
         for body in self.supports:
@@ -160,7 +161,10 @@ class Candidate:
                 other = self.model.body(partner).id
                 if other in self.supports and other != body:
                     pairs.append((body, int(other)))
-        return max(pairs, key=lambda pair: self.data.xipos[pair[0], 0], default=None)
+        pairs.sort(key=lambda pair: self.data.xipos[pair[0], 0], reverse=True)
+        places = ("front_left", "front_right", "hind_left", "hind_right") if len(pairs) > 1 else SIDES
+        first_and_last = (*pairs[:1], *pairs[1:][-1:])
+        return dict(zip(places, [body for pair in first_and_last for body in pair], strict=False))
 
     def sole(self, body: int) -> np.ndarray:
         """Centre of a foot's underside in its frame [3], m."""

@@ -79,16 +79,17 @@ def _servo(robot: Candidate, drive: Drive) -> str:
 
 def _feet(robot: Candidate) -> Iterator[str]:
     standing = names_of(robot.model, robot.supports)
-    if robot.feet is None:
+    if not robot.feet:
         yield f"# NOT FOUND: feet; no left and right body among those that stand on the floor: {standing}"
         return
-    yield f"# GUESS: the front-most pair of the bodies that stand on the floor ({standing})."
+    yield f"# GUESS: left-right pairs of the bodies that stand on the floor ({standing})."
     yield "# offset, m: the middle of the underside of all that collides of the body."
     yield "feet:"
-    for side, body in zip(("left", "right"), robot.feet, strict=True):
+    width = max(map(len, robot.feet)) + 1
+    for place, body in robot.feet.items():
         offset = ", ".join(f"{value:z.4f}" for value in np.round(robot.sole(body), 4))
         name = flow_yaml(robot.model.body(body).name)
-        yield f"  {side + ':':6} {{body: {name}, offset: [{offset}]}}"
+        yield f"  {place + ':':{width}} {{body: {name}, offset: [{offset}]}}"
 
 
 def _symmetry(robot: Candidate, model: Path) -> str:

@@ -308,6 +308,11 @@ def _contradicted_feet(robot: Loaded[RobotSpec], derivation: Derivation) -> Iter
         if (1, -1)[index % 2] * float(places[foot.body][1]) < 0.0:
             what = f"'{foot.body}' lies on the other side: left is y > 0"
             yield robot.document.problem(("feet", place, "body"), what)
+    for (front, foot), (hind, other) in zip([*feet.items()][:2], [*feet.items()][2:], strict=False):
+        if places[foot.body][0] < places[other.body][0]:
+            which = f"'{other.body}', the {hind.replace('_', ' ')} foot"
+            what = f"'{foot.body}' lies behind {which}: ahead is x > 0"
+            yield robot.document.problem(("feet", front, "body"), what)
 
 
 def _contradicted_pair(
