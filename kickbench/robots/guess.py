@@ -1,4 +1,4 @@
-"""What a robot file needs and an MJCF does not say: pose, feet and gains, guessed from geometry and masses."""
+"""What a robot file needs and an MJCF does not say: pose, feet and gains, from geometry and masses."""
 
 from __future__ import annotations
 
@@ -152,7 +152,7 @@ class Candidate:
 
     @cached_property
     def feet(self) -> dict[str, int]:
-        """Feet by place: the left-right pairs of the bodies that stand on the floor, two at most; hind ones last."""
+        """Feet by place: the first and last left-right pair of the bodies that stand on the floor."""
         images = {match.name: match.partner for match in self.derivation.bodies}
         pairs = []
         for body in self.supports:
@@ -217,7 +217,7 @@ class Candidate:
 
     @cached_property
     def gains(self) -> Gains:
-        """Gains that are stable by construction, for the fastest stepping with which the legs are stiff enough."""
+        """Stable gains, for the fastest stepping with which the legs are stiff enough."""
         return next((g for g in self._options() if g.stands), None) or list(self._options())[-1]
 
     def _options(self) -> Iterator[Gains]:
@@ -256,7 +256,7 @@ def centre_height(model: mujoco.MjModel, data: mujoco.MjData) -> float:
 
 
 def efforts_of(model: mujoco.MjModel) -> dict[str, float]:
-    """The least of the limits that an MJCF puts on each joint's drive, N m or N; joints without are left out."""
+    """The least limit that an MJCF puts on each joint's drive, N m or N; joints without are left out."""
     driving, found = _driving(model), dict[str, float]()
     for joint in range(model.njnt):
         limits = [np.abs(model.jnt_actfrcrange[joint]).max()] if model.jnt_actfrclimited[joint] else []

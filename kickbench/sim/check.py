@@ -141,7 +141,7 @@ def _drive_problems(robot: Loaded[RobotSpec]) -> Iterator[Problem]:
 
 
 def _pose_problems(robot: Loaded[RobotSpec]) -> Iterator[Problem]:
-    """A position under `initial.mirrored` is that of a joint of one side, and the only one of it and its image."""
+    """A position under `initial.mirrored` is that of a joint of one side, and given once."""
     image, given = robot.spec.symmetry.image(), {*robot.spec.initial.joints}
     for joint in robot.spec.initial.mirrored or ():
         partner = image[joint][0]
@@ -174,7 +174,7 @@ def check_start(robot: Loaded[RobotSpec], model: mujoco.MjModel, layout: SceneLa
 def pose_problems(
     robot: Loaded[RobotSpec], model: mujoco.MjModel, data: mujoco.MjData, prefix: str = ""
 ) -> list[Problem]:
-    """What is wrong with a default pose: a place or turn of its own, a base that looks elsewhere, ranges left.
+    """What is wrong with a default pose: place, turn, base that looks elsewhere, ranges left.
 
     Args:
         robot: The robot file.
@@ -328,7 +328,8 @@ def _contradicted_pair(
 
     partner = bodies.get(feet[left].body)
     if partner not in (None, feet[right].body):
-        what = f"'{feet[right].body}' is declared the {side} foot, but the mirror image of the left one is '{partner}'"
+        what = f"'{feet[right].body}' is declared the {side} foot"
+        what += f", but the mirror image of the left one is '{partner}'"
         yield robot.document.problem(("feet", right, "body"), what)
     images, found = {shapes.get(geom) for geom in geoms(feet[left])}, geoms(feet[right])
     if None not in images and images != found:
