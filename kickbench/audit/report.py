@@ -10,9 +10,9 @@ from typing import Any, Literal
 Verdict = Literal[
     "ok", "FAIL", "unequal", "never excited", "partly excited", "by design", "measured", "not compared"
 ]
-"""`unequal`: a part of the robot is not the mirror image of its partner; `never excited`: nothing contradicts the
-declaration, but every state left the quantity at zero, so nothing proves it; `partly excited`: the same for some
-components; `by design`: asymmetric, and meant to be; `measured`: nothing was declared."""
+"""`unequal`: a part of the robot is not the mirror image of its partner; `never excited`: nothing contradicts
+the declaration, but every state left the quantity at zero, so nothing proves it; `partly excited`: the same
+for some components; `by design`: asymmetric, and meant to be; `measured`: nothing was declared."""
 
 
 def verdict_of(*, wrong: bool, excited: bool = True) -> Verdict:

@@ -237,7 +237,8 @@ def _ankles(robot: Loaded[RobotSpec], model: mujoco.MjModel) -> Iterator[Fact]:
         joint = min(stiffness, key=lambda name: stiffness[name])
         value = f"{stiffness[joint]:g} N m/rad"
         words = f"m g h / feet is {tipping:.3g} N m/rad; below it the robot tips over '{joint}'"
-        yield Fact("least stiff ankle", value, "ok" if stiffness[joint] > tipping else "warn", words)
+        verdict: Verdict = "ok" if stiffness[joint] > tipping else "warn"
+        yield Fact("least stiff foot joint", value, verdict, words)
 
 
 def _steps(ways: Sequence[list[Stepped]], integrator: str, timestep: float) -> Fact:

@@ -1,4 +1,4 @@
-"""What a robot file needs and an MJCF does not say: pose, feet and gains, guessed from geometry and masses."""
+"""What a robot file needs and an MJCF does not say: pose, feet and gains, from geometry and masses."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from kickbench.errors import KickbenchError
 from kickbench.sim.carried import lost_parts, read_mjcf, unfit_parts
 from kickbench.sim.pose import apparent_inertia, base_joint, lowest_point, posed, touching_geoms, underside
 from kickbench.sim.read_parts import read_parts
+from kickbench.sim.sensors import SIDES
 from kickbench.symmetry.derive import Derivation, derive
 
 GRAVITY = 9.81
@@ -149,8 +150,8 @@ class Candidate:
         return supports(self.model, self.data)
 
     @cached_property
-    def feet(self) -> tuple[int, int] | None:
-        """Left and right foot: of the bodies that stand on the floor the front-most with a mirror image."""
+    def feet(self) -> dict[str, int]:
+        """Feet by place: the first and last left-right pair of the bodies that stand on the floor."""
         images = {match.name: match.partner for match in self.derivation.bodies}
         pairs = []
         for body in self.supports:
@@ -159,7 +160,10 @@ class Candidate:
                 other = self.model.body(partner).id
                 if other in self.supports and other != body:
                     pairs.append((body, int(other)))
-        return max(pairs, key=lambda pair: self.data.xipos[pair[0], 0], default=None)
+        pairs.sort(key=lambda pair: self.data.xipos[pair[0], 0], reverse=True)
+        places = ("front_left", "front_right", "hind_left", "hind_right") if len(pairs) > 1 else SIDES
+        first_and_last = (*pairs[:1], *pairs[1:][-1:])
+        return dict(zip(places, [body for pair in first_and_last for body in pair], strict=False))
 
     def sole(self, body: int) -> np.ndarray:
         """Centre of a foot's underside in its frame [3], m."""
@@ -212,7 +216,7 @@ class Candidate:
 
     @cached_property
     def gains(self) -> Gains:
-        """Gains that are stable by construction, for the fastest stepping with which the legs are stiff enough."""
+        """Stable gains, for the fastest stepping with which the legs are stiff enough."""
         return next((g for g in self._options() if g.stands), None) or list(self._options())[-1]
 
     def _options(self) -> Iterator[Gains]:
@@ -251,7 +255,7 @@ def centre_height(model: mujoco.MjModel, data: mujoco.MjData) -> float:
 
 
 def efforts_of(model: mujoco.MjModel) -> dict[str, float]:
-    """The least of the limits that an MJCF puts on each joint's drive, N m or N; joints without are left out."""
+    """The least limit that an MJCF puts on each joint's drive, N m or N; joints without are left out."""
     driving, found = _driving(model), dict[str, float]()
     for joint in range(model.njnt):
         limits = [np.abs(model.jnt_actfrcrange[joint]).max()] if model.jnt_actfrclimited[joint] else []

@@ -19,7 +19,7 @@ _JOINT, _SHIFT, _TURN = 0.02, 0.05, 0.1
 _NEARLY = 0.95
 """Share of the envs that a standing robot stands in: a random disturbance may be a large one."""
 _LOW, _UPRIGHT = 0.6, 0.7
-"""A robot has fallen below this share of its height, or with its base's axis at this cosine to the vertical."""
+"""A robot has fallen below this share of its height, or this cosine of its base's axis to the vertical."""
 _BALL = 5.0
 """Where the ball lies meanwhile, m."""
 

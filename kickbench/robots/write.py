@@ -28,7 +28,10 @@ def robot_file(model: Path, out: Path) -> str:
     """
     robot = Candidate(model)
     parts = (_head(robot, model, out), _initial(robot), _actuators(robot), _feet(robot))
-    return "\n".join(["\n".join(part) + "\n" for part in parts]) + f"\n{_symmetry(robot, model)}\n"
+    return (
+        "\n".join(["\n".join(part) + "\n" for part in parts])
+        + f"\n{symmetry_block(robot.derivation, model.name)}\n"
+    )
 
 
 def _head(robot: Candidate, model: Path, out: Path) -> Iterator[str]:
@@ -38,7 +41,7 @@ def _head(robot: Candidate, model: Path, out: Path) -> Iterator[str]:
     yield "# Written by `kickbench robot init`; GUESS marks what the MJCF does not say."
     yield f"# The gains are stable with this in the task: simulation: {stepping}"
     if not gains.stands:
-        yield "# They do not carry the robot: its legs' inertia is too small for stiffer ones at this time step."
+        yield "# They do not carry the robot: the legs' inertia is too small for stiffer ones."
     yield f"model: {flow_yaml(os.path.relpath(model, out.parent))}"
     yield f"base: {flow_yaml(root)}   # GUESS: the topmost body; observations are read in its frame"
 
@@ -56,15 +59,18 @@ def _initial(robot: Candidate) -> Iterator[str]:
 
 def _actuators(robot: Candidate) -> Iterator[str]:
     of = "The MJCF's actuators" if robot.model.nu else "GUESS: every joint, as the MJCF has no actuators"
-    yield f"# {of}, in the order of the action vector: tau = kp (u - q) - kd dq, u = default + scale * action."
-    yield "# GUESS: kp, N m/rad: a leg joint twice what keeps the robot from tipping over it, and sags by 0.05 rad;"
-    yield "# another joint 20 rad/s. kd, N m s/rad: damping ratio 0.7. Both no more than the time step allows."
+    yield f"# {of}, in the order of the action vector:"
+    yield "# tau = kp (u - q) - kd dq, u = default + scale * action."
+    yield "# GUESS: kp, N m/rad: a leg joint twice what keeps the robot from tipping over it, and sags by"
+    yield "# 0.05 rad; another joint 20 rad/s. kd, N m s/rad: damping ratio 0.7. Both no more than the time"
+    yield "# step allows."
     yield "# GUESS: scale, rad or m: 0.25, or an eighth of the joint's range."
     yield "actuators:"
     names, joints = ([flow_yaml(getattr(d, key)) for d in robot.drives] for key in ("name", "joint"))
     wide, width = max(map(len, names)), max(map(len, joints))
     for name, joint, drive in zip(names, joints, robot.drives, strict=True):
-        yield f"  {name + ':':{wide + 1}} {{kind: position, joint: {joint + ',':{width + 1}} {_servo(robot, drive)}"
+        head = f"  {name + ':':{wide + 1}} {{kind: position, joint: {joint + ',':{width + 1}}"
+        yield f"{head} {_servo(robot, drive)}"
 
 
 def _servo(robot: Candidate, drive: Drive) -> str:
@@ -79,17 +85,14 @@ def _servo(robot: Candidate, drive: Drive) -> str:
 
 def _feet(robot: Candidate) -> Iterator[str]:
     standing = names_of(robot.model, robot.supports)
-    if robot.feet is None:
+    if not robot.feet:
         yield f"# NOT FOUND: feet; no left and right body among those that stand on the floor: {standing}"
         return
-    yield f"# GUESS: the front-most pair of the bodies that stand on the floor ({standing})."
+    yield f"# GUESS: left-right pairs of the bodies that stand on the floor ({standing})."
     yield "# offset, m: the middle of the underside of all that collides of the body."
     yield "feet:"
-    for side, body in zip(("left", "right"), robot.feet, strict=True):
+    width = max(map(len, robot.feet)) + 1
+    for place, body in robot.feet.items():
         offset = ", ".join(f"{value:z.4f}" for value in np.round(robot.sole(body), 4))
         name = flow_yaml(robot.model.body(body).name)
-        yield f"  {side + ':':6} {{body: {name}, offset: [{offset}]}}"
-
-
-def _symmetry(robot: Candidate, model: Path) -> str:
-    return symmetry_block(robot.derivation, model.name)
+        yield f"  {place + ':':{width}} {{body: {name}, offset: [{offset}]}}"

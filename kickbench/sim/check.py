@@ -141,7 +141,7 @@ def _drive_problems(robot: Loaded[RobotSpec]) -> Iterator[Problem]:
 
 
 def _pose_problems(robot: Loaded[RobotSpec]) -> Iterator[Problem]:
-    """A position under `initial.mirrored` is that of a joint of one side, and the only one of it and its image."""
+    """A position under `initial.mirrored` is that of a joint of one side, and given once."""
     image, given = robot.spec.symmetry.image(), {*robot.spec.initial.joints}
     for joint in robot.spec.initial.mirrored or ():
         partner = image[joint][0]
@@ -174,7 +174,7 @@ def check_start(robot: Loaded[RobotSpec], model: mujoco.MjModel, layout: SceneLa
 def pose_problems(
     robot: Loaded[RobotSpec], model: mujoco.MjModel, data: mujoco.MjData, prefix: str = ""
 ) -> list[Problem]:
-    """What is wrong with a default pose: a place or turn of its own, a base that looks elsewhere, ranges left.
+    """What is wrong with a default pose: place, turn, base that looks elsewhere, ranges left.
 
     Args:
         robot: The robot file.
@@ -308,6 +308,11 @@ def _contradicted_feet(robot: Loaded[RobotSpec], derivation: Derivation) -> Iter
         if (1, -1)[index % 2] * float(places[foot.body][1]) < 0.0:
             what = f"'{foot.body}' lies on the other side: left is y > 0"
             yield robot.document.problem(("feet", place, "body"), what)
+    for (front, foot), (hind, other) in zip([*feet.items()][:2], [*feet.items()][2:], strict=False):
+        if places[foot.body][0] < places[other.body][0]:
+            which = f"'{other.body}', the {hind.replace('_', ' ')} foot"
+            what = f"'{foot.body}' lies behind {which}: ahead is x > 0"
+            yield robot.document.problem(("feet", front, "body"), what)
 
 
 def _contradicted_pair(
@@ -323,7 +328,8 @@ def _contradicted_pair(
 
     partner = bodies.get(feet[left].body)
     if partner not in (None, feet[right].body):
-        what = f"'{feet[right].body}' is declared the {side} foot, but the mirror image of the left one is '{partner}'"
+        what = f"'{feet[right].body}' is declared the {side} foot"
+        what += f", but the mirror image of the left one is '{partner}'"
         yield robot.document.problem(("feet", right, "body"), what)
     images, found = {shapes.get(geom) for geom in geoms(feet[left])}, geoms(feet[right])
     if None not in images and images != found:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 
 # pyright: reportAttributeAccessIssue=false
 import mujoco
@@ -91,10 +92,11 @@ class CpuEngine(Engine):
         of_substeps = targets if targets.dim() == 3 else targets.unsqueeze(1)
         self._control[:, :, : self.model.nu] = of_substeps.numpy()
         self._state[:, 0] = 0.0
-        self._pool.rollout(
-            self._models, self._data, self._state, self._control, control_spec=self._spec,
-            skip_checks=True, nstep=self.decimation, state=self._trajectory, sensordata=self._sensed,
-        )  # fmt: skip
+        with _silence():
+            self._pool.rollout(
+                self._models, self._data, self._state, self._control, control_spec=self._spec,
+                skip_checks=True, nstep=self.decimation, state=self._trajectory, sensordata=self._sensed,
+            )  # fmt: skip
         self._state[:] = self._trajectory[:, -1]
         self._find_failures()
         self._latch_contacts()
@@ -183,6 +185,17 @@ class CpuEngine(Engine):
         """See `Engine.close`: ends the threads."""
         self._pool.close()
         self._sense_frames.close()
+
+
+@contextmanager
+def _silence() -> Iterator[None]:
+    """Keeps MuJoCo from writing a log file about unstable envs, which `Engine.failed` reports."""
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda message: None)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(before)
 
 
 def _without_frame_sensors(model: mujoco.MjModel) -> mujoco.MjModel:

@@ -1,4 +1,4 @@
-"""Findings of `validate` and `robot check` in a robot file whose names are right: pose, floor, soles, sides, gains."""
+"""Findings of `validate` and `robot check` in a robot file: pose, floor, soles, sides, gains."""
 
 from __future__ import annotations
 
@@ -167,7 +167,8 @@ def step_warnings(robot: Loaded[RobotSpec], simulation: SimulationSpec) -> Itera
             advice = (
                 "integrator: implicitfast, or a smaller time step" if is_enough else "a smaller time step"
             )
-            what = f"kd dt / I is {joint.damping:.2g} at the task's time step of {timestep:g} s with {integrator}"
+            where = f"at the task's time step of {timestep:g} s with {integrator}"
+            what = f"kd dt / I is {joint.damping:.2g} {where}"
             way = f"{100 * joint.share:.0f} % of the way to instability"
             path = ("actuators", joint.actuator, "kd")
             yield robot.document.problem(path, f"{what}, {way}; expected {advice}, or smaller gains")

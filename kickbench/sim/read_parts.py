@@ -16,10 +16,8 @@ from kickbench.symmetry.model_parts import (
     Body,
     Joint,
     JointKind,
-    Law,
     ModelParts,
     Quantity,
-    Sensor,
     Shape,
     Site,
 )
@@ -30,30 +28,6 @@ _JOINT_KINDS: dict[int, JointKind] = {
     int(mujoco.mjtJoint.mjJNT_HINGE): "hinge",
     int(mujoco.mjtJoint.mjJNT_SLIDE): "slide",
 }
-_OBJECTS = {
-    int(mujoco.mjtObj.mjOBJ_BODY): "body",
-    int(mujoco.mjtObj.mjOBJ_XBODY): "body",
-    int(mujoco.mjtObj.mjOBJ_GEOM): "geom",
-    int(mujoco.mjtObj.mjOBJ_SITE): "site",
-    int(mujoco.mjtObj.mjOBJ_JOINT): "joint",
-    int(mujoco.mjtObj.mjOBJ_ACTUATOR): "actuator",
-}
-_LAWS: dict[Law, str] = {
-    "scalar": "TOUCH RANGEFINDER CLOCK E_POTENTIAL E_KINETIC GEOMDIST INSIDESITE JOINTLIMITPOS JOINTLIMITFRC",
-    "signed": "JOINTPOS JOINTVEL JOINTACTFRC ACTUATORPOS ACTUATORVEL ACTUATORFRC",
-    "polar": "ACCELEROMETER VELOCIMETER FORCE FRAMEPOS FRAMELINVEL FRAMELINACC SUBTREECOM SUBTREELINVEL",
-    "axial": "GYRO TORQUE FRAMEANGVEL FRAMEANGACC SUBTREEANGMOM",
-}
-_LAW_OF: dict[int, Law] = {
-    int(getattr(mujoco.mjtSensor, f"mjSENS_{name}")): law
-    for law, names in _LAWS.items()
-    for name in names.split()
-}
-_LOCAL = {
-    int(getattr(mujoco.mjtSensor, f"mjSENS_{name}"))
-    for name in ["ACCELEROMETER", "VELOCIMETER", "GYRO", "FORCE", "TORQUE", "MAGNETOMETER"]
-}
-"""Sensors whose vector is in the frame of their site."""
 _UNLIMITED = np.array([-np.inf, np.inf])
 _UNSUPPORTED_DRIVES = {
     mujoco.mjtTrn.mjTRN_TENDON: "the tendon",
@@ -78,7 +52,7 @@ def compile_model(path: str | Path) -> mujoco.MjModel:
     """Compiles an MJCF file.
 
     Raises:
-        KickbenchError: MuJoCo cannot read or compile the model, it has no body, or what no robot file can say.
+        KickbenchError: MuJoCo cannot read or compile the model, it has no body, or a robot file cannot say it.
     """
     try:
         spec = mujoco.MjSpec.from_file(str(path))
@@ -157,7 +131,6 @@ class PartsReader:
             shapes=tuple(map(self._shape, self.geoms)),
             sites=tuple(map(self._site, self.sites)),
             actuators=tuple(map(self._actuator, range(self.model.nu))),
-            sensors=tuple(map(self._sensor, range(self.model.nsensor))),
             exclusions=frozenset(self._exclusions()),
             left_out=tuple(self._left_out()),
         )
@@ -285,31 +258,6 @@ class PartsReader:
             Quantity("force range", force, "range"),
             Quantity("control range", control, "range"),
         )
-
-    def _sensor(self, s: int) -> Sensor:
-        model, kind = self.model, int(self.model.sensor_type[s])
-        ends = (
-            (_OBJECTS.get(int(model.sensor_objtype[s]), ""), int(model.sensor_objid[s])),
-            (_OBJECTS.get(int(model.sensor_reftype[s]), ""), int(model.sensor_refid[s])),
-        )
-        objects = tuple(
-            ("shape" if what == "geom" else what, self._name(what, thing))
-            for what, thing in ends
-            if what and thing >= 0
-        )
-        name = mujoco.mjtSensor(kind).name.removeprefix("mjSENS_").lower()
-        frame = self._sensor_frame(kind, ends)
-        return Sensor(self._name("sensor", s), -1, (), name, _LAW_OF.get(kind), objects, frame)
-
-    def _sensor_frame(self, kind: int, ends: tuple[tuple[str, int], tuple[str, int]]) -> np.ndarray:
-        """Axes of a sensor's vector: those of its site, of what it is relative to, or the world's."""
-        (_, site), (reference, thing) = ends
-        if kind in _LOCAL:
-            return self._frame(self.data.site_xmat[site])
-        frames = {"body": self.data.xmat, "geom": self.data.geom_xmat, "site": self.data.site_xmat}
-        if thing >= 0 and reference in frames:
-            return self._frame(frames[reference][thing])
-        return self.rotation.T
 
     def _exclusions(self) -> Iterator[frozenset[str]]:
         for sign in self.model.exclude_signature.tolist():

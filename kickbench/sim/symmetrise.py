@@ -47,7 +47,8 @@ _FIELDS: dict[str, dict[Law, str]] = {
         "geom_priority geom_contype geom_conaffinity"
     },
     "actuator": {
-        "scalar": "actuator_gainprm actuator_dynprm actuator_damping actuator_forcelimited actuator_ctrllimited",
+        "scalar": "actuator_gainprm actuator_dynprm actuator_damping actuator_forcelimited "
+        "actuator_ctrllimited",
         "range": "actuator_forcerange actuator_ctrlrange",
     },
 }

@@ -1,4 +1,4 @@
-"""Finds by geometry which part of a model is the mirror image of which, and with what sign its coordinate returns.
+"""Finds by geometry which part of a model mirrors into which, and with what sign its coordinate returns.
 
 A body is paired with the child of its parent's partner that lies where its reflection lies and weighs about
 the same. The axis of a hinge is an axial vector, that of a slide a polar one: the reflected axis of a joint
@@ -24,7 +24,6 @@ from kickbench.symmetry.model_parts import (
     Joint,
     ModelParts,
     Plane,
-    Sensor,
     Shape,
     Site,
     mirror_value,
@@ -33,8 +32,8 @@ from kickbench.symmetry.representation import BY_NAME, kind_of_coordinate
 
 E = TypeVar("E", bound=Element)
 _PLACE, _MASS, _INERTIA, _AXIS = 0.02, 0.1, 0.2, 0.02
-"""What still counts as the same: of places in the parent's body, a share of the model's size; relative; relative;
-an angle, rad. Real robots' sides differ by tenths of a percent; wrong pairs differ by far more."""
+"""What still counts as the same: of places in the parent's body, a share of the model's size; relative;
+relative; an angle, rad. Real robots' sides differ by tenths of a percent; wrong pairs differ by far more."""
 _CLEARLY = 3.0
 """The best partner must fit so many times better than the next, else the choice is ambiguous."""
 _NOTHING = 1e-6
@@ -69,7 +68,6 @@ class Derivation:
         shapes: Geoms.
         sites: Sites.
         actuators: Signs are those of the control.
-        sensors: Signs are those of joint and actuator sensors.
     """
 
     parts: ModelParts
@@ -79,7 +77,6 @@ class Derivation:
     shapes: tuple[Match, ...]
     sites: tuple[Match, ...]
     actuators: tuple[Match, ...]
-    sensors: tuple[Match, ...]
 
     @cached_property
     def image(self) -> Mapping[str, tuple[str, int]]:
@@ -110,10 +107,7 @@ def derive(parts: ModelParts, plane: Plane = "xz") -> Derivation:
         for kind, matches in {"body": bodies, "joint": joints, "shape": shapes, "site": sites}.items()
     }
     actuators = [finder.actuator(actuator, images) for actuator in parts.actuators]
-    images["actuator"] = {match.name: match for match in actuators}
-    sensors = [finder.sensor(sensor, images) for sensor in parts.sensors]
-    groups = (bodies, joints, shapes, sites, actuators, sensors)
-    return Derivation(parts, plane, *map(tuple, groups))
+    return Derivation(parts, plane, *map(tuple, (bodies, joints, shapes, sites, actuators)))
 
 
 class _Finder:
@@ -227,7 +221,7 @@ class _Finder:
         return ends[0] - self.reflection @ ends[1]
 
     def _origin(self, part: Element) -> np.ndarray:
-        """Where the body of a part is; of a body, where its parent is. Errors then do not add up along a limb."""
+        """Where the body of a part is; of a body, its parent. Errors then do not add up along a limb."""
         body = part.parent if isinstance(part, Body) else part.body
         return self.parts.bodies[body].get("place") if body >= 0 else np.zeros(3)
 
@@ -258,7 +252,7 @@ class _Finder:
             return Match(element.name, reason=what), None
         return Match(element.name, best.name), best
 
-    # Actuators and sensors, by what they act on
+    # Actuators, by what they act on
 
     def actuator(self, actuator: Actuator, images: Mapping[str, Mapping[str, Match]]) -> Match:
         if actuator.kind not in ("joint", "site"):
@@ -282,19 +276,6 @@ class _Finder:
         product = mine @ mirrored
         lengths = np.linalg.norm(mine) * np.linalg.norm(mirrored)
         return int(np.sign(product)) if abs(product) >= np.cos(_AXIS) * lengths else 0
-
-    def sensor(self, sensor: Sensor, images: Mapping[str, Mapping[str, Match]]) -> Match:
-        # A floor or a ball is not part of the robot: its own image.
-        found = [(kind, images[kind].get(name, Match(name, name))) for kind, name in sensor.objects]
-        for kind, match in found:
-            if match.partner is None:
-                return Match(sensor.name, reason=f"its {kind} '{match.name}' has no partner")
-        wanted = [(kind, match.partner) for kind, match in found]
-        for other in self.parts.sensors:
-            if other.kind == sensor.kind and list(other.objects) == wanted:
-                return Match(sensor.name, other.name, found[0][1].sign if sensor.law == "signed" else 0)
-        what = " and ".join(f"'{name}'" for _, name in wanted)
-        return Match(sensor.name, reason=f"no {sensor.kind} sensor measures {what}")
 
 
 def _nearest(part: str, costs: Mapping[str, float]) -> str:
@@ -352,9 +333,12 @@ def _is_left(derivation: Derivation, name: str, partner: str) -> bool:
 
 def _comments(derivation: Derivation) -> Iterator[str]:
     groups = {
-        kind: getattr(derivation, plural)
-        for kind, plural in {"body": "bodies", "joint": "joints", "geom": "shapes", "site": "sites"}.items()
-    } | {"actuator": derivation.actuators, "sensor": derivation.sensors}
+        "body": derivation.bodies,
+        "joint": derivation.joints,
+        "geom": derivation.shapes,
+        "site": derivation.sites,
+        "actuator": derivation.actuators,
+    }
     counts = []
     for kind, matches in groups.items():
         central = sum(match.partner == match.name for match in matches)
@@ -362,12 +346,11 @@ def _comments(derivation: Derivation) -> Iterator[str]:
         plural = "bodies" if kind == "body" else f"{kind}s"
         counts += [f"{plural}: {pairs} pairs, {central} central"] if matches else []
     yield "; ".join(counts)
-    for kind in ("actuator", "sensor"):
-        for match in groups[kind]:
-            if match.partner is not None and match.name <= match.partner:
-                other = "itself" if match.partner == match.name else f"'{match.partner}'"
-                sign = ", with opposite sign" if match.sign < 0 else ""
-                yield f"{kind} '{match.name}' mirrors into {other}{sign}"
+    for match in derivation.actuators:
+        if match.partner is not None and match.name <= match.partner:
+            other = "itself" if match.partner == match.name else f"'{match.partner}'"
+            sign = ", with opposite sign" if match.sign < 0 else ""
+            yield f"actuator '{match.name}' mirrors into {other}{sign}"
     for kind, matches in groups.items():
         yield from (
             f"NOT DERIVED: {kind} '{match.name}': {match.reason}" for match in matches if match.reason

@@ -1,4 +1,4 @@
-"""Field tables: which part of a vector transforms how (thesis Table 3.4), from representation tables in YAML."""
+"""Field tables: which part of a vector transforms how (thesis Table 3.4), from tables in YAML."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a model is made of, as far as a reflection has to know: bodies, joints, shapes, sites, actuators and sensors.
+"""What a model is made of, as far as a reflection has to know: bodies, joints, shapes, sites, actuators.
 
 Everything is given in one frame, that of the model's first body in its reference pose, so that a reflection
 of space acts on it directly. `sim.read_parts` reads it from a compiled model; numpy only.
@@ -174,24 +174,6 @@ class Actuator(Element):
 
 
 @dataclass(frozen=True)
-class Sensor(Element):
-    """A sensor.
-
-    Attributes:
-        kind: Type of sensor.
-        law: How its reading transforms: "scalar", "signed" (by the sign of its joint or actuator), "polar",
-            "axial", or None where that is not known.
-        objects: Kind and name of what it measures, and of its reference or counterpart.
-        frame: Frame that a vector is expressed in [3, 3].
-    """
-
-    kind: str = ""
-    law: Law | None = None
-    objects: tuple[tuple[str, str], ...] = ()
-    frame: np.ndarray = field(default_factory=lambda: np.eye(3), repr=False)
-
-
-@dataclass(frozen=True)
 class ModelParts:
     """A model's parts in the frame of its first body.
 
@@ -202,7 +184,6 @@ class ModelParts:
         shapes: Geoms.
         sites: Sites.
         actuators: Actuators.
-        sensors: Sensors.
         exclusions: Pairs of bodies that never touch.
         left_out: What the model has that is not compared: "2 equality constraints", ...
     """
@@ -213,7 +194,6 @@ class ModelParts:
     shapes: tuple[Shape, ...] = ()
     sites: tuple[Site, ...] = ()
     actuators: tuple[Actuator, ...] = ()
-    sensors: tuple[Sensor, ...] = ()
     exclusions: frozenset[frozenset[str]] = frozenset()
     left_out: tuple[str, ...] = ()
 

@@ -94,7 +94,7 @@ class Representation:
         """
         arrows = {1: "->", 2: "<->"}
         return tuple(
-            f"{names[orbit[0]]} {arrows[len(orbit)]} {'-' if self.signs[orbit[0]] < 0 else ''}{names[orbit[-1]]}"
+            f"{names[orbit[0]]} {arrows[len(orbit)]} " + "-" * (self.signs[orbit[0]] < 0) + names[orbit[-1]]
             for orbit in self.orbits()
         )
 
@@ -154,6 +154,6 @@ BY_NAME: Mapping[str, Representation] = MappingProxyType(
 
 
 def kind_of_coordinate(central: bool, sign: int) -> str:
-    """Name of the representation of a coordinate that is its own image (central) or of a pair, with that sign."""
+    """Name of the representation of a coordinate that is its own image (central), or of a pair."""
     even, odd = ("trivial", "sign") if central else ("regular", "regular_sign")
     return even if sign > 0 else odd

@@ -89,7 +89,7 @@ def test_check_fails_a_robot_whose_ankles_are_too_weak_to_stand(biped, capsys):
     facts = {fact["name"]: fact for fact in json.loads(out)["facts"]}
     assert code == 1
     assert not json.loads(out)["passed"]
-    assert facts["least stiff ankle"]["verdict"] == "warn"
+    assert facts["least stiff foot joint"]["verdict"] == "warn"
     assert facts["stands, 2 ms, euler"]["verdict"] == "FAIL"
 
 
@@ -124,3 +124,26 @@ def test_validate_names_what_is_wrong_where_it_is(biped, capsys, case):
     assert code == expected, out
     assert message in out
     assert re.search(r"robot\.yaml:\d+:\d+: ", out)
+
+
+QUADRUPED = Path(__file__).parents[2] / "assets/quadruped"
+
+
+def test_four_feet_are_found_and_named_by_their_places(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert run(capsys, f"kickbench robot init {QUADRUPED / 'quadruped.xml'}")[0] == 0
+    feet = yaml.safe_load(Path("robot.yaml").read_text())["feet"]
+    places = ["front_left", "front_right", "hind_left", "hind_right"]
+    assert {place: foot["body"] for place, foot in feet.items()} == {p: f"{p}_shank" for p in places}
+
+
+def test_hind_feet_that_are_named_as_front_feet_are_found(tmp_path, capsys):
+    text = (QUADRUPED / "robot.yaml").read_text().replace("model: ", f"model: {QUADRUPED}/")
+    swapped = re.sub(r"  (front|hind)(_\w+: +\{body: )", lambda m: f"  {OTHER[m[1]]}{m[2]}", text)
+    (tmp_path / "robot.yaml").write_text(swapped)
+    code, out = run(capsys, f"kickbench validate {tmp_path / 'robot.yaml'}")
+    assert code == 2
+    assert "'hind_left_shank' lies behind 'front_left_shank', the hind left foot" in out
+
+
+OTHER = {"front": "hind", "hind": "front"}

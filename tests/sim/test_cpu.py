@@ -276,3 +276,14 @@ def test_an_explosion_in_the_last_substep_is_seen_though_its_numbers_are_finite(
     engine._state[3, 1 + task.scene.model.nq] = 1e37
     engine._find_failures()
     assert engine.failed.tolist() == [world == 3 for world in range(WORLDS)]
+
+
+def test_an_explosion_leaves_no_log_file_where_one_works(task, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    engine = make_engine(task, WORLDS)
+    qpos, qvel = random_states(task, WORLDS)
+    qvel[3] = 1e37
+    engine.reset(everywhere(), qpos, qvel)
+    engine.step(random_targets(task, WORLDS))
+    assert engine.failed[3]
+    assert not list(tmp_path.iterdir())

@@ -86,10 +86,9 @@ def test_quadruped_parts_without_a_partner_are_named_with_the_reason(quadruped):
         "hl_swing_motor": "nothing drives 'hr_swing' as it drives 'hl_swing'",
         "lamp_motor": "its joint 'lamp_tilt' has no partner",
     }
-    assert reasons(quadruped.sensors) == {"lamp_angle": "its joint 'lamp_tilt' has no partner"}
 
 
-def test_quadruped_actuators_sites_and_sensors(quadruped):
+def test_quadruped_actuators_and_sites(quadruped):
     assert table(quadruped.sites)["fl_toe"][0] == "fr_toe"
     actuators = table(quadruped.actuators)
     # Opposite axes and opposite gears cancel.
@@ -97,11 +96,6 @@ def test_quadruped_actuators_sites_and_sensors(quadruped):
     assert actuators["fl_swing_motor"] == ("fr_swing_motor", 1)
     assert actuators["wag_motor"] == ("wag_motor", -1)
     assert actuators["thruster"] == ("thruster", -1), "a lateral force"
-    sensors = table(quadruped.sensors)
-    assert sensors["fl_touch"][0] == "fr_touch"
-    assert sensors["gyro"][0] == "gyro"
-    assert sensors["fl_knee_angle"] == ("fr_knee_angle", -1)
-    assert sensors["wag_angle"] == ("wag_angle", -1)
 
 
 def test_quadruped_block_has_the_rest_and_says_what_is_missing(quadruped):
