@@ -14,7 +14,9 @@ def build(contract: dict, robot: str) -> mujoco.MjModel:
     for item in (*body.actuators, *body.sensors, *body.keys, *body.worldbody.geoms):
         body.delete(item)
     for geom in body.geoms:  # the feet's friction decides in their contact with the floor
-        foot = next((f for f in (training["feet"] or {}).values() if f and f["body"] == geom.parent.name), None)
+        foot = next(
+            (f for f in (training["feet"] or {}).values() if f and f["body"] == geom.parent.name), None
+        )
         geom.priority = int(foot is not None and (not foot["geoms"] or geom.name in foot["geoms"]))
     body.body(contract["base"]).add_site(name="base", pos=[0, 0, 0], quat=[1, 0, 0, 0])
     for name in ("timestep", "iterations", "ls_iterations"):
