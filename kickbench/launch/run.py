@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
@@ -137,6 +138,11 @@ def run(request: RunRequest) -> RunOutcome:
     directory, initial = RunDirectory(request.out or default), None
     if request.init_from is not None:
         trial, initial = begin_from(trial, load_run(request.init_from), request.init_std)
+        if initial.critic is None and ranks.is_main:
+            print(
+                f"{shown(request.init_from)}: no critic was kept that fits; a new one is trained",
+                file=sys.stderr,
+            )
     with joined(ranks), directory.occupied() if ranks.is_main else nullcontext():
         taken = _open_together(request, directory, trial, ranks, initial)
         if taken.finished:
@@ -254,6 +260,8 @@ def _start(trainer: Trainer, taken: Resume, initial: Initial | None) -> None:
     """Brings a trainer to where the run stands."""
     if initial is not None:
         trainer.ppo.get_policy().load_state_dict(initial.policy.state_dict())
+        if initial.critic is not None:
+            trainer.ppo.critic.load_state_dict(initial.critic.state_dict())
     if taken.state:
         trainer.load_state_dict(taken.state)
         if taken.directory is not None:
@@ -268,7 +276,7 @@ def _evaluate(
     # Wherever a policy was trained, the CPU's engine evaluates it: figures compare, and `eval` gives them
     # again.
     policy, trial = trainer.ppo.get_policy().eval().cpu(), trainer.trial
-    save_policy(made.policy, policy)
+    save_policy(made.policy, policy, trainer.ppo.critic)
     try:
         sides, symmetry = run_sides(trial.task, policy, trial.symmetry, num_threads=threads)
     except KeyboardInterrupt:

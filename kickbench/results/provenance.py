@@ -45,6 +45,8 @@ class InitialRef(Record):
     """Its identity."""
     policy: str
     """SHA-256 of the policy as it began, the standard deviation included."""
+    critic: str | None = None
+    """SHA-256 of the critic; null: the run began with a new one."""
     std: float | None
     """Standard deviation that its own was replaced by; null: it was kept."""
 

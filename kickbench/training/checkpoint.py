@@ -75,9 +75,10 @@ class Checkpoints:
         return None
 
 
-def save_policy(path: Path, policy: MLPModel) -> None:
-    """Writes the policy alone: normaliser, network and standard deviation."""
-    _write(path, {"format": _POLICY_FORMAT, "actor_state_dict": policy.state_dict()})
+def save_policy(path: Path, policy: MLPModel, critic: MLPModel | None = None) -> None:
+    """Writes a policy: normaliser, network and standard deviation; and the critic, for a run that begins so."""
+    content = {"format": _POLICY_FORMAT, "actor_state_dict": policy.state_dict()}
+    _write(path, content if critic is None else {**content, "critic_state_dict": critic.state_dict()})
 
 
 def load_policy(path: Path, policy: MLPModel) -> None:
@@ -89,6 +90,18 @@ def load_policy(path: Path, policy: MLPModel) -> None:
     if not path.exists():
         raise KickbenchError(f"{path}: no policy; did the run finish?")
     _load(path, policy, lambda: _read(path, digest_from=_POLICY_FORMAT)["actor_state_dict"])
+
+
+def load_critic(path: Path, critic: MLPModel) -> bool:
+    """Loads the critic that a policy was stored with; False: it was stored without one.
+
+    Raises:
+        KickbenchError: It is of another network.
+    """
+    weights = _read(path, digest_from=_POLICY_FORMAT).get("critic_state_dict")
+    if weights is not None:
+        _load(path, critic, lambda: weights)
+    return weights is not None
 
 
 def load_unfinished(checkpoints: Checkpoints, policy: MLPModel) -> int:

@@ -13,14 +13,14 @@ import torch
 from rsl_rl.models import MLPModel
 
 from kickbench.errors import KickbenchError, Problem, SpecError, shown
-from kickbench.nets.build import build_actor
+from kickbench.nets.build import build_actor, build_critic
 from kickbench.results.identity import ITERATIONS, read_identity
 from kickbench.results.integrity import find_damage, seal
 from kickbench.results.metrics import load_metrics
 from kickbench.results.provenance import InitialRef
 from kickbench.results.specs import spec_differences, stored_method, write_specs
 from kickbench.results.store import RunDirectory
-from kickbench.training.checkpoint import Checkpoints, save_policy
+from kickbench.training.checkpoint import Checkpoints, load_critic, save_policy
 from kickbench.training.iteration_log import rows_before
 from kickbench.training.ranks import fingerprint
 from kickbench.training.trained import Run
@@ -47,7 +47,7 @@ def begin(directory: RunDirectory, trial: Trial, initial: Initial | None = None)
     try:
         write_specs(directory, trial)
         if initial is not None:
-            save_policy(directory.initial_policy, initial.policy)
+            save_policy(directory.initial_policy, initial.policy, initial.critic)
             seal(directory)
     except BaseException:
         directory.clear()
@@ -169,19 +169,21 @@ def _is_intact(directory: RunDirectory) -> bool:
 
 @dataclass(frozen=True)
 class Initial:
-    """The policy that a run begins with: network, observation statistics, action noise; not the critic.
+    """What a run begins with.
 
     Attributes:
-        policy: The policy.
-        ref: Where it comes from.
+        policy: Network, observation statistics, action noise.
+        critic: Likewise; None: a new one.
+        ref: Where they come from.
     """
 
     policy: MLPModel
+    critic: MLPModel | None
     ref: InitialRef
 
 
 def begin_from(trial: Trial, run: Run, std: float | None) -> tuple[Trial, Initial]:
-    """Lets a trial begin with the policy of a run.
+    """Lets a trial begin with the policy of a run, and with its critic if that was kept and fits.
 
     Args:
         trial: The trial.
@@ -205,22 +207,32 @@ def begin_from(trial: Trial, run: Run, std: float | None) -> tuple[Trial, Initia
         if name.endswith("std_param"):
             value = torch.tensor(std)
             parameter.data.fill_(value.log() if name.endswith("log_std_param") else value)
+    critic = _critic_of(trial, run)
     weights, identity = fingerprint(own), read_identity(run.directory).fingerprint
     labels = {key: getattr(run.metrics, key) for key in ("task", "method", "seed", "env_steps")}
-    ref = InitialRef(**labels, fingerprint=identity, policy=weights, std=std)
-    return replace(trial, initial_policy=weights), Initial(own, ref)
+    ref = InitialRef(
+        **labels, fingerprint=identity, policy=weights, critic=critic and fingerprint(critic), std=std
+    )
+    both = weights if critic is None else fingerprint(own, critic)
+    return replace(trial, initial_policy=both), Initial(own, critic, ref)
+
+
+def _critic_of(trial: Trial, run: Run) -> MLPModel | None:
+    here, there = _of_network(trial, "critic"), _of_network(run.trial, "critic")
+    critic = build_critic(trial.method.spec, trial.symmetry.groups["critic"])
+    return critic if here == there and load_critic(run.directory.policy, critic) else None
 
 
 def _misfits(ours: Trial, theirs: Trial) -> list[str]:
     if list(ours.task.robot.spec.actuators) != list(theirs.task.robot.spec.actuators):
         return ["it is for another robot, with other actuators"]
-    here, there = _of_the_policy(ours), _of_the_policy(theirs)
+    here, there = _of_network(ours, "actor"), _of_network(theirs, "actor")
     return [f"{key} {value}, there {there[key]}" for key, value in here.items() if value != there[key]]
 
 
-def _of_the_policy(trial: Trial) -> dict[str, Any]:
-    """What a policy must share with another one to take its weights."""
-    keys = [f"network.{key}" for key in ("type", "actor_hidden", "activation", "normalize_observations")]
+def _of_network(trial: Trial, role: str) -> dict[str, Any]:
+    """What actor or critic must share with another one to take its weights."""
+    keys = [f"network.{key}" for key in ("type", f"{role}_hidden", "activation", "normalize_observations")]
     keys += ["network.std_type", "symmetry.symmetric_normalization", "symmetry.tied_std"]
-    observed = [(field.name, field.size) for field in trial.task.groups["actor"]]
-    return {"actor observations": observed, **{key: attrgetter(key)(trial.method.spec) for key in keys}}
+    observed = [(field.name, field.size) for field in trial.task.groups[role]]
+    return {f"{role} observations": observed, **{key: attrgetter(key)(trial.method.spec) for key in keys}}

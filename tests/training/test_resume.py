@@ -586,15 +586,16 @@ def test_a_run_begins_with_the_policy_of_another_one(begun):
         str(folder / "second"),
     ]
     assert main(run) == 0
-    source, second = (
-        runner.load_run(folder / "first").policy.network,
-        Checkpoints(folder / "second/checkpoints").files(),
-    )
-    assert second
+    source = runner.load_run(folder / "first").policy.network
+    files = Checkpoints(folder / "second/checkpoints").files()
     stored = torch.load(folder / "second/specs/initial_policy.pt", weights_only=True)["actor_state_dict"]
     for name, value in source.state_dict().items():
         expected = torch.full_like(value, 0.25) if name.endswith("std_param") else value
         torch.testing.assert_close(stored[name], expected, rtol=0, atol=0)
+    kept = torch.load(folder / "first/policy.pt", weights_only=True)["critic_state_dict"]
+    first = torch.load(files[0], weights_only=True)["learner"]["critic_state_dict"]
+    for name, value in kept.items():
+        torch.testing.assert_close(first[name], value, rtol=0, atol=0)
     ref = load_metrics(folder / "second/metrics.json").provenance.initial
     assert ref is not None
     assert (ref.std, ref.task) == (0.25, "mini_home_field")
@@ -616,6 +617,16 @@ def test_a_policy_of_another_network_is_refused_and_nothing_is_written(begun, ca
     assert main([*wider, "--out", str(folder / "fourth")]) == 2
     assert "network.actor_hidden (32,), there (16,)" in capsys.readouterr().err
     assert not (folder / "fourth").exists()
+
+
+def test_a_critic_of_another_network_is_left_out_with_a_word(begun, capsys):
+    folder, command = begun
+    wider = [*command, "--set", "network.critic_hidden=[32]", "--init-from", str(folder / "first")]
+    assert main([*wider, "--out", str(folder / "sixth")]) == 0
+    assert "no critic was kept that fits" in capsys.readouterr().err
+    ref = load_metrics(folder / "sixth/metrics.json").provenance.initial
+    assert ref is not None
+    assert ref.critic is None
 
 
 def test_a_standard_deviation_needs_a_policy(begun, capsys):
