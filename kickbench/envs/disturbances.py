@@ -5,18 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from kickbench.config.base import Fraction, NonNegativeRange, PositiveFloat
 from kickbench.config.task import TaskSpec
 from kickbench.config.terms import RandomizationParams
 from kickbench.envs.tensors import Tensors
-
-if TYPE_CHECKING:
-    from torch import Tensor
 
 _UNIT, _TURN = (0.0, 1.0), (0.0, 2.0 * math.pi)
 

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import torch
+from torch import Tensor
 
 from kickbench.envs.disturbances import Setting, uniform
 from kickbench.envs.tensors import Tensors
 from kickbench.envs.term import Field
-
-if TYPE_CHECKING:
-    from torch import Tensor
 
 _ROUNDING = 1e-6
 """What a number of control steps may lack to be whole, by rounding."""
