@@ -20,9 +20,8 @@ from kickbench.results.metrics import load_metrics
 from kickbench.results.provenance import InitialRef
 from kickbench.results.specs import spec_differences, stored_method, write_specs
 from kickbench.results.store import RunDirectory
-from kickbench.training.checkpoint import Checkpoints, load_critic, save_policy
+from kickbench.training.checkpoint import Checkpoints, fingerprint, load_critic, save_policy
 from kickbench.training.iteration_log import rows_before
-from kickbench.training.ranks import fingerprint
 from kickbench.training.trained import Run
 from kickbench.trials.trial import Trial
 
@@ -32,14 +31,14 @@ class Resume:
     """Where a run stands.
 
     Attributes:
+        directory: The run directory.
         state: Its last checkpoint, as `Trainer.state_dict` made it; None: nothing has been trained.
         finished: Whether nothing is left to do.
-        directory: The run directory; None: another process knows it.
     """
 
+    directory: RunDirectory
     state: Mapping[str, Any] | None = None
     finished: bool = False
-    directory: RunDirectory | None = None
 
 
 def begin(directory: RunDirectory, trial: Trial, initial: Initial | None = None) -> Resume:
@@ -54,7 +53,7 @@ def begin(directory: RunDirectory, trial: Trial, initial: Initial | None = None)
         with suppress(OSError):  # the folder is not empty
             directory.path.rmdir()
         raise
-    return Resume(directory=directory)
+    return Resume(directory)
 
 
 def take_up(
@@ -96,7 +95,7 @@ def take_up(
         recorded = load_metrics(directory.metrics)
         check_same(directory, trial, seed, scale, recorded.model_dump(), extend=extend)
         if recorded.iterations >= trial.method.spec.algorithm.iterations:
-            return Resume(finished=True, directory=directory)
+            return Resume(directory, finished=True)
     state = Checkpoints(directory.checkpoints).load()
     if state is None:
         if any(file.exists() for file in (directory.progress, directory.policy, directory.metrics)):
@@ -107,7 +106,7 @@ def take_up(
         return begin(directory, trial, initial)
     check_same(directory, trial, seed, scale, state["run"], extend=extend)
     rows_before(directory.progress, state["iteration"])  # before anything is removed
-    return Resume(state, directory=directory)
+    return Resume(directory, state)
 
 
 def check_same(
