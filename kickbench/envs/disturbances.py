@@ -106,18 +106,6 @@ class ActionDelay(RandomizationParams):
             yield "delay", message
 
 
-class DelayMemory(Tensors):
-    """Commands on their way to the servos.
-
-    Attributes:
-        history: Control targets, newest first [B, depth, nu].
-        newest: Age, in control steps, of the newest command that has taken effect [B].
-    """
-
-    history: Tensor
-    newest: Tensor
-
-
 class DelayLine:
     """Per-env latency of control targets, in physics substeps (thesis 3.1).
 
@@ -132,7 +120,8 @@ class DelayLine:
     substep 6, so the servos see (command of step t - 2, t - 2, t - 1, t - 1) during control step t.
 
     Attributes:
-        memory: Its tensors.
+        memory: Its tensors: `history`, control targets, newest first [B, depth, nu]; `newest`, the age of the
+            newest command that has taken effect [B], control steps.
     """
 
     def __init__(self, setting: Setting, params: ActionDelay) -> None:
@@ -142,7 +131,7 @@ class DelayLine:
         self._generator, self._default = setting.generator, setting.default_target
         envs, depth = setting.num_envs, math.ceil((self._high + 1) / setting.decimation) + 1
         device = self._default.device
-        self.memory = DelayMemory(
+        self.memory = Tensors(
             history=self._default.repeat(envs, depth, 1),
             newest=torch.zeros(envs, dtype=torch.int64, device=device),
         )
@@ -150,7 +139,7 @@ class DelayLine:
         # Place of every env's newest command in the flattened history.
         self._first = depth * torch.arange(envs, device=device).unsqueeze(1)
 
-    def adopt(self, memory: DelayMemory) -> None:
+    def adopt(self, memory: Tensors) -> None:
         """Takes over the commands of a line with another range of delays."""
         depth = self.memory.history.shape[1]
         # What is older than the oldest command known was the same.
@@ -196,21 +185,6 @@ class Pushes(RandomizationParams):
     """Magnitude of the force, N."""
 
 
-class PushMemory(Tensors):
-    """Where the schedule of every env stands.
-
-    Attributes:
-        wait: Control steps until the next push [B]; negative in the steps of a push but its last, which draws
-            the next interval.
-        force: Force of the last push, world frame [B, 2], N.
-        side: 1, or -1 in envs whose pushes are drawn as mirror images until their episode ends [B].
-    """
-
-    wait: Tensor
-    force: Tensor
-    side: Tensor
-
-
 class PushSchedule:
     """Per-env schedule of pushes (thesis 3.1).
 
@@ -219,7 +193,9 @@ class PushSchedule:
     for the given duration, rounded to whole control steps, at least one; then the next interval is drawn.
 
     Attributes:
-        memory: Its tensors.
+        memory: Its tensors: `wait`, control steps until the next push [B], negative in the steps of a push but
+            its last, which draws the next interval; `force` of the last push, world frame [B, 2], N; `side`,
+            1, or -1 in envs whose pushes are drawn as mirror images until their episode ends [B].
     """
 
     def __init__(self, setting: Setting, params: Pushes) -> None:
@@ -230,14 +206,14 @@ class PushSchedule:
         self._steps = max(1, round(params.duration / control_interval))
         self._range, self._generator = params.force, setting.generator
         envs, device = setting.num_envs, setting.generator.device
-        self.memory = PushMemory(
+        self.memory = Tensors(
             wait=torch.zeros(envs, dtype=torch.int64, device=device),
             force=torch.zeros(envs, 2, device=device),
             side=torch.ones(envs, device=device),
         )
         self.reset(torch.ones(envs, dtype=torch.bool, device=device))
 
-    def adopt(self, memory: PushMemory) -> None:
+    def adopt(self, memory: Tensors) -> None:
         """Goes on from where another schedule stands."""
         self.memory.copy_(memory)
 

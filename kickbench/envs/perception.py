@@ -16,21 +16,6 @@ _ROUNDING = 1e-6
 """What a number of control steps may lack to be whole, by rounding."""
 
 
-class SampleMemory(Tensors):
-    """What is known of one field.
-
-    Attributes:
-        history: Last sample that was not lost, at this control step and those before it, newest first
-            [B, depth, size].
-        age: Delay of the running episode, control steps [B].
-        step: Control step of the newest entry [B]; -1 after a reset, before the first entry.
-    """
-
-    history: Tensor
-    age: Tensor
-    step: Tensor
-
-
 class Sampler:
     """Samples one field: `rate`, `dropout` and `delay` of `ObservationParams`, in this order.
 
@@ -43,7 +28,9 @@ class Sampler:
     with a delay of 0.06 s, control steps 7, 8 and 9 see the sample of step 4.
 
     Attributes:
-        memory: Its tensors.
+        memory: Its tensors: `history`, the last sample that was not lost, at this control step and those
+            before it, newest first [B, depth, size]; `age`, the delay of the running episode [B], control
+            steps; `step`, the control step of the newest entry [B], -1 after a reset, before the first one.
     """
 
     def __init__(self, field: Field, setting: Setting) -> None:
@@ -55,7 +42,7 @@ class Sampler:
         self._generator, envs = setting.generator, setting.num_envs
         depth, device = math.ceil(self._delay[1] - _ROUNDING) + 1, setting.default_target.device
         whole = {"dtype": torch.int64, "device": device}
-        self.memory = SampleMemory(
+        self.memory = Tensors(
             history=torch.zeros(envs, depth, field.size, device=device),
             age=torch.zeros(envs, **whole),
             step=torch.full((envs,), -1, **whole),
