@@ -22,8 +22,6 @@ episodes that ended in the iteration, NaN where none has.
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 import os
 import sys
@@ -34,7 +32,7 @@ from numbers import Integral
 from pathlib import Path
 from typing import IO, Any, TextIO
 
-from kickbench.errors import KickbenchError, printable
+from kickbench.errors import KickbenchError
 from kickbench.evaluation.progress_bar import Steps, percent
 from kickbench.results.atomic import atomic_write_text
 from kickbench.results.progress_table import CHECK, checked_rows, row_check
@@ -187,16 +185,10 @@ def rows_before(path: Path, first_iteration: int) -> list[list[str]]:
 
 
 def _to_csv(columns: list[str], rows: list[list[str]], *, with_header: bool) -> str:
-    """Rows as text, each followed by its checksum."""
-    header, *lines = (_line(cells) for cells in (columns, *rows))
+    """Rows as text, each followed by its checksum. No name and no figure has a comma."""
+    header, *lines = (",".join(cells) for cells in (columns, *rows))
     body = [f"{line},{row_check(header, line)}\n" for line in lines]
     return "".join([f"{header},{CHECK}\n"] * with_header + body)
-
-
-def _line(cells: list[str]) -> str:
-    buffer = io.StringIO()
-    csv.writer(buffer, lineterminator="").writerow(cells)
-    return buffer.getvalue()
 
 
 def _format(value: float | None) -> str:
@@ -208,7 +200,7 @@ def _format(value: float | None) -> str:
 
 
 class TensorBoardProgress(Progress):
-    """TensorBoard events by iteration. Without the package the training goes on.
+    """TensorBoard events by iteration.
 
     Args:
         folder: Folder of the event files.
@@ -220,17 +212,12 @@ class TensorBoardProgress(Progress):
 
     def start(self, total_iterations: int, first_iteration: int) -> None:
         """Opens an event file; events from `first_iteration` on that a killed run has left are purged."""
-        try:  # slow to import, and not needed by anything else
-            from torch.utils.tensorboard.writer import SummaryWriter
-        except ImportError as error:
-            print(f"no TensorBoard events: {printable(str(error))}", file=sys.stderr)
-        else:
-            self._writer = SummaryWriter(str(self._folder), purge_step=first_iteration)
+        from torch.utils.tensorboard.writer import SummaryWriter  # slow to import
+
+        self._writer = SummaryWriter(str(self._folder), purge_step=first_iteration)
 
     def update(self, record: Record) -> None:
         """Writes one scalar for each figure that is known."""
-        if self._writer is None:
-            return
         for name, value in record.items():
             if name != "iteration" and not math.isnan(value):
                 tag = name if "/" in name else f"train/{name}"

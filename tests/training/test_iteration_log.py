@@ -220,16 +220,6 @@ def test_tensorboard_gets_every_figure_but_not_what_is_unknown(tmp_path):
     assert [event.step for event in events.Scalars("reward/target_distance")] == [0, 1]
 
 
-def test_without_tensorboard_the_training_goes_on(tmp_path, monkeypatch, capsys):
-    monkeypatch.setitem(sys.modules, "torch.utils.tensorboard.writer", None)
-    progress = TensorBoardProgress(tmp_path)
-    progress.start(10, 0)
-    progress.update(FIRST)
-    progress.close()
-    assert capsys.readouterr().err.count("no TensorBoard events: ") == 1
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_a_run_writes_lines_rows_and_events(tmp_path):
     stream = io.StringIO()
     progress = RunProgress(tmp_path / "progress.csv", tmp_path / "tensorboard", stream)
