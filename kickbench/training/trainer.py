@@ -7,7 +7,8 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from types import FrameType
 from typing import Any
@@ -127,7 +128,7 @@ class Trainer:
         self._horizon = self._horizon or iterations
         if self.iteration >= iterations:
             return self._result()
-        interrupted, self._clock = False, time.perf_counter()
+        interrupted, clock = False, time.perf_counter()
         if self.iteration == 0:
             if self._growth is not None:  # the first episodes have the first values, too
                 self._grow()
@@ -136,12 +137,13 @@ class Trainer:
         self.progress.start(iterations, self.iteration)
         self.ppo.train_mode()
         try:
-            with StopRequest() as stop:
+            with stop_request() as stop:
                 while self.iteration < iterations and not interrupted:
                     self._anneal()
                     self._iterate()
-                    self._count_time()
-                    interrupted = stop.requested
+                    now = time.perf_counter()
+                    self._seconds, clock = self._seconds + now - clock, now
+                    interrupted = stop.is_set()
                     if interrupted or self.iteration == iterations or self._is_due():
                         self.save()
         except KeyboardInterrupt:
@@ -193,10 +195,6 @@ class Trainer:
     def _result(self) -> TrainingResult:
         return TrainingResult(self.iteration, self.env_steps, self._seconds, self._horizon, False)
 
-    def _count_time(self) -> None:
-        now = time.perf_counter()
-        self._seconds, self._clock = self._seconds + now - self._clock, now
-
     def _is_due(self) -> bool:
         iterations, seconds = self._every
         return self.iteration % iterations == 0 or time.monotonic() - self._kept_at >= seconds
@@ -218,8 +216,6 @@ class Trainer:
         updated = self._now()
         self.iteration += 1
         record = self._record(losses, collected - start, updated - collected)
-        if not all(torch.isfinite(torch.tensor(list(losses.values())))):
-            raise KickbenchError(f"iteration {record['iteration']}: the loss is not finite ({losses})")
         self.progress.update(record)
         if self._growth is not None:
             self._growth.note(record["success_rate"])
@@ -308,27 +304,24 @@ def _set_rng_states(states: Mapping[str, Tensor], device: torch.device) -> None:
         torch.cuda.set_rng_state(states["cuda"], device)
 
 
-class StopRequest:
-    """While it is entered, the first Ctrl-C (or SIGTERM) is a request; the second is a `KeyboardInterrupt`.
+@contextmanager
+def stop_request() -> Iterator[threading.Event]:
+    """Within the block, the first Ctrl-C (or SIGTERM) sets the event; the second is a `KeyboardInterrupt`.
 
-    Outside of the main thread, where Python handles no signals, it is never requested.
+    Outside of the main thread, where Python handles no signals, it is never set.
     """
+    requested = threading.Event()
 
-    def __init__(self) -> None:
-        self.requested = False
-        self._before: dict[signal.Signals, Any] = {}
-
-    def __enter__(self) -> StopRequest:
-        if threading.current_thread() is threading.main_thread():
-            self._before = {number: signal.signal(number, self._heard) for number in _SIGNALS}
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for number, handler in self._before.items():
-            signal.signal(number, handler)
-
-    def _heard(self, number: int, frame: FrameType | None) -> None:
-        if self.requested:
+    def heard(number: int, frame: FrameType | None) -> None:
+        if requested.is_set():
             raise KeyboardInterrupt
         print("stopping after this iteration; once more: at once, without keeping it", file=sys.stderr)
-        self.requested = True
+        requested.set()
+
+    is_main = threading.current_thread() is threading.main_thread()
+    before = {number: signal.signal(number, heard) for number in _SIGNALS if is_main}
+    try:
+        yield requested
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
