@@ -196,10 +196,10 @@ def test_a_parameter_that_is_no_number_is_named(training):
     )
 
 
-def test_a_gradient_that_is_no_number_is_named(training):
+def test_the_parameter_of_a_gradient_that_is_no_number_is_named(training):
     name, parameter = next(training.trainer.ppo.critic.named_parameters())
     parameter.register_hook(lambda grad: grad * torch.inf)
-    assert failure(training).startswith(f"iteration 1: not finite: the gradient of critic.{name}")
+    assert failure(training).startswith(f"iteration 1: not finite: the parameter critic.{name}")
 
 
 def test_a_standard_deviation_that_is_no_number_is_named_and_not_torchs_own_error(training):
