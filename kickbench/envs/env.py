@@ -17,7 +17,7 @@ from kickbench.envs.engines import make_engine as make_engine
 from kickbench.envs.episode import EpisodeRecord, Outcome, Totals
 from kickbench.envs.initial_states import InitialStatePool, InitialStates, InitialStateSampler
 from kickbench.envs.observations import Observer
-from kickbench.envs.perception import Perception
+from kickbench.envs.perception import make_samplers
 from kickbench.envs.randomizations import ModelVariation
 from kickbench.envs.state import EpisodeState, State, StateIndex
 from kickbench.envs.tensors import Tensors, plain
@@ -103,7 +103,7 @@ class KickEnv(VecEnv):
             totals=Totals.zeros(len(task.terminations), self._weights),
             by_side=Tensors(),
             observations=Tensors(groups),
-            perception=self._perception.memory,
+            perception=Tensors({sampler.name: sampler.memory for sampler in self._samplers.values()}),
             **{stage: process.memory for stage, process in self._processes.items()},
         )
 
@@ -122,8 +122,8 @@ class KickEnv(VecEnv):
         time = task.spec.simulation
         target, envs = self._default_target, self.num_envs
         self._setting = Setting(time.timestep, time.decimation, target, envs, self._draws)
-        self._perception = Perception(task.groups["actor"], self._setting)
-        self._observer = Observer(task.groups, self.device, noise=self._noise, perception=self._perception)
+        self._samplers = make_samplers(task.groups["actor"], self._setting)
+        self._observer = Observer(task.groups, self.device, noise=self._noise, samplers=self._samplers)
 
     def _make_source(self) -> InitialStateSource:
         return self.sampler if self._resident else InitialStatePool(self.sampler, _POOLED * self.num_envs)
@@ -290,7 +290,7 @@ class KickEnv(VecEnv):
             ball = states.qpos[:, place : place + 2].float()
             self.episode.ball = torch.where(mask.unsqueeze(1), ball, self.episode.ball)
         self.record.reset(mask)
-        for process in (*self._processes.values(), self._perception):
+        for process in (*self._processes.values(), *self._samplers.values()):
             process.reset(mask)
         self._observe()
 

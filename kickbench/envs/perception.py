@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor
@@ -28,6 +28,7 @@ class Sampler:
     with a delay of 0.06 s, control steps 7, 8 and 9 see the sample of step 4.
 
     Attributes:
+        name: The field's name.
         memory: Its tensors: `history`, the last sample that was not lost, at this control step and those
             before it, newest first [B, depth, size]; `age`, the delay of the running episode [B], control
             steps; `step`, the control step of the newest entry [B], -1 after a reset, before the first one.
@@ -35,6 +36,7 @@ class Sampler:
 
     def __init__(self, field: Field, setting: Setting) -> None:
         """Makes room for the longest delay."""
+        self.name = field.name
         params, interval = field.params, setting.timestep * setting.decimation
         self._delay = tuple(seconds / interval for seconds in params.delay or (0.0, 0.0))
         self._dropout = params.dropout or 0.0
@@ -88,30 +90,6 @@ class Sampler:
         return (steps - 1e-4).ceil().long().clamp(0, self.memory.history.shape[1] - 1)
 
 
-class Perception:
-    """The samplers of the fields that have one.
-
-    Attributes:
-        memory: Their tensors by the name of the field.
-    """
-
-    def __init__(self, fields: Sequence[Field], setting: Setting) -> None:
-        """Makes a sampler for each field whose parameters ask for one."""
-        found = [field for field in fields if field.params.is_sampled]
-        self._samplers = {field.key: Sampler(field, setting) for field in found}
-        self.memory = Tensors({field.name: self._samplers[field.key].memory for field in found})
-
-    def reset(self, mask: Tensor) -> None:
-        """Begins anew in the envs in `mask` [B]."""
-        for sampler in self._samplers.values():
-            sampler.reset(mask)
-
-    def __call__(self, fields: Mapping[str, Tensor], step: Tensor) -> dict[str, Tensor]:
-        """What is seen of all fields; those without a sampler are exact.
-
-        Args:
-            fields: Exact value of every field [B, size] by its key.
-            step: Control steps since the initial state [B].
-        """
-        seen = {key: sampler(fields[key], step) for key, sampler in self._samplers.items()}
-        return {**fields, **seen}
+def make_samplers(fields: Sequence[Field], setting: Setting) -> dict[str, Sampler]:
+    """A sampler for each field whose parameters ask for one, by `Field.key`."""
+    return {field.key: Sampler(field, setting) for field in fields if field.params.is_sampled}
