@@ -58,7 +58,9 @@ class Sampler:
         memory.step = torch.where(mask, -1, memory.step)
         if low < high:
             drawn = low + (high - low) * uniform(self._generator, mask.shape, env_axis=0)
-            memory.age = torch.where(mask, self._whole(drawn), memory.age)
+            # Rounded up to whole control steps; float32 knows few digits of them.
+            whole = (drawn - 1e-4).ceil().long().clamp(0, memory.history.shape[1] - 1)
+            memory.age = torch.where(mask, whole, memory.age)
         else:
             memory.age.fill_(math.ceil(high - _ROUNDING))
 
@@ -84,10 +86,6 @@ class Sampler:
     def _count(self, step: Tensor) -> Tensor:
         """Samples since the first, up to and including a control step [B]."""
         return (step.double() * self._samples_a_step + _ROUNDING).floor()
-
-    def _whole(self, steps: Tensor) -> Tensor:
-        """Times in control steps, rounded up to whole ones; float32 knows few digits of them."""
-        return (steps - 1e-4).ceil().long().clamp(0, self.memory.history.shape[1] - 1)
 
 
 def make_samplers(fields: Sequence[Field], setting: Setting) -> dict[str, Sampler]:

@@ -133,7 +133,7 @@ def check_same(
         KickbenchError: The run has no identity, or a damaged one.
     """
     problems = [
-        Problem(None, (key,), f"{_or_none(value)}, but the run has {_or_none(recorded.get(key))}")
+        Problem(None, (key,), f"{value}, but the run has {recorded.get(key)}")
         for key, value in (("seed", seed), ("scale", scale))
         if recorded is not None and value != recorded.get(key)
     ]
@@ -146,10 +146,6 @@ def check_same(
         problems.append(trial.method.document.problem(ITERATIONS, what, hint))
     if problems:
         raise SpecError([Problem(None, (), f"{shown(directory.path)} holds another run"), *problems])
-
-
-def _or_none(value: float | None) -> str:
-    return "none" if value is None else str(value)
 
 
 def _is_intact(directory: RunDirectory) -> bool:
@@ -206,7 +202,10 @@ def begin_from(trial: Trial, run: Run, std: float | None) -> tuple[Trial, Initia
         if name.endswith("std_param"):
             value = torch.tensor(std)
             parameter.data.fill_(value.log() if name.endswith("log_std_param") else value)
-    critic = _critic_of(trial, run)
+    critic = build_critic(trial.method.spec, symmetry.groups["critic"])
+    fits = _of_network(trial, "critic") == _of_network(run.trial, "critic")
+    if not fits or not load_critic(run.directory.policy, critic):
+        critic = None
     weights, identity = fingerprint(own), read_identity(run.directory).fingerprint
     labels = {key: getattr(run.metrics, key) for key in ("task", "method", "seed", "env_steps")}
     ref = InitialRef(
@@ -214,12 +213,6 @@ def begin_from(trial: Trial, run: Run, std: float | None) -> tuple[Trial, Initia
     )
     both = weights if critic is None else fingerprint(own, critic)
     return replace(trial, initial_policy=both), Initial(own, critic, ref)
-
-
-def _critic_of(trial: Trial, run: Run) -> MLPModel | None:
-    here, there = _of_network(trial, "critic"), _of_network(run.trial, "critic")
-    critic = build_critic(trial.method.spec, trial.symmetry.groups["critic"])
-    return critic if here == there and load_critic(run.directory.policy, critic) else None
 
 
 def _misfits(ours: Trial, theirs: Trial) -> list[str]:
