@@ -17,7 +17,7 @@ from kickbench.errors import KickbenchError
 from kickbench.nets.build import build_actor
 from kickbench.symmetry.torch_ops import Mirror
 from kickbench.training.checkpoint import Checkpoints, fingerprint, load_policy, save_policy
-from kickbench.training.iteration_log import CsvProgress, Progress, Record
+from kickbench.training.iteration_log import Progress, Record, RunProgress
 from kickbench.training.ppo import build_ppo
 from kickbench.training.trainer import Trainer
 
@@ -92,7 +92,7 @@ def test_a_record_tells_counts_shares_and_sums_of_the_iteration(experiment, tmp_
 
 def test_the_progress_file_has_a_row_an_iteration(experiment, tmp_path):
     chosen = experiment("mini_home_field", "baseline", *SMALL)
-    make_trainer(chosen, tmp_path, CsvProgress(tmp_path / "progress.csv")).train(3)
+    make_trainer(chosen, tmp_path, RunProgress(tmp_path / "progress.csv", tmp_path / "events")).train(3)
     with open(tmp_path / "progress.csv", encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
     assert [int(row["iteration"]) for row in rows] == [0, 1, 2]
