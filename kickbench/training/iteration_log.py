@@ -65,7 +65,8 @@ class RunProgress(Progress):
 
     `progress.csv` has a header from the first record, then a row per iteration, written to disk at once. On a
     resume the rows of iterations that will be run again, and a row that a kill cut short, are dropped. None is
-    missing, since a checkpoint is written after the rows of its iterations.
+    missing, since a checkpoint is written after the rows of its iterations. Figures that an older version did
+    not report are empty in its rows.
 
     Args:
         csv_path: The run's `progress.csv`.
@@ -85,17 +86,23 @@ class RunProgress(Progress):
         """
         from torch.utils.tensorboard.writer import SummaryWriter  # slow to import
 
-        kept = rows_before(self._path, first_iteration)
-        self._columns = kept[0] if kept else []
-        atomic_write_text(self._path, _to_csv(kept[0], kept[1:], with_header=True) if kept else "")
-        table = open(self._path, "a", encoding="utf-8", newline="")  # noqa: SIM115 (open until close())
-        self._table = self._open.enter_context(table)
+        header, *kept = rows_before(self._path, first_iteration) or [[]]
+        self._begin(header, kept)
         self._events = SummaryWriter(str(self._folder), purge_step=first_iteration)
         self._open.callback(self._events.close)
         resumed = f", resumed at {first_iteration}" if first_iteration else ""
         print(f"training: {total_iterations} iterations{resumed}", file=self._stream, flush=True)
         steps = Steps("training", "iterations", total_iterations, first_iteration, self._stream)
         self._steps = self._open.enter_context(steps)
+
+    def _begin(self, columns: list[str], kept: list[list[str]]) -> None:
+        """Writes the header and the rows that are kept, and opens the table to append to them."""
+        self._columns = columns
+        self._kept: list[list[str]] | None = kept
+        rows = [[*row, *[""] * (len(columns) - len(row))] for row in kept]
+        atomic_write_text(self._path, _to_csv(columns, rows, with_header=True) if columns else "")
+        table = open(self._path, "a", encoding="utf-8", newline="")  # noqa: SIM115 (open until close())
+        self._table = self._open.enter_context(table)
 
     def update(self, record: Record) -> None:
         """Appends a row and one event for each figure that is known, and shows the iteration."""
@@ -109,13 +116,14 @@ class RunProgress(Progress):
         self._steps.advance(text=describe(record))
 
     def _append(self, record: Record) -> None:
-        """Writes a row. A name that the header lacks is an error: columns would lose their meaning."""
-        is_first = not self._columns
-        self._columns = self._columns or list(record)
+        """Writes a row. The first one since the start makes columns, a later one with a new name is an error."""
         if unknown := [name for name in record if name not in self._columns]:
-            raise KickbenchError(f"{self._path}: no column for {', '.join(unknown)}")
+            if self._kept is None:
+                raise KickbenchError(f"{self._path}: no column for {', '.join(unknown)}")
+            self._begin([*self._columns, *unknown], self._kept)
+        self._kept = None
         row = [_format(record.get(name)) for name in self._columns]
-        self._table.write(_to_csv(self._columns, [row], with_header=is_first))
+        self._table.write(_to_csv(self._columns, [row], with_header=False))
         self._table.flush()
         os.fsync(self._table.fileno())
 

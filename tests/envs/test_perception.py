@@ -24,7 +24,7 @@ SAMPLED = f"{BALL}={{rate: 16, delay: [0.0, 0.12], dropout: 0.3}}"
 def sampler(envs: int = 1, **params: Any) -> Sampler:
     """At 50 control steps a second."""
     setting = Setting(0.005, 4, torch.zeros(1), envs, torch.Generator().manual_seed(0))
-    made = Sampler(SimpleNamespace(params=ObservationParams(**params), size=1), setting)  # type: ignore[arg-type]
+    made = Sampler(SimpleNamespace(name="ball", params=ObservationParams(**params), size=1), setting)  # type: ignore[arg-type]
     made.reset(torch.ones(envs, dtype=torch.bool))
     return made
 

@@ -185,6 +185,16 @@ def test_a_resumed_table_is_the_table_of_a_run_that_was_never_stopped(tmp_path):
     assert (tmp_path / "resumed.csv").read_bytes() == (tmp_path / "whole.csv").read_bytes()
 
 
+def test_figures_that_an_older_version_did_not_report_are_empty_in_its_rows(tmp_path):
+    write_rows(tmp_path / "progress.csv", range(3))
+    progress = quiet(tmp_path / "progress.csv")
+    progress.start(10, 2)
+    progress.update(record(2, speeding_share=0.25))
+    progress.close()
+    assert [row["speeding_share"] for row in rows_of(tmp_path / "progress.csv")] == ["", "", "0.25"]
+    assert [row[-1] for row in checked_rows(tmp_path / "progress.csv")] == ["speeding_share", "", "", "0.25"]
+
+
 def test_a_run_that_starts_anew_drops_the_old_rows(tmp_path):
     write_rows(tmp_path / "progress.csv", range(7))
     write_rows(tmp_path / "progress.csv", range(2))
