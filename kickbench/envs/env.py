@@ -12,12 +12,11 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from kickbench.envs.compiled_task import CompiledTask, read_task
-from kickbench.envs.disturbances import Draws, Setting
+from kickbench.envs.disturbances import Draws, Setting, make_samplers
 from kickbench.envs.engines import make_engine as make_engine
 from kickbench.envs.episode import EpisodeRecord, Outcome, Totals
 from kickbench.envs.initial_states import InitialStatePool, InitialStates, InitialStateSampler
 from kickbench.envs.observations import Observer
-from kickbench.envs.perception import make_samplers
 from kickbench.envs.randomizations import ModelVariation
 from kickbench.envs.state import EpisodeState, State, StateIndex
 from kickbench.envs.tensors import Tensors, plain

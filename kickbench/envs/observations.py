@@ -12,8 +12,7 @@ import torch
 from torch import Tensor
 
 from kickbench.config.terms import ObservationParams
-from kickbench.envs.disturbances import Draws, uniform
-from kickbench.envs.perception import Sampler
+from kickbench.envs.disturbances import Draws, Sampler, uniform
 from kickbench.envs.state import State
 from kickbench.envs.term import Field, observation
 

@@ -9,10 +9,9 @@ import pytest
 import torch
 
 from kickbench.config.terms import ObservationParams
-from kickbench.envs.disturbances import Setting
+from kickbench.envs.disturbances import Sampler, Setting
 from kickbench.envs.engines import make_engine
 from kickbench.envs.env import KickEnv
-from kickbench.envs.perception import Sampler
 from kickbench.envs.tensors import flat
 from kickbench.errors import SpecError
 from kickbench.symmetry.torch_ops import Mirror
