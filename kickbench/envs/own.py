@@ -81,11 +81,10 @@ class OwnFunction:
     def _check(self, found: Any, envs: int) -> None:
         kind = torch.bool if self.kind == "termination" else torch.float32
         dims = 2 if self.kind == "observation" else 1
-        if isinstance(found, torch.Tensor) and (found.dtype, found.dim(), len(found)) == (kind, dims, envs):
+        is_tensor = isinstance(found, torch.Tensor)
+        if is_tensor and found.dtype == kind and found.dim() == dims and len(found) == envs:
             return
-        shape = (
-            f"{found.dtype} {list(found.shape)}" if isinstance(found, torch.Tensor) else type(found).__name__
-        )
+        shape = f"{found.dtype} {list(found.shape)}" if is_tensor else type(found).__name__
         expected = f"{kind} [{envs}{', size' if dims == 2 else ''}]"
         raise KickbenchError(f"{shown(self.file)}: {self.name} returns {shape}; a {self.kind} is {expected}")
 
