@@ -44,19 +44,14 @@ class CapturedStep:
     step. The environment itself may be reset, restored or loaded between two steps.
     """
 
-    def __init__(self, env: KickEnv, *, graph: bool = True) -> None:
-        """Wraps an environment.
-
-        Args:
-            env: The environment; it must be resident to be recorded.
-            graph: Whether to record at all.
-        """
+    def __init__(self, env: KickEnv) -> None:
+        """Wraps an environment, which must be resident to be recorded."""
         self.env = env
         self._actions = torch.zeros(env.num_envs, env.num_actions, device=env.device)
         self._warm_up = _WARM_UP
         self._result: StepResult | None = None
         self._replay: Callable[[], None] | None = None
-        self.obstacle = graph_obstacle(env.device) if graph else "they are switched off"
+        self.obstacle = graph_obstacle(env.device)
         """Why no graph is recorded; None: one is."""
 
     def get_observations(self) -> TensorDict:
@@ -95,8 +90,8 @@ class CapturedStep:
 
 
 def fastest_steps(env: KickEnv, *, graph: bool = True) -> KickEnv | CapturedStep:
-    """The captured step of an environment on a CUDA device; elsewhere the environment, which copies nothing."""
-    return CapturedStep(env, graph=graph) if env.device.type == "cuda" else env
+    """The captured step of an environment on a CUDA device; elsewhere, and without a graph, the environment."""
+    return CapturedStep(env) if graph and env.device.type == "cuda" else env
 
 
 def _recorded(
