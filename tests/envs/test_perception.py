@@ -52,7 +52,7 @@ def test_a_sequence_is_seen_as_documented(params, expected):
 
 def test_a_lost_sample_leaves_the_last_one(monkeypatch):
     drawn = iter([0.9, 0.29, 0.3, 0.0, 0.31])
-    monkeypatch.setattr("kickbench.envs.perception.uniform", lambda *_, **__: torch.tensor([next(drawn)]))
+    monkeypatch.setattr("kickbench.envs.disturbances.uniform", lambda *_, **__: torch.tensor([next(drawn)]))
     at = sampler(dropout=0.3)
     assert [look(at, step)[0] for step in range(5)] == [0, 0, 2, 2, 4]
 
