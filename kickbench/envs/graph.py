@@ -90,7 +90,7 @@ class CapturedStep:
 
 
 def fastest_steps(env: KickEnv, *, graph: bool = True) -> KickEnv | CapturedStep:
-    """The captured step of an environment on a CUDA device; elsewhere, and without a graph, the environment."""
+    """The captured step of an environment on a CUDA device; elsewhere and without graphs the environment."""
     return CapturedStep(env) if graph and env.device.type == "cuda" else env
 
 

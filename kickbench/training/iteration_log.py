@@ -63,10 +63,10 @@ class Progress:
 class RunProgress(Progress):
     """What every run uses: `progress.csv`, TensorBoard and the console.
 
-    `progress.csv` has a header from the first record, then a row per iteration, written to disk at once. On a
-    resume the rows of iterations that will be run again, and a row that a kill cut short, are dropped. None is
-    missing, since a checkpoint is written after the rows of its iterations. Figures that an older version did
-    not report are empty in its rows.
+    `progress.csv` has a header from the first record, then a row per iteration, written to disk at once. On
+    a resume the rows of iterations that will be run again, and a row that a kill cut short, are dropped. None
+    is missing, since a checkpoint is written after the rows of its iterations. Figures that an older version
+    did not report are empty in its rows.
 
     Args:
         csv_path: The run's `progress.csv`.
@@ -116,7 +116,7 @@ class RunProgress(Progress):
         self._steps.advance(text=describe(record))
 
     def _append(self, record: Record) -> None:
-        """Writes a row. The first one since the start makes columns, a later one with a new name is an error."""
+        """Writes a row. The first since the start may add columns; a later one with a new name is an error."""
         if unknown := [name for name in record if name not in self._columns]:
             if self._kept is None:
                 raise KickbenchError(f"{self._path}: no column for {', '.join(unknown)}")

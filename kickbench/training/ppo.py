@@ -107,19 +107,7 @@ def build_ppo(trial: Trial, observations: TensorDict, device: torch.device) -> B
     storage = GatheredRollout("rl", envs, settings.steps_per_env, observations, [actions], str(device))
     ppo = BoundedPPO(actor, critic, storage, device=str(device), **_settings(settings))
     ppo.symmetry = _build_symmetry(method.symmetry, symmetry)
-    if device.type == "cuda":
-        use_fused_adam(ppo)
     return ppo
-
-
-def use_fused_adam(ppo: PPO) -> None:
-    """Makes the optimiser step all parameters in one kernel instead of several launches each.
-
-    Worth it on a GPU. On a CPU it took 1 to 4 % off the update of 128-64 networks in the median, which was
-    within the noise of a shared machine, and it would change the bits of what was recorded.
-    """
-    (group,) = ppo.optimizer.param_groups
-    ppo.optimizer = torch.optim.Adam(group["params"], lr=group["lr"], fused=True)
 
 
 def _build_symmetry(spec: SymmetrySpec, reflection: Reflection) -> Symmetry | None:
