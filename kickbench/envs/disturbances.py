@@ -199,9 +199,9 @@ class PushSchedule:
     for the given duration, rounded to whole control steps, at least one; then the next interval is drawn.
 
     Attributes:
-        memory: Its tensors: `wait`, control steps until the next push [B], negative in the steps of a push but
-            its last, which draws the next interval; `force` of the last push, world frame [B, 2], N; `side`,
-            1, or -1 in envs whose pushes are drawn as mirror images until their episode ends [B].
+        memory: Its tensors: `wait`, control steps until the next push [B], negative in the steps of a push
+            but its last, which draws the next interval; `force` of the last push, world frame [B, 2], N;
+            `side`, 1, or -1 in envs whose pushes are drawn as mirror images until their episode ends [B].
     """
 
     def __init__(self, setting: Setting, params: Pushes) -> None:

@@ -116,7 +116,7 @@ class RunProgress(Progress):
         self._steps.advance(text=describe(record))
 
     def _append(self, record: Record) -> None:
-        """Writes a row. The first since the start may add columns; a later one with a new name is an error."""
+        """Writes a row. New names become columns in the first row since the start, and are an error later."""
         if unknown := [name for name in record if name not in self._columns]:
             if self._kept is None:
                 raise KickbenchError(f"{self._path}: no column for {', '.join(unknown)}")
