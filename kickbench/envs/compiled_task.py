@@ -191,14 +191,10 @@ def _term_problems(task: LoadedTask[Any], path: KeyPath, term: Term, params: Ter
     document, robot = task.document, f"the robot {task.robot.document.file.name}"
     for key, message in params.misfits(task.spec):
         yield document.problem((*path, key), message)
-    if path[:2] == ("observations", "critic") and isinstance(params, ObservationParams):
-        for key in ("rate", "dropout", "delay"):
-            if getattr(params, key):
-                yield document.problem(
-                    (*path, key),
-                    f"the critic sees its fields exactly: no `{key}`",
-                    "only fields of the actor have one",
-                )
+    for key in ("rate", "dropout", "delay") if path[:2] == ("observations", "critic") else ():
+        if getattr(params, key):
+            what = f"the critic sees its fields exactly: no `{key}`"
+            yield document.problem((*path, key), what, "only fields of the actor have one")
     observed = task.robot.spec.observed_joints
     for key, joint in params.named_joints():
         if joint not in observed:
@@ -267,14 +263,10 @@ def _goal_place_problems(task: LoadedTask[Any], layout: SceneLayout) -> Iterator
     target, ball = task.spec.sampling.target, task.spec.sampling.ball
     if target.width is None or target.x is None:
         return
-    front, nearest = float(layout.obstacles[:, 1].max(initial=0.0)), target.x[0]
-    for limit, what in ((front, "in or behind the robot"), (ball.x[1], "before the ball")):
-        if nearest <= limit:
-            message = f"the goal may stand {what}: x from {nearest:g} m"
-            yield task.document.problem(
-                ("sampling", "target", "x"), message, f"expected more than {limit:.3g} m"
-            )
-            return
+    nearest, limit = target.x[0], max(float(layout.obstacles[:, 1].max(initial=0.0)), ball.x[1])
+    if nearest <= limit:
+        message = f"the goal may stand before the ball, or in or behind the robot: x from {nearest:g} m"
+        yield task.document.problem(("sampling", "target", "x"), message, f"expected more than {limit:.3g} m")
 
 
 def _first(task: LoadedTask[Any]) -> LoadedTask[Any] | None:

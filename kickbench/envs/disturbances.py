@@ -1,24 +1,28 @@
-"""What disturbs a running episode: late commands and pushes; and where the random numbers of episodes come from."""
+"""What disturbs a running episode: late commands, pushes, fields that are seen late, seldom or not at all.
+
+And where the random numbers of episodes come from.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from kickbench.config.base import Fraction, NonNegativeRange, PositiveFloat
 from kickbench.config.task import TaskSpec
 from kickbench.config.terms import RandomizationParams
 from kickbench.envs.tensors import Tensors
-
-if TYPE_CHECKING:
-    from torch import Tensor
+from kickbench.envs.term import Field
 
 _UNIT, _TURN = (0.0, 1.0), (0.0, 2.0 * math.pi)
+_ROUNDING = 1e-6
+"""What a number of steps may lack to be whole, by rounding."""
 
 
 class EpisodeDraws:
@@ -65,7 +69,7 @@ def uniform(draws: Draws, shape: Sequence[int], env_axis: int) -> Tensor:
 def whole_steps(times: tuple[float, float], timestep: float) -> tuple[int, int]:
     """Fewest and most steps whose time lies within a range of times, s; reversed where there are none."""
     # A bound that is a multiple of the time step, but for rounding, counts.
-    return math.ceil(times[0] / timestep - 1e-6), math.floor(times[1] / timestep + 1e-6)
+    return math.ceil(times[0] / timestep - _ROUNDING), math.floor(times[1] / timestep + _ROUNDING)
 
 
 @dataclass(frozen=True)
@@ -108,18 +112,6 @@ class ActionDelay(RandomizationParams):
             yield "delay", message
 
 
-class DelayMemory(Tensors):
-    """Commands on their way to the servos.
-
-    Attributes:
-        history: Control targets, newest first [B, depth, nu].
-        newest: Age, in control steps, of the newest command that has taken effect [B].
-    """
-
-    history: Tensor
-    newest: Tensor
-
-
 class DelayLine:
     """Per-env latency of control targets, in physics substeps (thesis 3.1).
 
@@ -134,7 +126,8 @@ class DelayLine:
     substep 6, so the servos see (command of step t - 2, t - 2, t - 1, t - 1) during control step t.
 
     Attributes:
-        memory: Its tensors.
+        memory: Its tensors: `history`, control targets, newest first [B, depth, nu]; `newest`, the age of the
+            newest command that has taken effect [B], control steps.
     """
 
     def __init__(self, setting: Setting, params: ActionDelay) -> None:
@@ -144,7 +137,7 @@ class DelayLine:
         self._generator, self._default = setting.generator, setting.default_target
         envs, depth = setting.num_envs, math.ceil((self._high + 1) / setting.decimation) + 1
         device = self._default.device
-        self.memory = DelayMemory(
+        self.memory = Tensors(
             history=self._default.repeat(envs, depth, 1),
             newest=torch.zeros(envs, dtype=torch.int64, device=device),
         )
@@ -152,7 +145,7 @@ class DelayLine:
         # Place of every env's newest command in the flattened history.
         self._first = depth * torch.arange(envs, device=device).unsqueeze(1)
 
-    def adopt(self, memory: DelayMemory) -> None:
+    def adopt(self, memory: Tensors) -> None:
         """Takes over the commands of a line with another range of delays."""
         depth = self.memory.history.shape[1]
         # What is older than the oldest command known was the same.
@@ -198,21 +191,6 @@ class Pushes(RandomizationParams):
     """Magnitude of the force, N."""
 
 
-class PushMemory(Tensors):
-    """Where the schedule of every env stands.
-
-    Attributes:
-        wait: Control steps until the next push [B]; negative in the steps of a push but its last, which draws
-            the next interval.
-        force: Force of the last push, world frame [B, 2], N.
-        side: 1, or -1 in envs whose pushes are drawn as mirror images until their episode ends [B].
-    """
-
-    wait: Tensor
-    force: Tensor
-    side: Tensor
-
-
 class PushSchedule:
     """Per-env schedule of pushes (thesis 3.1).
 
@@ -221,7 +199,9 @@ class PushSchedule:
     for the given duration, rounded to whole control steps, at least one; then the next interval is drawn.
 
     Attributes:
-        memory: Its tensors.
+        memory: Its tensors: `wait`, control steps until the next push [B], negative in the steps of a push
+            but its last, which draws the next interval; `force` of the last push, world frame [B, 2], N;
+            `side`, 1, or -1 in envs whose pushes are drawn as mirror images until their episode ends [B].
     """
 
     def __init__(self, setting: Setting, params: Pushes) -> None:
@@ -232,14 +212,14 @@ class PushSchedule:
         self._steps = max(1, round(params.duration / control_interval))
         self._range, self._generator = params.force, setting.generator
         envs, device = setting.num_envs, setting.generator.device
-        self.memory = PushMemory(
+        self.memory = Tensors(
             wait=torch.zeros(envs, dtype=torch.int64, device=device),
             force=torch.zeros(envs, 2, device=device),
             side=torch.ones(envs, device=device),
         )
         self.reset(torch.ones(envs, dtype=torch.bool, device=device))
 
-    def adopt(self, memory: PushMemory) -> None:
+    def adopt(self, memory: Tensors) -> None:
         """Goes on from where another schedule stands."""
         self.memory.copy_(memory)
 
@@ -269,3 +249,80 @@ class PushSchedule:
         """Uniform numbers, one row of [B] a range."""
         unit = uniform(self._generator, (len(ranges), len(self.memory.wait)), env_axis=1)
         return (low + (high - low) * row for (low, high), row in zip(ranges, unit.unbind(), strict=True))
+
+
+class Sampler:
+    """Samples one field: `rate`, `dropout` and `delay` of `ObservationParams`, in this order.
+
+    The k-th sample, at k / rate seconds into the episode, is that of the first control step at or after that
+    time. It is lost with the probability `dropout`; the last sample that was not lost is held. What is held
+    is seen `delay` seconds later, rounded up to whole control steps. The first sample, of the initial state,
+    is never lost, and has been seen when the episode begins.
+
+    At 50 control steps a second, a rate of 16 Hz samples at control steps 0, 4, 7, 10, 13, 16, 19, 22, 25, 29;
+    with a delay of 0.06 s, control steps 7, 8 and 9 see the sample of step 4.
+
+    Attributes:
+        name: The field's name.
+        memory: Its tensors: `history`, the last sample that was not lost, at this control step and those
+            before it, newest first [B, depth, size]; `age`, the delay of the running episode [B], control
+            steps; `step`, the control step of the newest entry [B], -1 after a reset, before the first one.
+    """
+
+    def __init__(self, field: Field, setting: Setting) -> None:
+        """Makes room for the longest delay."""
+        self.name = field.name
+        params, interval = field.params, setting.timestep * setting.decimation
+        self._delay = tuple(seconds / interval for seconds in params.delay or (0.0, 0.0))
+        self._dropout = params.dropout or 0.0
+        self._samples_a_step = params.rate * interval if params.rate else 1.0
+        self._generator, envs = setting.generator, setting.num_envs
+        depth, device = math.ceil(self._delay[1] - _ROUNDING) + 1, setting.default_target.device
+        whole = {"dtype": torch.int64, "device": device}
+        self.memory = Tensors(
+            history=torch.zeros(envs, depth, field.size, device=device),
+            age=torch.zeros(envs, **whole),
+            step=torch.full((envs,), -1, **whole),
+        )
+        # Place of every env's newest entry in the flattened history.
+        self._first = depth * torch.arange(envs, device=device)
+
+    def reset(self, mask: Tensor) -> None:
+        """Forgets the samples of the envs in `mask` [B] and draws their delays."""
+        memory, (low, high) = self.memory, self._delay
+        memory.step = torch.where(mask, -1, memory.step)
+        if low < high:
+            drawn = low + (high - low) * uniform(self._generator, mask.shape, env_axis=0)
+            # Rounded up to whole control steps; float32 knows few digits of them.
+            whole = (drawn - 1e-4).ceil().long().clamp(0, memory.history.shape[1] - 1)
+            memory.age = torch.where(mask, whole, memory.age)
+        else:
+            memory.age.fill_(math.ceil(high - _ROUNDING))
+
+    def __call__(self, value: Tensor, step: Tensor) -> Tensor:
+        """What is seen of a field; a second look within a control step sees the same.
+
+        Args:
+            value: The exact value now [B, size].
+            step: Control steps since the initial state [B].
+        """
+        memory, history = self.memory, self.memory.history
+        arrives = self._count(step) > self._count(step - 1)
+        if self._dropout:
+            arrives &= uniform(self._generator, step.shape, env_axis=0) >= self._dropout
+        held = torch.where(arrives.unsqueeze(1), value, history[:, 0])
+        longer = torch.cat([held.unsqueeze(1), history[:, :-1]], dim=1)
+        is_later, is_first = (part.view(-1, 1, 1) for part in (step != memory.step, memory.step < 0))
+        history = torch.where(is_later, longer, history)
+        memory.history = torch.where(is_first, value.unsqueeze(1), history)
+        memory.step = step
+        return memory.history.flatten(0, 1).index_select(0, self._first + memory.age)
+
+    def _count(self, step: Tensor) -> Tensor:
+        """Samples since the first, up to and including a control step [B]."""
+        return (step.double() * self._samples_a_step + _ROUNDING).floor()
+
+
+def make_samplers(fields: Sequence[Field], setting: Setting) -> dict[str, Sampler]:
+    """A sampler for each field whose parameters ask for one, by `Field.key`."""
+    return {field.key: Sampler(field, setting) for field in fields if field.params.is_sampled}

@@ -12,12 +12,11 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from kickbench.envs.compiled_task import CompiledTask, read_task
-from kickbench.envs.disturbances import Draws, Setting
+from kickbench.envs.disturbances import Draws, Setting, make_samplers
 from kickbench.envs.engines import make_engine as make_engine
 from kickbench.envs.episode import EpisodeRecord, Outcome, Totals
 from kickbench.envs.initial_states import InitialStatePool, InitialStates, InitialStateSampler
 from kickbench.envs.observations import Observer
-from kickbench.envs.perception import Perception
 from kickbench.envs.randomizations import ModelVariation
 from kickbench.envs.state import EpisodeState, State, StateIndex
 from kickbench.envs.tensors import Tensors, plain
@@ -103,7 +102,7 @@ class KickEnv(VecEnv):
             totals=Totals.zeros(len(task.terminations), self._weights),
             by_side=Tensors(),
             observations=Tensors(groups),
-            perception=self._perception.memory,
+            perception=Tensors({sampler.name: sampler.memory for sampler in self._samplers.values()}),
             **{stage: process.memory for stage, process in self._processes.items()},
         )
 
@@ -122,8 +121,8 @@ class KickEnv(VecEnv):
         time = task.spec.simulation
         target, envs = self._default_target, self.num_envs
         self._setting = Setting(time.timestep, time.decimation, target, envs, self._draws)
-        self._perception = Perception(task.groups["actor"], self._setting)
-        self._observer = Observer(task.groups, self.device, noise=self._noise, perception=self._perception)
+        self._samplers = make_samplers(task.groups["actor"], self._setting)
+        self._observer = Observer(task.groups, self.device, noise=self._noise, samplers=self._samplers)
 
     def _make_source(self) -> InitialStateSource:
         return self.sampler if self._resident else InitialStatePool(self.sampler, _POOLED * self.num_envs)
@@ -290,7 +289,7 @@ class KickEnv(VecEnv):
             ball = states.qpos[:, place : place + 2].float()
             self.episode.ball = torch.where(mask.unsqueeze(1), ball, self.episode.ball)
         self.record.reset(mask)
-        for process in (*self._processes.values(), self._perception):
+        for process in (*self._processes.values(), *self._samplers.values()):
             process.reset(mask)
         self._observe()
 
@@ -334,9 +333,6 @@ class KickEnv(VecEnv):
             ValueError: It is the state of another task, of another number of envs, or of another kind of
                 device.
         """
-        present = self.state_dict()
-        if set(state) != set(present) or bool(state["initial_states"]) != bool(present["initial_states"]):
-            raise ValueError(f"KickEnv: expected the state of such an environment, found {sorted(state)}")
         self.tensors.copy_(state["tensors"])
         self.engine.load_state_dict(state["engine"])
         if isinstance(self._initial_states, InitialStatePool):

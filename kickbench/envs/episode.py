@@ -99,39 +99,24 @@ class Totals(Tensors):
         self.steps += done @ outcome.steps.float()
         self.by_reward_raw += done @ outcome.record.by_reward_raw
 
-    def take(self) -> FinishedEpisodes:
-        """Returns all sums and sets them to zero."""
-        raw, endings = self.by_reward_raw.clone(), self.endings.clone()
-        episodes, successes, failures = endings[:3].unbind()
-        finished = FinishedEpisodes(
-            episodes, successes, failures, self.steps.clone(), endings[3:], raw * self.weights, raw
-        )
+    def take(self) -> Tensors:
+        """Returns the sums and sets them to zero.
+
+        They are `episodes`, their number; `successes`; `failures`, those whose numbers were not finite;
+        `steps`; `terminations`, those ended by each termination [T]; and the sums of each reward term [R],
+        `raw_rewards` without and `rewards` with its weight.
+        """
+        names = ("episodes", "successes", "failures")
+        finished = Tensors(
+            **dict(zip(names, self.endings[: len(names)], strict=True)),
+            terminations=self.endings[len(names) :],
+            steps=self.steps,
+            raw_rewards=self.by_reward_raw,
+            rewards=self.by_reward_raw * self.weights,
+        ).clone()
         for sums in (self.steps, self.endings, self.by_reward_raw):
             sums.zero_()
         return finished
-
-
-@dataclass(frozen=True)
-class FinishedEpisodes:
-    """What `Totals` has counted.
-
-    Attributes:
-        episodes: Number of episodes.
-        successes: Those that ended with the ball at rest in the success radius.
-        failures: Worlds reset because their numbers were not finite.
-        steps: Control steps of all.
-        terminations: Episodes ended by each termination [T].
-        rewards: Weighted sums of each reward term [R]; together they are the sum of the returns.
-        raw_rewards: Unweighted sums of each reward term [R].
-    """
-
-    episodes: Tensor
-    successes: Tensor
-    failures: Tensor
-    steps: Tensor
-    terminations: Tensor
-    rewards: Tensor
-    raw_rewards: Tensor
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,6 @@ No GPU has run this yet: what is tested is the same code without the recording, 
 
 from __future__ import annotations
 
-import ctypes
-import warnings
 from collections.abc import Callable
 
 import torch
@@ -26,10 +24,6 @@ from kickbench.sim.engine import Engine
 StepResult = tuple[TensorDict, Tensor, Tensor, dict[str, Tensor]]
 """Observations, rewards, dones and extras of a step, as rsl_rl takes them."""
 
-
-_LEAST_DRIVER = (12, 4)
-"""CUDA of the first drivers with loops in graphs, by which mujoco_warp's solver ends when all envs have
-converged."""
 _WARM_UP = 3
 """Steps before the recording: libraries load kernels and make workspaces in their first calls, which a graph
 cannot hold."""
@@ -39,27 +33,7 @@ def graph_obstacle(device: torch.device) -> str | None:
     """Why steps on a device cannot be recorded, or None if they can."""
     if device.type != "cuda":
         return f"CUDA graphs need a CUDA device, not {device.type}"
-    if not torch.cuda.is_available():
-        return "torch sees no CUDA device"
-    version = driver_version()
-    if version is None or version < _LEAST_DRIVER:
-        has, needs = (f"{major}.{minor}" for major, minor in (version or (0, 0), _LEAST_DRIVER))
-        return f"the driver knows CUDA {has}; the solver's loop needs the graphs of {needs}"
-    return None
-
-
-def driver_version() -> tuple[int, int] | None:
-    """Newest version of CUDA that the NVIDIA driver here knows, major and minor; None: there is no driver."""
-    number = ctypes.c_int()
-    try:
-        failed = ctypes.CDLL("libcuda.so.1").cuDriverGetVersion(ctypes.byref(number))
-    except (OSError, AttributeError):
-        return None
-    return None if failed else (number.value // 1000, number.value % 1000 // 10)
-
-
-class WithoutGraphs(UserWarning):
-    """Steps run on a CUDA device one kernel at a time: correct, and several times slower."""
+    return None if torch.cuda.is_available() else "torch sees no CUDA device"
 
 
 class CapturedStep:
@@ -70,23 +44,15 @@ class CapturedStep:
     step. The environment itself may be reset, restored or loaded between two steps.
     """
 
-    def __init__(self, env: KickEnv, *, graph: bool = True) -> None:
-        """Wraps an environment.
-
-        Args:
-            env: The environment; it must be resident to be recorded.
-            graph: Whether to record at all.
-        """
+    def __init__(self, env: KickEnv) -> None:
+        """Wraps an environment, which must be resident to be recorded."""
         self.env = env
         self._actions = torch.zeros(env.num_envs, env.num_actions, device=env.device)
         self._warm_up = _WARM_UP
         self._result: StepResult | None = None
         self._replay: Callable[[], None] | None = None
-        self.obstacle = graph_obstacle(env.device) if graph else "they are switched off"
+        self.obstacle = graph_obstacle(env.device)
         """Why no graph is recorded; None: one is."""
-        if self.obstacle and env.device.type == "cuda":
-            what = f"the environment runs without CUDA graphs, several times slower: {self.obstacle}"
-            warnings.warn(what, WithoutGraphs, stacklevel=2)
 
     def get_observations(self) -> TensorDict:
         """Observations of the present state by group, {group: [B, width]}."""
@@ -124,8 +90,8 @@ class CapturedStep:
 
 
 def fastest_steps(env: KickEnv, *, graph: bool = True) -> KickEnv | CapturedStep:
-    """The captured step of an environment on a CUDA device; elsewhere the environment, which copies nothing."""
-    return CapturedStep(env, graph=graph) if env.device.type == "cuda" else env
+    """The captured step of an environment on a CUDA device; elsewhere and without graphs the environment."""
+    return CapturedStep(env) if graph and env.device.type == "cuda" else env
 
 
 def _recorded(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -30,17 +29,9 @@ class KickVectorEnv(VectorEnv):
 
     metadata: dict[str, Any] = {"autoreset_mode": AutoresetMode.SAME_STEP, "render_modes": []}  # noqa: RUF012
 
-    def __init__(
-        self,
-        task: Path | str,
-        num_envs: int = 1,
-        *,
-        seed: int = 0,
-        overrides: Sequence[str] = (),
-        threads: int | None = None,
-    ) -> None:
-        """Makes the envs; arguments as for `kickbench.make`."""
-        self._begin(make(task, num_envs, seed, overrides=overrides, threads=threads), seed)
+    def __init__(self, task: Path | str, num_envs: int = 1, *, seed: int = 0, **options: Any) -> None:
+        """Makes the envs; arguments as for `kickbench.make`, on the CPU."""
+        self._begin(make(task, num_envs, seed, device="cpu", **options), seed)
         self.num_envs, width = num_envs, self.env.task.width("actor")
         self.single_observation_space = spaces.Box(-np.inf, np.inf, (width,), np.float32)
         self.single_action_space = spaces.Box(-np.inf, np.inf, (self.env.num_actions,), np.float32)
@@ -77,9 +68,8 @@ class KickVectorEnv(VectorEnv):
         observations, rewards, done, extras = self.env.finish(state)
         infos = self._endings(final, _array(done)) if done.any() else dict[str, Any]()
         truncated = _array(extras["time_outs"])
-        return (
-            _array(observations["actor"]), _array(rewards), _array(done) & ~truncated, truncated, infos,
-        )  # fmt: skip
+        terminated = _array(done) & ~truncated
+        return _array(observations["actor"]), _array(rewards), terminated, truncated, infos
 
     def _endings(self, final: np.ndarray, done: np.ndarray) -> dict[str, Any]:
         """What Gymnasium says of envs that are reset in the same step."""

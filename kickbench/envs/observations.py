@@ -7,18 +7,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import torch
+from torch import Tensor
 
 from kickbench.config.terms import ObservationParams
-from kickbench.envs.disturbances import Draws, uniform
-from kickbench.envs.perception import Perception
+from kickbench.envs.disturbances import Draws, Sampler, uniform
 from kickbench.envs.state import State
 from kickbench.envs.term import Field, observation
-
-if TYPE_CHECKING:
-    from torch import Tensor
 
 _POLAR = "trivial + sign + trivial"
 """A position, velocity, force or direction: the reflection y -> -y changes the sign of y."""
@@ -136,7 +132,7 @@ class Observer:
     """Evaluates all observation groups of a task on a state.
 
     Groups share most of their fields. Each is evaluated once; only noise and clipping are a group's own, and
-    what the actor's fields have lost on the way (`perception`).
+    what the actor's fields have lost on the way (`Sampler`).
     """
 
     def __init__(
@@ -145,7 +141,7 @@ class Observer:
         device: torch.device,
         *,
         noise: bool = True,
-        perception: Perception | None = None,
+        samplers: Mapping[str, Sampler] | None = None,
     ) -> None:
         """Finds what the groups share.
 
@@ -153,9 +149,9 @@ class Observer:
             groups: Observation group -> fields in the order of its vector.
             device: Where the observations live.
             noise: Whether noise applies.
-            perception: What the group `actor` sees of its fields; default: all, at once.
+            samplers: Through which the group `actor` sees fields, by `Field.key`; the others it sees at once.
         """
-        self._perception = perception
+        self._samplers = samplers or {}
         self._bounds = {field.key: field.bound for fields in groups.values() for field in fields}
         self._groups = {
             name: ([field.key for field in fields], Disturbance(fields, device, noise=noise))
@@ -170,8 +166,8 @@ class Observer:
             generator: Source of the noise.
         """
         fields = {key: bound(state) for key, bound in self._bounds.items()}
-        seen = self._perception(fields, state.episode.step) if self._perception else fields
-        by_group = {"actor": seen}
+        seen = {key: sample(fields[key], state.episode.step) for key, sample in self._samplers.items()}
+        by_group = {"actor": {**fields, **seen}}
         return {
             name: disturb(torch.cat([by_group.get(name, fields)[key] for key in keys], dim=1), generator)
             for name, (keys, disturb) in self._groups.items()

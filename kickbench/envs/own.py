@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from pydantic import ValidationError, create_model
@@ -31,9 +31,6 @@ from kickbench.config.base import NameList, Range
 from kickbench.config.terms import JointName, JointNames, TermParams
 from kickbench.envs.term import COMMON, Kind, Term, observation, reward, termination
 from kickbench.errors import KickbenchError, Mark, Problem, SpecError, shown
-
-if TYPE_CHECKING:
-    from torch import Tensor
 
 _TYPES: dict[str, Any] = {
     **{kind.__name__: kind for kind in (float, int, bool, str)},
@@ -66,7 +63,7 @@ class OwnFunction:
     parameters: tuple[str, ...]
     doc: str | None
 
-    def __call__(self, state: Any, params: TermParams) -> Tensor:
+    def __call__(self, state: Any, params: TermParams) -> torch.Tensor:
         """Calls the function, and checks what it returns.
 
         Raises:
@@ -84,11 +81,10 @@ class OwnFunction:
     def _check(self, found: Any, envs: int) -> None:
         kind = torch.bool if self.kind == "termination" else torch.float32
         dims = 2 if self.kind == "observation" else 1
-        if isinstance(found, torch.Tensor) and (found.dtype, found.dim(), len(found)) == (kind, dims, envs):
+        is_tensor = isinstance(found, torch.Tensor)
+        if is_tensor and found.dtype == kind and found.dim() == dims and len(found) == envs:
             return
-        shape = (
-            f"{found.dtype} {list(found.shape)}" if isinstance(found, torch.Tensor) else type(found).__name__
-        )
+        shape = f"{found.dtype} {list(found.shape)}" if is_tensor else type(found).__name__
         expected = f"{kind} [{envs}{', size' if dims == 2 else ''}]"
         raise KickbenchError(f"{shown(self.file)}: {self.name} returns {shape}; a {self.kind} is {expected}")
 

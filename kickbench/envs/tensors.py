@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 import torch
+from torch import Tensor
 
 from kickbench.symmetry.mirror import POLAR
-
-if TYPE_CHECKING:
-    from torch import Tensor
-
-    from kickbench.symmetry.torch_ops import Mirror
+from kickbench.symmetry.torch_ops import Mirror
 
 _SHARED = ("totals", "generator")
 """What all envs have in common: the other tensors have one row an env."""

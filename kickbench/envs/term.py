@@ -70,10 +70,9 @@ class Marker:
 
     def __call__(self, function: Callable[..., Any]) -> Any:
         """The term of a function `(state, params)`; a function of one's own, which is read, stays as it is."""
-        # Torch is not imported to read the terms (`kickbench validate`), so that the name may be missing.
-        params = get_type_hints(function, localns={"Tensor": Any}).get("params")
-        if params is None:
+        if "params" not in function.__annotations__:
             return function
+        params = get_type_hints(function)["params"]
         return Term(name=function.__name__, function=function, params=params, **vars(self))
 
 

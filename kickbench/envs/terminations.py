@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from torch import Tensor
 
 from kickbench.config.base import PositiveFloat
 from kickbench.config.terms import TerminationParams
 from kickbench.envs.state import State
 from kickbench.envs.term import termination
-
-if TYPE_CHECKING:
-    from torch import Tensor
 
 
 class TargetRadius(TerminationParams):

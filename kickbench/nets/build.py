@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, overload
 
@@ -73,10 +73,8 @@ class EquivariantModel(SymmetricModel):
         *args: As of ``MLPModel``.
         input_representation: Representation of the concatenated observation groups.
         output_representation: Representation of the output.
-        hidden_dims: Widths of the hidden layers, even numbers.
-        activation: Name of the activation.
         residual_scale: Scale of the free residuals; None: none.
-        **options: As of ``MLPModel``.
+        **options: As of ``MLPModel``; ``hidden_dims``, even numbers, and ``activation`` must be given.
     """
 
     mlp: EquivariantMLP
@@ -86,15 +84,13 @@ class EquivariantModel(SymmetricModel):
         *args: Any,
         input_representation: Representation,
         output_representation: Representation,
-        hidden_dims: Sequence[int] = (256, 256, 256),
-        activation: str = "elu",
         residual_scale: float | None = None,
         **options: Any,
     ) -> None:
-        shared: dict[str, Any] = {"hidden_dims": hidden_dims, "activation": activation}
-        super().__init__(*args, input_representation=input_representation, **shared, **options)
+        super().__init__(*args, input_representation=input_representation, **options)
+        hidden, activation = options["hidden_dims"], options["activation"]
         self.mlp = EquivariantMLP(
-            input_representation, hidden_dims, output_representation, activation, residual_scale
+            input_representation, hidden, output_representation, activation, residual_scale
         )
 
     def _plain(self, exported: nn.Module) -> nn.Module:

@@ -5,6 +5,7 @@ Imports torch only where a file is written or loaded: `kickbench status` does no
 
 from __future__ import annotations
 
+import hashlib
 import io
 import sys
 from collections.abc import Callable
@@ -18,11 +19,14 @@ from kickbench.results.integrity import with_digest, without_digest
 
 if TYPE_CHECKING:
     from rsl_rl.models import MLPModel
+    from torch import nn
 
 FORMAT = 4
-"""Version of a checkpoint's layout: from 4 on the file ends with its SHA-256."""
+"""Version of a checkpoint's layout."""
 _POLICY_FORMAT = 2
-"""Version of a policy's layout: from 2 on the file ends with its SHA-256."""
+"""Version of a policy's layout."""
+_CHECKED_FROM = 2
+"""Files of older versions do not end with their SHA-256."""
 
 
 class Checkpoints:
@@ -61,7 +65,7 @@ class Checkpoints:
         files = self.files()
         for file in reversed(files):
             try:
-                state = _read(file, digest_from=FORMAT)
+                state = _read(file)
             # Damage can raise any exception while the file is read.
             except Exception as error:
                 print(f"{shown(file)}: damaged, it is left out: {error}", file=sys.stderr)
@@ -89,7 +93,7 @@ def load_policy(path: Path, policy: MLPModel) -> None:
     """
     if not path.exists():
         raise KickbenchError(f"{path}: no policy; did the run finish?")
-    _load(path, policy, lambda: _read(path, digest_from=_POLICY_FORMAT)["actor_state_dict"])
+    _load(path, policy, lambda: _read(path)["actor_state_dict"])
 
 
 def load_critic(path: Path, critic: MLPModel) -> bool:
@@ -98,7 +102,7 @@ def load_critic(path: Path, critic: MLPModel) -> bool:
     Raises:
         KickbenchError: It is of another network.
     """
-    weights = _read(path, digest_from=_POLICY_FORMAT).get("critic_state_dict")
+    weights = _read(path).get("critic_state_dict")
     if weights is not None:
         _load(path, critic, lambda: weights)
     return weights is not None
@@ -125,6 +129,15 @@ def _load(where: Path, policy: MLPModel, weights: Callable[[], dict[str, Any]]) 
     policy.eval()
 
 
+def fingerprint(*modules: nn.Module) -> str:
+    """SHA-256 of all parameters and buffers that are kept: equal only if every bit is."""
+    digest = hashlib.sha256()
+    for module in modules:
+        for tensor in module.state_dict().values():
+            digest.update(tensor.detach().cpu().contiguous().numpy().tobytes())
+    return digest.hexdigest()
+
+
 def iteration_of(file: Path) -> int:
     """The iteration of a checkpoint, by the file's name."""
     digits = file.stem.removeprefix("iteration_")
@@ -147,13 +160,13 @@ def _write(path: Path, content: dict[str, Any]) -> None:
     atomic_write_bytes(path, with_digest(buffer.getvalue()))
 
 
-def _read(path: Path, digest_from: int) -> dict[str, Any]:
-    """Reads a file and checks its SHA-256, which files from format `digest_from` on must have."""
+def _read(path: Path) -> dict[str, Any]:
+    """Reads a file and checks its SHA-256."""
     import torch
 
     data = read_regular(path)
     body = without_digest(data)
     content = torch.load(io.BytesIO(data if body is None else body), weights_only=True, map_location="cpu")
-    if body is None and content["format"] >= digest_from:
+    if body is None and content["format"] >= _CHECKED_FROM:
         raise ValueError("its SHA-256 is missing")
     return content

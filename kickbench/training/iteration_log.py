@@ -22,26 +22,21 @@ episodes that ended in the iteration, NaN where none has.
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 import os
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
-from itertools import zip_longest
 from numbers import Integral
 from pathlib import Path
-from typing import IO, Any, TextIO
+from typing import TextIO
 
-from kickbench.errors import KickbenchError, printable
+from kickbench.errors import KickbenchError
 from kickbench.evaluation.progress_bar import Steps, percent
 from kickbench.results.atomic import atomic_write_text
 from kickbench.results.progress_table import CHECK, checked_rows, row_check
 
 Record = Mapping[str, float]
-
-_START_AGAIN = "the table of the training cannot be completed; --force starts the run again"
 
 
 class Progress:
@@ -68,6 +63,11 @@ class Progress:
 class RunProgress(Progress):
     """What every run uses: `progress.csv`, TensorBoard and the console.
 
+    `progress.csv` has a header from the first record, then a row per iteration, written to disk at once. On
+    a resume the rows of iterations that will be run again, and a row that a kill cut short, are dropped. None
+    is missing, since a checkpoint is written after the rows of its iterations. Figures that an older version
+    did not report are empty in its rows.
+
     Args:
         csv_path: The run's `progress.csv`.
         tensorboard: Folder of the event files.
@@ -75,24 +75,57 @@ class RunProgress(Progress):
     """
 
     def __init__(self, csv_path: Path, tensorboard: Path, stream: TextIO | None = None) -> None:
-        self._files = (CsvProgress(csv_path), TensorBoardProgress(tensorboard))
-        self._stream, self._open = stream or sys.stdout, ExitStack()
+        self._path, self._folder, self._stream = csv_path, tensorboard, stream or sys.stdout
+        self._open = ExitStack()
 
     def start(self, total_iterations: int, first_iteration: int) -> None:
-        """See `Progress.start`. The console comes last: once the files are known to be writable."""
-        for file in self._files:
-            file.start(total_iterations, first_iteration)
-            self._open.callback(file.close)
+        """See `Progress.start`. The console comes last: once the files are known to be writable.
+
+        Raises:
+            KickbenchError: The table does not have one row of each earlier iteration, in order.
+        """
+        from torch.utils.tensorboard.writer import SummaryWriter  # slow to import
+
+        header, *kept = rows_before(self._path, first_iteration) or [[]]
+        self._begin(header, kept)
+        self._events = SummaryWriter(str(self._folder), purge_step=first_iteration)
+        self._open.callback(self._events.close)
         resumed = f", resumed at {first_iteration}" if first_iteration else ""
         print(f"training: {total_iterations} iterations{resumed}", file=self._stream, flush=True)
         steps = Steps("training", "iterations", total_iterations, first_iteration, self._stream)
         self._steps = self._open.enter_context(steps)
 
+    def _begin(self, columns: list[str], kept: list[list[str]]) -> None:
+        """Writes the header and the rows that are kept, and opens the table to append to them."""
+        self._columns = columns
+        self._kept: list[list[str]] | None = kept
+        rows = [[*row, *[""] * (len(columns) - len(row))] for row in kept]
+        atomic_write_text(self._path, _to_csv(columns, rows, with_header=True) if columns else "")
+        table = open(self._path, "a", encoding="utf-8", newline="")  # noqa: SIM115 (open until close())
+        self._table = self._open.enter_context(table)
+
     def update(self, record: Record) -> None:
-        """See `Progress.update`."""
-        for file in self._files:
-            file.update(record)
+        """Appends a row and one event for each figure that is known, and shows the iteration."""
+        self._append(record)
+        for name, value in record.items():
+            if name != "iteration" and not math.isnan(value):
+                tag = name if "/" in name else f"train/{name}"
+                self._events.add_scalar(tag, value, record["iteration"])
+        # A process that is killed later leaves what it has written, as in the table.
+        self._events.flush()
         self._steps.advance(text=describe(record))
+
+    def _append(self, record: Record) -> None:
+        """Writes a row. New names become columns in the first row since the start, and are an error later."""
+        if unknown := [name for name in record if name not in self._columns]:
+            if self._kept is None:
+                raise KickbenchError(f"{self._path}: no column for {', '.join(unknown)}")
+            self._begin([*self._columns, *unknown], self._kept)
+        self._kept = None
+        row = [_format(record.get(name)) for name in self._columns]
+        self._table.write(_to_csv(self._columns, [row], with_header=False))
+        self._table.flush()
+        os.fsync(self._table.fileno())
 
     def close(self) -> None:
         """Closes all of them, even if one fails."""
@@ -124,50 +157,6 @@ def _group(record: Record, group: str) -> Iterator[tuple[str, float]]:
             yield name.partition("/")[2], value
 
 
-class CsvProgress(Progress):
-    """`progress.csv`: a header from the first record, then a row per iteration, written to disk at once.
-
-    On a resume the rows of iterations that will be run again, and a row that a kill cut short, are dropped.
-    None is missing, since a checkpoint is written after the rows of its iterations.
-
-    Args:
-        path: The file.
-    """
-
-    def __init__(self, path: Path) -> None:
-        self._path = Path(path)
-        self._file: IO[str] | None = None
-        self._columns: list[str] | None = None
-
-    def start(self, total_iterations: int, first_iteration: int) -> None:
-        """Keeps the rows before `first_iteration`, and opens the file to append to them.
-
-        Raises:
-            KickbenchError: They are not one row of each iteration, in order.
-        """
-        kept = rows_before(self._path, first_iteration)
-        self._columns = kept[0] if kept else None
-        atomic_write_text(self._path, _to_csv(kept[0], kept[1:], with_header=True) if kept else "")
-        self._file = open(self._path, "a", encoding="utf-8", newline="")  # noqa: SIM115 (open until close())
-
-    def update(self, record: Record) -> None:
-        """Appends a row. A name that the header lacks is an error: columns would lose their meaning."""
-        assert self._file is not None, "start() comes before update()"
-        is_first = self._columns is None
-        self._columns = self._columns or list(record)
-        if unknown := [name for name in record if name not in self._columns]:
-            raise KickbenchError(f"{self._path}: no column for {', '.join(unknown)}")
-        row = [_format(record.get(name)) for name in self._columns]
-        self._file.write(_to_csv(self._columns, [row], with_header=is_first))
-        self._file.flush()
-        os.fsync(self._file.fileno())
-
-    def close(self) -> None:
-        """Closes the file."""
-        if self._file is not None:
-            self._file.close()
-
-
 def rows_before(path: Path, first_iteration: int) -> list[list[str]]:
     """Reads header and rows of the iterations below `first_iteration`; nothing if it is the first.
 
@@ -177,26 +166,17 @@ def rows_before(path: Path, first_iteration: int) -> list[list[str]]:
     if first_iteration == 0:
         return []
     rows = checked_rows(path)[: first_iteration + 1]
-    expected = ["iteration", *map(str, range(first_iteration))]
-    for line, (number, cells) in enumerate(zip_longest(expected, rows, fillvalue=[]), start=1):
-        if cells[:1] != [number] or len(cells) != len(rows[0]):
-            what = f"expected the row of iteration {line - 2}, of {first_iteration} before the checkpoint"
-            what = "expected a progress table whose first column is iteration" if line == 1 else what
-            raise KickbenchError(f"{path}:{line}: {what}; {_START_AGAIN}")
+    if [row[:1] for row in rows] != [["iteration"], *([str(number)] for number in range(first_iteration))]:
+        what = f"expected the row of iteration 0 to {first_iteration - 1} each, before the checkpoint"
+        raise KickbenchError(f"{path}: {what}; --force starts the run again")
     return rows
 
 
 def _to_csv(columns: list[str], rows: list[list[str]], *, with_header: bool) -> str:
-    """Rows as text, each followed by its checksum."""
-    header, *lines = (_line(cells) for cells in (columns, *rows))
+    """Rows as text, each followed by its checksum. No name and no figure has a comma."""
+    header, *lines = (",".join(cells) for cells in (columns, *rows))
     body = [f"{line},{row_check(header, line)}\n" for line in lines]
     return "".join([f"{header},{CHECK}\n"] * with_header + body)
-
-
-def _line(cells: list[str]) -> str:
-    buffer = io.StringIO()
-    csv.writer(buffer, lineterminator="").writerow(cells)
-    return buffer.getvalue()
 
 
 def _format(value: float | None) -> str:
@@ -205,40 +185,3 @@ def _format(value: float | None) -> str:
         return ""
     # Integral, not int: a numpy integer must keep all its digits too.
     return str(value) if isinstance(value, Integral) else f"{value:.6g}"
-
-
-class TensorBoardProgress(Progress):
-    """TensorBoard events by iteration. Without the package the training goes on.
-
-    Args:
-        folder: Folder of the event files.
-    """
-
-    def __init__(self, folder: Path) -> None:
-        self._folder = Path(folder)
-        self._writer: Any = None
-
-    def start(self, total_iterations: int, first_iteration: int) -> None:
-        """Opens an event file; events from `first_iteration` on that a killed run has left are purged."""
-        try:  # slow to import, and not needed by anything else
-            from torch.utils.tensorboard.writer import SummaryWriter
-        except ImportError as error:
-            print(f"no TensorBoard events: {printable(str(error))}", file=sys.stderr)
-        else:
-            self._writer = SummaryWriter(str(self._folder), purge_step=first_iteration)
-
-    def update(self, record: Record) -> None:
-        """Writes one scalar for each figure that is known."""
-        if self._writer is None:
-            return
-        for name, value in record.items():
-            if name != "iteration" and not math.isnan(value):
-                tag = name if "/" in name else f"train/{name}"
-                self._writer.add_scalar(tag, value, record["iteration"])
-        # A process that is killed later leaves what it has written, as in the table.
-        self._writer.flush()
-
-    def close(self) -> None:
-        """Closes the event file."""
-        if self._writer is not None:
-            self._writer.close()

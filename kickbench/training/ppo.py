@@ -23,7 +23,6 @@ from kickbench.envs.env import KickEnv
 from kickbench.errors import KickbenchError
 from kickbench.nets.build import build_actor, build_critic
 from kickbench.nets.modules import Augmentation
-from kickbench.training.ranks import ALONE, Ranks
 from kickbench.trials.trial import Symmetry as Reflection
 from kickbench.trials.trial import Trial
 
@@ -92,16 +91,13 @@ class _AugmentationOnly(Symmetry):
         return torch.zeros((), device=batch.actions.device) if batch.actions is not None else torch.zeros(())
 
 
-def build_ppo(
-    trial: Trial, observations: TensorDict, device: torch.device, ranks: Ranks = ALONE
-) -> BoundedPPO:
+def build_ppo(trial: Trial, observations: TensorDict, device: torch.device) -> BoundedPPO:
     """Builds networks, storage and PPO of a trial.
 
     Args:
         trial: The trial.
         observations: Example observations {group: [B, width]}.
         device: Where to train.
-        ranks: The processes that train together.
     """
     method, symmetry = trial.method.spec, trial.symmetry
     settings = method.algorithm
@@ -109,22 +105,9 @@ def build_ppo(
     critic = build_critic(method, symmetry.groups["critic"])
     envs, actions = observations.batch_size[0], symmetry.actions.dim
     storage = GatheredRollout("rl", envs, settings.steps_per_env, observations, [actions], str(device))
-    shared = {"device": str(device), "multi_gpu_cfg": ranks.rsl_rl()}
-    ppo = BoundedPPO(actor, critic, storage, **shared, **_settings(settings))
+    ppo = BoundedPPO(actor, critic, storage, device=str(device), **_settings(settings))
     ppo.symmetry = _build_symmetry(method.symmetry, symmetry)
-    if device.type == "cuda":
-        use_fused_adam(ppo)
     return ppo
-
-
-def use_fused_adam(ppo: PPO) -> None:
-    """Makes the optimiser step all parameters in one kernel instead of several launches each.
-
-    Worth it on a GPU. On a CPU it took 1 to 4 % off the update of 128-64 networks in the median, which was
-    within the noise of a shared machine, and it would change the bits of what was recorded.
-    """
-    (group,) = ppo.optimizer.param_groups
-    ppo.optimizer = torch.optim.Adam(group["params"], lr=group["lr"], fused=True)
 
 
 def _build_symmetry(spec: SymmetrySpec, reflection: Reflection) -> Symmetry | None:
@@ -178,17 +161,16 @@ def checked_update(ppo: PPO, iteration: int) -> Iterator[None]:
     """Checks the networks after an update, also after one that failed because of NaN or infinity.
 
     Raises:
-        KickbenchError: A gradient or a parameter is NaN or infinite.
+        KickbenchError: A parameter is NaN or infinite.
     """
-    failure = None
     try:
         yield
-    except (RuntimeError, ValueError) as error:
-        failure = error
-    if (culprit := next(_parameters(ppo), None)) is not None:
-        raise KickbenchError(f"iteration {iteration}: not finite: {culprit}") from failure
-    if failure is not None:
-        raise failure
+    finally:
+        networks: dict[str, nn.Module] = {"actor": ppo.get_policy(), "critic": ppo.critic}
+        for owner, network in networks.items():
+            for name, parameter in network.named_parameters():
+                if not parameter.isfinite().all():
+                    raise KickbenchError(f"iteration {iteration}: not finite: the parameter {owner}.{name}")
 
 
 def _samples(ppo: PPO, env: KickEnv) -> Iterator[str]:
@@ -212,17 +194,3 @@ def _samples(ppo: PPO, env: KickEnv) -> Iterator[str]:
         wrong = (~values.isfinite()).flatten(2).any(dim=2).nonzero()
         if len(wrong):
             yield f"{what}, first in step {int(wrong[0, 0])} of env {int(wrong[0, 1])}"
-
-
-def _parameters(ppo: PPO) -> Iterator[str]:
-    networks: dict[str, nn.Module] = {"actor": ppo.get_policy(), "critic": ppo.critic}
-    named = [(f"{owner}.{name}", p) for owner, net in networks.items() for name, p in net.named_parameters()]
-    # One check of all of them together: nearly always, they are finite.
-    if torch.stack([p.detach().square().sum() for _, p in named]).isfinite().all():
-        return
-    for name, parameter in named:
-        if parameter.grad is not None and not parameter.grad.isfinite().all():
-            yield f"the gradient of {name}"
-    for name, parameter in named:
-        if not parameter.isfinite().all():
-            yield f"the parameter {name}"

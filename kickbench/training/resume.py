@@ -20,9 +20,8 @@ from kickbench.results.metrics import load_metrics
 from kickbench.results.provenance import InitialRef
 from kickbench.results.specs import spec_differences, stored_method, write_specs
 from kickbench.results.store import RunDirectory
-from kickbench.training.checkpoint import Checkpoints, load_critic, save_policy
+from kickbench.training.checkpoint import Checkpoints, fingerprint, load_critic, save_policy
 from kickbench.training.iteration_log import rows_before
-from kickbench.training.ranks import fingerprint
 from kickbench.training.trained import Run
 from kickbench.trials.trial import Trial
 
@@ -32,14 +31,14 @@ class Resume:
     """Where a run stands.
 
     Attributes:
+        directory: The run directory.
         state: Its last checkpoint, as `Trainer.state_dict` made it; None: nothing has been trained.
         finished: Whether nothing is left to do.
-        directory: The run directory; None: another process knows it.
     """
 
+    directory: RunDirectory
     state: Mapping[str, Any] | None = None
     finished: bool = False
-    directory: RunDirectory | None = None
 
 
 def begin(directory: RunDirectory, trial: Trial, initial: Initial | None = None) -> Resume:
@@ -54,7 +53,7 @@ def begin(directory: RunDirectory, trial: Trial, initial: Initial | None = None)
         with suppress(OSError):  # the folder is not empty
             directory.path.rmdir()
         raise
-    return Resume(directory=directory)
+    return Resume(directory)
 
 
 def take_up(
@@ -96,7 +95,7 @@ def take_up(
         recorded = load_metrics(directory.metrics)
         check_same(directory, trial, seed, scale, recorded.model_dump(), extend=extend)
         if recorded.iterations >= trial.method.spec.algorithm.iterations:
-            return Resume(finished=True, directory=directory)
+            return Resume(directory, finished=True)
     state = Checkpoints(directory.checkpoints).load()
     if state is None:
         if any(file.exists() for file in (directory.progress, directory.policy, directory.metrics)):
@@ -107,7 +106,7 @@ def take_up(
         return begin(directory, trial, initial)
     check_same(directory, trial, seed, scale, state["run"], extend=extend)
     rows_before(directory.progress, state["iteration"])  # before anything is removed
-    return Resume(state, directory=directory)
+    return Resume(directory, state)
 
 
 def check_same(
@@ -134,7 +133,7 @@ def check_same(
         KickbenchError: The run has no identity, or a damaged one.
     """
     problems = [
-        Problem(None, (key,), f"{_or_none(value)}, but the run has {_or_none(recorded.get(key))}")
+        Problem(None, (key,), f"{value}, but the run has {recorded.get(key)}")
         for key, value in (("seed", seed), ("scale", scale))
         if recorded is not None and value != recorded.get(key)
     ]
@@ -147,10 +146,6 @@ def check_same(
         problems.append(trial.method.document.problem(ITERATIONS, what, hint))
     if problems:
         raise SpecError([Problem(None, (), f"{shown(directory.path)} holds another run"), *problems])
-
-
-def _or_none(value: float | None) -> str:
-    return "none" if value is None else str(value)
 
 
 def _is_intact(directory: RunDirectory) -> bool:
@@ -207,7 +202,10 @@ def begin_from(trial: Trial, run: Run, std: float | None) -> tuple[Trial, Initia
         if name.endswith("std_param"):
             value = torch.tensor(std)
             parameter.data.fill_(value.log() if name.endswith("log_std_param") else value)
-    critic = _critic_of(trial, run)
+    critic = build_critic(trial.method.spec, symmetry.groups["critic"])
+    fits = _of_network(trial, "critic") == _of_network(run.trial, "critic")
+    if not fits or not load_critic(run.directory.policy, critic):
+        critic = None
     weights, identity = fingerprint(own), read_identity(run.directory).fingerprint
     labels = {key: getattr(run.metrics, key) for key in ("task", "method", "seed", "env_steps")}
     ref = InitialRef(
@@ -215,12 +213,6 @@ def begin_from(trial: Trial, run: Run, std: float | None) -> tuple[Trial, Initia
     )
     both = weights if critic is None else fingerprint(own, critic)
     return replace(trial, initial_policy=both), Initial(own, critic, ref)
-
-
-def _critic_of(trial: Trial, run: Run) -> MLPModel | None:
-    here, there = _of_network(trial, "critic"), _of_network(run.trial, "critic")
-    critic = build_critic(trial.method.spec, trial.symmetry.groups["critic"])
-    return critic if here == there and load_critic(run.directory.policy, critic) else None
 
 
 def _misfits(ours: Trial, theirs: Trial) -> list[str]:

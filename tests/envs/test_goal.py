@@ -116,7 +116,7 @@ def test_the_posts_stand_where_the_target_is_and_are_not_moved_by_a_ball(shots, 
 @pytest.mark.parametrize(
     ("override", "place", "complaint"),
     [
-        ("sampling.target.x=[-1.0, 2.0]", "sampling.target.x", "the goal may stand in or behind the robot"),
+        ("sampling.target.x=[-1.0, 2.0]", "sampling.target.x", "or in or behind the robot: x from -1 m"),
         ("sampling.target.x=0.4", "sampling.target.x", "the goal may stand before the ball"),
         ("sampling.target.width=0.1", "sampling.target.width", "the ball, 0.16 m wide, does not fit in"),
         ("sampling.target.width=-1", "sampling.target.width", "expected a number greater than 0"),

@@ -5,7 +5,6 @@ pytest tests/test_graph_cuda.py
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from functools import cache
@@ -21,7 +20,7 @@ from kickbench.cli import main
 from kickbench.envs.compiled_task import CompiledTask
 from kickbench.envs.engines import make_engine, make_warp_engine
 from kickbench.envs.env import KickEnv
-from kickbench.envs.graph import CapturedStep, WithoutGraphs
+from kickbench.envs.graph import CapturedStep
 from kickbench.envs.initial_states import InitialStateSampler
 from kickbench.envs.tensors import flat
 from kickbench.results.provenance import RunHistory
@@ -355,13 +354,3 @@ def test_a_run_trains_evaluates_and_is_resumed_on_cuda(tmp_path, capsys):
     with open(tmp_path / "run/progress.csv") as file:
         assert len(file.readlines()) == 1 + 5
     assert main(["eval", str(tmp_path / "run")]) == 0
-
-
-@cuda
-@needs_gpu
-def test_a_cuda_device_without_graphs_warns_on_cuda():
-    with pytest.warns(WithoutGraphs, match="without CUDA graphs"):
-        CapturedStep(drifting("cuda"), graph=False)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        CapturedStep(drifting("cuda"))

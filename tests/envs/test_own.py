@@ -174,6 +174,7 @@ def test_an_observation_that_states_its_length_alone_needs_an_entry_in_the_table
     [
         ("return 1.0", "ball_height returns float; a reward is torch.float32"),
         ("return state.ball_pos", r"ball_height returns torch.float32 \[3, 3\]"),
+        ("return state.ball_pos.sum()", r"ball_height returns torch.float32 \[\]"),
         ("return state.no_such_thing", r"my_terms.py:10: in ball_height: AttributeError"),
     ],
 )

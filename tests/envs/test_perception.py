@@ -9,10 +9,9 @@ import pytest
 import torch
 
 from kickbench.config.terms import ObservationParams
-from kickbench.envs.disturbances import Setting
+from kickbench.envs.disturbances import Sampler, Setting
 from kickbench.envs.engines import make_engine
 from kickbench.envs.env import KickEnv
-from kickbench.envs.perception import Sampler
 from kickbench.envs.tensors import flat
 from kickbench.errors import SpecError
 from kickbench.symmetry.torch_ops import Mirror
@@ -24,7 +23,7 @@ SAMPLED = f"{BALL}={{rate: 16, delay: [0.0, 0.12], dropout: 0.3}}"
 def sampler(envs: int = 1, **params: Any) -> Sampler:
     """At 50 control steps a second."""
     setting = Setting(0.005, 4, torch.zeros(1), envs, torch.Generator().manual_seed(0))
-    made = Sampler(SimpleNamespace(params=ObservationParams(**params), size=1), setting)  # type: ignore[arg-type]
+    made = Sampler(SimpleNamespace(name="ball", params=ObservationParams(**params), size=1), setting)  # type: ignore[arg-type]
     made.reset(torch.ones(envs, dtype=torch.bool))
     return made
 
@@ -53,7 +52,7 @@ def test_a_sequence_is_seen_as_documented(params, expected):
 
 def test_a_lost_sample_leaves_the_last_one(monkeypatch):
     drawn = iter([0.9, 0.29, 0.3, 0.0, 0.31])
-    monkeypatch.setattr("kickbench.envs.perception.uniform", lambda *_, **__: torch.tensor([next(drawn)]))
+    monkeypatch.setattr("kickbench.envs.disturbances.uniform", lambda *_, **__: torch.tensor([next(drawn)]))
     at = sampler(dropout=0.3)
     assert [look(at, step)[0] for step in range(5)] == [0, 0, 2, 2, 4]
 

@@ -18,7 +18,7 @@ from kickbench.errors import KickbenchError
 from kickbench.evaluation import progress_bar as console
 from kickbench.evaluation.progress_bar import Steps, duration, percent, tracked
 from kickbench.results.progress_table import checked_rows
-from kickbench.training.iteration_log import CsvProgress, Record, RunProgress, TensorBoardProgress, describe
+from kickbench.training.iteration_log import Record, RunProgress, describe
 
 FIRST = {
     "iteration": 0,
@@ -65,8 +65,12 @@ def rows_of(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
+def quiet(path: Path) -> RunProgress:
+    return RunProgress(path, path.parent / "tensorboard", io.StringIO())
+
+
 def write_rows(path: Path, iterations: Sequence[int], first: int = 0) -> None:
-    progress = CsvProgress(path)
+    progress = quiet(path)
     progress.start(100, first)
     for iteration in iterations:
         progress.update(record(iteration))
@@ -157,7 +161,7 @@ def test_the_table_has_a_column_for_each_figure(tmp_path):
 
 
 def test_rows_are_on_disk_before_the_training_ends(tmp_path):
-    progress = CsvProgress(tmp_path / "progress.csv")
+    progress = quiet(tmp_path / "progress.csv")
     progress.start(10, 0)
     progress.update(FIRST)
     assert rows_of(tmp_path / "progress.csv")[0]["success_rate"] == "nan"
@@ -165,7 +169,7 @@ def test_rows_are_on_disk_before_the_training_ends(tmp_path):
 
 
 def test_numpy_integers_keep_every_digit(tmp_path):
-    progress = CsvProgress(tmp_path / "progress.csv")
+    progress = quiet(tmp_path / "progress.csv")
     progress.start(10, 0)
     progress.update(record(0, env_steps=np.int64(123_456_789)))
     progress.close()
@@ -181,6 +185,16 @@ def test_a_resumed_table_is_the_table_of_a_run_that_was_never_stopped(tmp_path):
     assert (tmp_path / "resumed.csv").read_bytes() == (tmp_path / "whole.csv").read_bytes()
 
 
+def test_figures_that_an_older_version_did_not_report_are_empty_in_its_rows(tmp_path):
+    write_rows(tmp_path / "progress.csv", range(3))
+    progress = quiet(tmp_path / "progress.csv")
+    progress.start(10, 2)
+    progress.update(record(2, speeding_share=0.25))
+    progress.close()
+    assert [row["speeding_share"] for row in rows_of(tmp_path / "progress.csv")] == ["", "", "0.25"]
+    assert [row[-1] for row in checked_rows(tmp_path / "progress.csv")] == ["speeding_share", "", "", "0.25"]
+
+
 def test_a_run_that_starts_anew_drops_the_old_rows(tmp_path):
     write_rows(tmp_path / "progress.csv", range(7))
     write_rows(tmp_path / "progress.csv", range(2))
@@ -188,7 +202,7 @@ def test_a_run_that_starts_anew_drops_the_old_rows(tmp_path):
 
 
 def test_a_figure_that_is_absent_once_leaves_its_cell_empty_and_a_new_one_is_an_error(tmp_path):
-    progress = CsvProgress(tmp_path / "progress.csv")
+    progress = quiet(tmp_path / "progress.csv")
     progress.start(10, 0)
     progress.update(FIRST)
     progress.update({name: value for name, value in record(1).items() if name != "loss/surrogate"})
@@ -203,31 +217,21 @@ def test_a_table_that_is_none_of_ours_is_not_touched(tmp_path, text):
     path = tmp_path / "progress.csv"
     path.write_text(text)
     with pytest.raises(KickbenchError, match=r"progress\.csv"):
-        CsvProgress(path).start(10, 5)
+        quiet(path).start(10, 5)
     assert path.read_text() == text
 
 
 def test_tensorboard_gets_every_figure_but_not_what_is_unknown(tmp_path):
     accumulator = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
-    progress = TensorBoardProgress(tmp_path)
+    progress = quiet(tmp_path / "progress.csv")
     progress.start(10, 0)
     progress.update(FIRST)
     progress.update(record(1))
     progress.close()
-    events = accumulator.EventAccumulator(str(tmp_path)).Reload()
+    events = accumulator.EventAccumulator(str(tmp_path / "tensorboard")).Reload()
     success = events.Scalars("train/success_rate")
     assert [(event.step, event.value) for event in success] == [(1, pytest.approx(0.713))]
     assert [event.step for event in events.Scalars("reward/target_distance")] == [0, 1]
-
-
-def test_without_tensorboard_the_training_goes_on(tmp_path, monkeypatch, capsys):
-    monkeypatch.setitem(sys.modules, "torch.utils.tensorboard.writer", None)
-    progress = TensorBoardProgress(tmp_path)
-    progress.start(10, 0)
-    progress.update(FIRST)
-    progress.close()
-    assert capsys.readouterr().err.count("no TensorBoard events: ") == 1
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_run_writes_lines_rows_and_events(tmp_path):
@@ -258,12 +262,12 @@ def test_everything_is_closed_even_when_one_place_fails(tmp_path, monkeypatch):
     def fail(self) -> None:
         raise OSError("disk full")
 
-    progress = RunProgress(tmp_path / "progress.csv", tmp_path / "tensorboard", io.StringIO())
-    monkeypatch.setattr(TensorBoardProgress, "close", fail)
+    progress = quiet(tmp_path / "progress.csv")
+    monkeypatch.setattr("torch.utils.tensorboard.writer.SummaryWriter.close", fail)
     progress.start(2, 0)
     with pytest.raises(OSError, match="disk full"):
         progress.close()
-    assert progress._files[0]._file.closed
+    assert progress._table.closed
 
 
 def test_importing_the_console_s_progress_loads_nothing_heavy():

@@ -25,7 +25,7 @@ from kickbench.results.identity import read_identity
 from kickbench.results.integrity import check
 from kickbench.results.metrics import load_metrics
 from kickbench.training.checkpoint import FORMAT, Checkpoints
-from kickbench.training.iteration_log import CsvProgress
+from kickbench.training.iteration_log import RunProgress
 from kickbench.training.trainer import Trainer
 from kickbench.trials.trial import load_trial
 
@@ -44,7 +44,8 @@ SMALL = (
 
 
 def make_trainer(chosen, folder: Path, seed: int = 0) -> Trainer:
-    return conftest.make_trainer(chosen, folder / "checkpoints", CsvProgress(folder / "progress.csv"), seed)
+    progress = RunProgress(folder / "progress.csv", folder / "tensorboard")
+    return conftest.make_trainer(chosen, folder / "checkpoints", progress, seed)
 
 
 def assert_equal(one, other) -> None:
@@ -324,7 +325,7 @@ def run_and_kill(where: str, count: int, arguments: list[str]) -> None:
     ("where", "count", "iterations_kept"),
     [
         # Two rows beyond the checkpoint of iteration 50 are there.
-        ("kickbench.training.iteration_log:CsvProgress.update", 53, 50),
+        ("kickbench.training.iteration_log:RunProgress.update", 53, 50),
         # The next one after that of the start is to be written.
         ("kickbench.training.checkpoint:atomic_write_bytes", 2, 0),
         ("kickbench.evaluation.rollouts:_ended", 3, 53),
@@ -483,7 +484,7 @@ def test_a_killed_forced_run_leaves_the_old_one_whole_and_goes_on(copy, undistur
     (copy / "notes.txt").write_text("mine")
     before = snapshot(copy)
     forced = command(copy, "--set", "algorithm.gamma=0.9")
-    run_and_kill("kickbench.training.iteration_log:CsvProgress.update", 53, [*forced, "--force"])
+    run_and_kill("kickbench.training.iteration_log:RunProgress.update", 53, [*forced, "--force"])
     assert snapshot(copy) == before
     for verb in ("table", "list"):
         assert main([verb, str(copy.parent)]) == 0

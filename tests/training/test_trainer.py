@@ -9,14 +9,15 @@ import signal
 import pytest
 import torch
 from tensordict import TensorDict
+from torch import nn
 
 from kickbench.envs.engines import make_engine
 from kickbench.envs.env import KickEnv
 from kickbench.errors import KickbenchError
 from kickbench.nets.build import build_actor
 from kickbench.symmetry.torch_ops import Mirror
-from kickbench.training.checkpoint import Checkpoints, load_policy, save_policy
-from kickbench.training.iteration_log import CsvProgress, Progress, Record
+from kickbench.training.checkpoint import Checkpoints, fingerprint, load_policy, save_policy
+from kickbench.training.iteration_log import Progress, Record, RunProgress
 from kickbench.training.ppo import build_ppo
 from kickbench.training.trainer import Trainer
 
@@ -91,7 +92,7 @@ def test_a_record_tells_counts_shares_and_sums_of_the_iteration(experiment, tmp_
 
 def test_the_progress_file_has_a_row_an_iteration(experiment, tmp_path):
     chosen = experiment("mini_home_field", "baseline", *SMALL)
-    make_trainer(chosen, tmp_path, CsvProgress(tmp_path / "progress.csv")).train(3)
+    make_trainer(chosen, tmp_path, RunProgress(tmp_path / "progress.csv", tmp_path / "events")).train(3)
     with open(tmp_path / "progress.csv", encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
     assert [int(row["iteration"]) for row in rows] == [0, 1, 2]
@@ -169,6 +170,17 @@ def test_a_damaged_or_foreign_policy_file_is_an_error_that_names_it(experiment, 
     save_policy(path, build_actor(wider.method.spec, wider.symmetry.groups["actor"], wider.symmetry.actions))
     with pytest.raises(KickbenchError, match=r"policy\.pt"):
         load_policy(path, actor)
+
+
+def test_a_fingerprint_sees_the_last_bit_of_every_weight():
+    layers = nn.Sequential(nn.Linear(3, 2), nn.BatchNorm1d(2))
+    first = nn.Linear(3, 2)
+    before, alone = fingerprint(first, layers), fingerprint(layers)
+    assert fingerprint(first, layers) == before != alone
+    with torch.no_grad():
+        layers[0].weight[1, 2] = torch.nextafter(layers[0].weight[1, 2], torch.tensor(9.0))
+    assert fingerprint(first, layers) != before
+    assert fingerprint(layers) != alone
 
 
 def test_the_adaptive_learning_rate_stays_in_its_range(experiment, tmp_path):
