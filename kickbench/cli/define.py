@@ -96,15 +96,11 @@ def validate(
 @cli.verb("Define", "show mini_home_field --set ball.mass=0.2")
 def show(
     file: Path = cli.argument("A YAML file of any kind, or a name.", "FILE", *_KINDS),
-    plot: Path | None = cli.option("Draw a task's regions instead (.png, .svg).", metavar="FILE"),
     fields: Path | None = cli.option("Print how all mirrors by this method instead.", metavar="METHOD"),
     overrides: cli.Set = cli.NONE,
 ) -> None:
     """Print a resolved spec and where each value came from."""
-    cli.exclude("--fields", fields, "--plot", plot)
     path = find(file, *_KINDS)
-    if plot is not None:
-        return _plot(path, plot, overrides)
     if fields is not None:
         return _show_fields(path, find_method(fields, path, overrides), overrides)
     from kickbench.config.explain import explain
@@ -165,20 +161,6 @@ def derive(
     derivation = derive(compile_parts(model), plane)
     print(symmetry_block(derivation, model.name))
     return 1 if derivation.unclear else 0
-
-
-def _plot(file: Path, out: Path, overrides: list[str]) -> None:
-    """Draws a task's sampling regions from above."""
-    from kickbench.config.yamlio import load_document
-    from kickbench.envs.compiled_task import read_task
-    from kickbench.trials.validate import kind_of
-    from kickbench.view.regions import plot_regions
-
-    kind = kind_of(load_document(file))
-    if kind != "task":
-        raise KickbenchError(f"--plot draws the sampling regions of a task; {file} is a {kind} file")
-    plot_regions(read_task(file, overrides), out)
-    print(shown(out))
 
 
 def _show_fields(task: Path, method: Path, overrides: list[str]) -> None:

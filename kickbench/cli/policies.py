@@ -64,7 +64,7 @@ def evaluate(
 def render(
     task: cli.Task,
     policy: list[Path] = cli.option("Runs, side by side (default: zero action).", metavar="RUN", default=[]),
-    out: Path | None = cli.option("Sheet of initial states (.png) or film (.webp, .mp4).", metavar="FILE"),
+    out: Path | None = cli.option("Sheet of initial states (.png) or film (.webp).", metavar="FILE"),
     initial_states: int | None = cli.count("Initial states on a sheet (default: 9)."),
     episodes: int | None = cli.count("Episodes of a film (default: 3)."),
     seed: cli.TaskSeed = None,
@@ -80,10 +80,10 @@ def render(
     suffix = out.suffix.lower() if out else ".png"
     if suffix == ".png":
         _refuse("a .png shows initial states", policy=policy, episodes=episodes, mirrored=mirrored)
-    elif suffix in (".webp", ".mp4"):
-        _refuse(f"a {suffix} shows episodes", initial_states=initial_states)
+    elif suffix == ".webp":
+        _refuse("a .webp shows episodes", initial_states=initial_states)
     else:
-        raise KickbenchError(f"{out}: pictures are .png, .webp or .mp4")
+        raise KickbenchError(f"{out}: pictures are .png or .webp")
     from kickbench.envs.compiled_task import read_task
     from kickbench.results.atomic import atomic_file
     from kickbench.view.pictures import contact_sheet, film_runs

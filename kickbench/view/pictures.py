@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from kickbench.config.task import SamplingSpec
 from kickbench.envs.compiled_task import CompiledTask
-from kickbench.errors import KickbenchError, require
+from kickbench.errors import KickbenchError
 from kickbench.evaluation.progress_bar import tracked
 from kickbench.results.atomic import atomic_file
 from kickbench.results.metrics import load_metrics
@@ -170,24 +169,21 @@ def film_runs(
     Args:
         task: The task.
         runs: Run directories, whose policies are shown side by side; none: zero action.
-        out: File to write, .webp or .mp4.
+        out: File to write, .webp.
         episodes: Number of episodes.
         seed: Seed of the initial states.
         size: Width and height of one policy's part, pixels.
         mirrored: Whether to show the mirror images of the initial states.
 
     Raises:
-        KickbenchError: There is no OpenGL, a library is missing, or a run has no policy for the task.
+        KickbenchError: There is no OpenGL, or a run has no policy for the task.
     """
-    is_mp4 = out.suffix.lower() == ".mp4"
-    if is_mp4:
-        check_mp4(*size)
     policies = [fitting(task, load_run(run, unfinished=True)) for run in runs] or [None]
     titles = [_title(run) for run in runs] if len(runs) > 1 else [""]
     named = zip(policies, titles, strict=True)
     sessions = [Session(task, policy, seed, episodes, title) for policy, title in named]
     frames = tracked(film(task, sessions, episodes, *size, mirrored=mirrored), "drawing", "frames")
-    (write_mp4 if is_mp4 else write_webp)(out, frames, frame_time(task))
+    write_webp(out, frames, frame_time(task))
 
 
 def _title(run: Path) -> str:
@@ -286,44 +282,3 @@ def write_webp(path: Path, frames: Iterable[Image.Image], seconds: float) -> Non
             file, "WEBP", save_all=True, append_images=frames, duration=round(1000 * seconds), loop=0,
             quality=_QUALITY,
         )  # fmt: skip
-
-
-def check_mp4(width: int, height: int) -> None:
-    """Checks that an .mp4 of that size can be written.
-
-    Raises:
-        KickbenchError: The library is missing, or a side is odd.
-    """
-    require("imageio_ffmpeg", "an .mp4", "mp4")
-    if width % 2 or height % 2:
-        raise KickbenchError(f"an .mp4 has even sides; found {width}x{height}")
-
-
-def write_mp4(path: Path, frames: Iterable[Image.Image], seconds: float) -> None:
-    """Writes frames as H.264 that browsers play.
-
-    Args:
-        path: File to write.
-        frames: Frames of one size with even sides, at least one.
-        seconds: Time between two frames.
-
-    Raises:
-        KickbenchError: `imageio-ffmpeg` is not installed.
-    """
-    ffmpeg, frames = require("imageio_ffmpeg", "an .mp4", "mp4"), iter(frames)
-    first = next(frames)
-    # The suffix of the temporary file does not give the format.
-    options = {
-        "codec": "libx264",
-        "quality": 7,
-        "macro_block_size": 2,
-        "output_params": ["-f", "mp4", "-movflags", "+faststart"],
-    }
-    with atomic_file(path) as file:
-        writer = ffmpeg.write_frames(file.name, first.size, fps=1.0 / seconds, **options)
-        writer.send(None)
-        try:
-            for frame in chain([first], frames):
-                writer.send(frame.tobytes())
-        finally:
-            writer.close()

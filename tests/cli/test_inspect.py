@@ -318,14 +318,6 @@ def test_show_fields_of_a_missing_method_is_an_error_that_names_it(capsys):
     assert "did you mean 'equivariant.yaml'" in capsys.readouterr().err
 
 
-def test_show_prints_fields_or_draws_regions_but_not_both(place, capsys):
-    with pytest.raises(SystemExit) as stop:
-        main(["show", "tasks/mini_general.yaml", "--plot", "x.svg", "--fields", "methods/mini/baseline.yaml"])
-    assert stop.value.code == 2
-    assert "--fields: not allowed with argument --plot" in capsys.readouterr().err
-    assert not Path("x.svg").exists()
-
-
 # names
 
 

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import sys
 from types import SimpleNamespace
 
-import imageio_ffmpeg
 import numpy as np
 import pytest
 import torch
@@ -15,13 +13,11 @@ from kickbench.errors import KickbenchError
 from kickbench.view.pictures import (
     SmallMap,
     caption,
-    check_mp4,
     contact_sheet,
     describe_start,
     film,
     frame_stride,
     frame_time,
-    write_mp4,
     write_webp,
 )
 from kickbench.view.regions import outlines
@@ -111,31 +107,10 @@ def test_a_webp_has_every_frame_in_order_and_repeats(frames, tmp_path):
     assert read == pytest.approx([bar_of(frame) for frame in frames], abs=1.0)
 
 
-def test_an_mp4_has_every_frame_in_order(frames, tmp_path):
-    write_mp4(tmp_path / "a.mp4", frames, 0.04)
-    reader = imageio_ffmpeg.read_frames(str(tmp_path / "a.mp4"))
-    facts = next(reader)
-    assert (facts["size"], facts["fps"], facts["codec"]) == ((64, 48), 25.0, "h264")
-    read = [bar_of(Image.frombytes("RGB", (64, 48), data)) for data in reader]
-    assert read == pytest.approx([bar_of(frame) for frame in frames], abs=1.5)
-
-
-@pytest.mark.parametrize("write", [write_webp, write_mp4])
-def test_a_film_that_tears_leaves_nothing_behind(frames, tmp_path, write):
+def test_a_film_that_tears_leaves_nothing_behind(frames, tmp_path):
     with pytest.raises(KickbenchError, match="the film tore"):
-        write(tmp_path / "a", broken(frames), 0.04)
+        write_webp(tmp_path / "a", broken(frames), 0.04)
     assert not list(tmp_path.iterdir())
-
-
-def test_an_mp4_has_even_sides():
-    with pytest.raises(KickbenchError, match=r"an \.mp4 has even sides; found 101x80"):
-        check_mp4(101, 80)
-
-
-def test_without_ffmpeg_the_error_names_the_extra(monkeypatch):
-    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
-    with pytest.raises(KickbenchError, match=r"an .mp4 needs imageio_ffmpeg, .*'kickbench\[mp4\]'"):
-        check_mp4(100, 80)
 
 
 def test_films_run_at_the_speed_of_the_world(task):
