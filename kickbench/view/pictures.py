@@ -1,4 +1,4 @@
-"""Pictures with words and a small map: a contact sheet of initial states, and films of episodes."""
+"""Pictures with words: a contact sheet of initial states, and films of episodes."""
 
 from __future__ import annotations
 
@@ -10,23 +10,18 @@ from typing import Any
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from kickbench.config.task import SamplingSpec
 from kickbench.envs.compiled_task import CompiledTask
-from kickbench.errors import KickbenchError
 from kickbench.evaluation.progress_bar import tracked
 from kickbench.results.atomic import atomic_file
 from kickbench.results.metrics import load_metrics
 from kickbench.results.store import RunDirectory
 from kickbench.training.trained import load_run
-from kickbench.view.regions import outlines
 from kickbench.view.session import Session, evaluation_initial_states, fitting
 from kickbench.view.stage import Stage
 
 _INK, _PAPER, _PALE, _WHITE = (32, 38, 44), (250, 250, 248), (104, 112, 120), (255, 255, 255)
-_BALL, _TARGET, _NIGHT = (120, 190, 255), (255, 214, 60), (24, 34, 28)
+_NIGHT = (24, 34, 28)
 _GAP = 10
-_LARGEST = 100_000_000
-"""Pixels of a sheet at most: more would fill the memory, and no viewer shows them."""
 _FRAME_TIME, _HOLD = 0.04, 0.8
 """Desired time between frames, and how long the last one of an episode is shown, s."""
 _QUALITY = 30
@@ -34,7 +29,7 @@ _QUALITY = 30
 
 
 def contact_sheet(task: CompiledTask, count: int, seed: int, width: int, height: int) -> Image.Image:
-    """Draws initial states of a task's evaluation, each with its numbers and its place in the regions.
+    """Draws initial states of a task's evaluation, each with its numbers.
 
     Args:
         task: The task.
@@ -44,12 +39,8 @@ def contact_sheet(task: CompiledTask, count: int, seed: int, width: int, height:
         height: Its height, pixels.
 
     Raises:
-        KickbenchError: There is no OpenGL, or the sheet would be very large.
+        KickbenchError: There is no OpenGL.
     """
-    if count * width * height > _LARGEST:
-        raise KickbenchError(
-            f"{count} initial states of {width}x{height} pixels make a sheet of more than 100 megapixels"
-        )
     columns = math.ceil(math.sqrt(count))
     size = max(height // 22, 11)
     head, cell = 4 * size + _GAP, (width + _GAP, height + 2 * size + _GAP)
@@ -60,7 +51,6 @@ def contact_sheet(task: CompiledTask, count: int, seed: int, width: int, height:
     words = f"{count} initial states of seed {seed}; x points forward, y and angles to the left"
     draw.text((_GAP, _GAP + 1.9 * size), words, _PALE, ImageFont.load_default(size))
     initial, place = evaluation_initial_states(task, count, seed), task.scene.layout.ball_qpos
-    small_map = SmallMap(task.spec.sampling, height // 4)
     with Stage(task, width, height) as stage:
         for index, (qpos, target) in enumerate(
             zip(initial.qpos.numpy(), initial.target.numpy(), strict=True)
@@ -68,7 +58,7 @@ def contact_sheet(task: CompiledTask, count: int, seed: int, width: int, height:
             row, column = divmod(index, columns)
             left, top = _GAP + column * cell[0], head + row * cell[1]
             ball, pixels = qpos[place : place + 2], stage.picture(qpos, target, stage.camera(qpos, target))
-            sheet.paste(small_map.stamped(Image.fromarray(pixels), ball, target), (left, top))
+            sheet.paste(Image.fromarray(pixels), (left, top))
             words = f"{index}   {describe_start(ball, target)}"
             draw.text((left, top + height + size // 3), words, _INK, ImageFont.load_default(size))
     return sheet
@@ -107,51 +97,6 @@ def describe_start(ball: np.ndarray, target: np.ndarray) -> str:
     """
     distance, angle = math.hypot(*target), math.degrees(math.atan2(target[1], target[0]))
     return f"ball ({ball[0]:.2f}, {ball[1]:+.2f}) m, target {distance:.2f} m at {angle:+.0f}°"
-
-
-class SmallMap:
-    """The sampling regions from above in the corner of a picture, x up and y to the left."""
-
-    _FINE = 3
-    """It is drawn this much larger and scaled down: Pillow draws without anti-aliasing."""
-
-    def __init__(self, sampling: SamplingSpec, size: int, mirrored: bool = False) -> None:
-        """Sizes the map so that robot and regions fill it.
-
-        Args:
-            sampling: The regions.
-            size: Side of the map, pixels.
-            mirrored: Whether the mirror images of the regions are shown.
-        """
-        regions = [outline * [1.0, -1.0 if mirrored else 1.0] for outline in outlines(sampling)]
-        corners = np.concatenate([*regions, np.zeros((1, 2))])
-        low, high = corners.min(axis=0), corners.max(axis=0)
-        self._size, self._side, self._middle = size, size * self._FINE, (low + high) / 2.0
-        self._scale = 0.84 * self._side / float((high - low).max())
-        self._map = Image.new("RGBA", (self._side, self._side), (0, 0, 0, 0))
-        draw = ImageDraw.Draw(self._map)
-        draw.rounded_rectangle((0, 0, self._side - 1, self._side - 1), self._side // 14, (*_NIGHT, 150))
-        for region, colour in zip(regions, (_BALL, _TARGET), strict=True):
-            # Width as well as area: a region may be a line or a point.
-            draw.polygon(self.place(region), (*colour, 90), (*colour, 200), self._FINE)
-        ((x, y),), nose = self.place(np.zeros((1, 2))), self._side / 22.0
-        draw.polygon([(x, y - 1.5 * nose), (x + nose, y + nose), (x - nose, y + nose)], _WHITE)
-
-    def place(self, points: np.ndarray) -> list[tuple[float, float]]:
-        """Places of points [N, 2], m, on the fine map, pixels from its upper left corner."""
-        offset, middle = (points - self._middle) * self._scale, self._side / 2.0
-        return [(float(middle - y), float(middle - x)) for x, y in offset]
-
-    def stamped(self, image: Image.Image, ball: np.ndarray, target: np.ndarray) -> Image.Image:
-        """The picture with the map in its upper left corner, with ball and target [2], m."""
-        fine, radius = self._map.copy(), self._side / 30.0
-        draw = ImageDraw.Draw(fine)
-        places = self.place(np.stack([target, ball]))
-        for (x, y), colour in zip(places, (_TARGET, _BALL), strict=True):
-            draw.ellipse((x - radius, y - radius, x + radius, y + radius), colour, _NIGHT, self._FINE)
-        small = fine.resize((self._size, self._size), Image.Resampling.LANCZOS)
-        image.paste(small, (_GAP, _GAP), small)
-        return image
 
 
 def film_runs(
@@ -223,7 +168,6 @@ def film(
     Raises:
         KickbenchError: There is no OpenGL.
     """
-    small_map = SmallMap(task.spec.sampling, height // 4, mirrored)
     with Stage(task, width, height) as stage:
         for number in range(episodes):
             for session in sessions:
@@ -231,22 +175,21 @@ def film(
                 session.show(number)
             start = sessions[0].start
             camera = stage.camera(start.qpos[0].numpy(), start.target[0].numpy())
-            yield (image := _frame(stage, camera, small_map, sessions))
+            yield (image := _frame(stage, camera, sessions))
             while not all(session.ending for session in sessions):
                 for session in sessions:
                     for _ in range(frame_stride(task)):
                         session.step()
-                yield (image := _frame(stage, camera, small_map, sessions))
+                yield (image := _frame(stage, camera, sessions))
             yield from [image] * round(_HOLD / frame_time(task))
 
 
-def _frame(stage: Stage, camera: Any, small_map: SmallMap, sessions: Sequence[Session]) -> Image.Image:
+def _frame(stage: Stage, camera: Any, sessions: Sequence[Session]) -> Image.Image:
     image = Image.new("RGB", (len(sessions) * stage.width, stage.height))
     size = max(stage.height // 24, 10)
     for part, session in enumerate(sessions):
         target = session.start.target[0].numpy()
         panel = Image.fromarray(stage.picture(session.qpos, target, camera))
-        small_map.stamped(panel, session.ball, target)
         draw, font = ImageDraw.Draw(panel), ImageFont.load_default(size)
         for text, place, anchor in (
             (session.title, (stage.width - size, size), "ra"),

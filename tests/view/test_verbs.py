@@ -75,10 +75,6 @@ ERRORS = {
         "runs/x: not a run directory (it has no task.yaml)",
     ),
     "no such task": (["render", "x.yaml"], "x.yaml: no such file: 'x.yaml'"),
-    "sheet that fills the memory": (
-        ["render", TASK, "--initial-states", "1000", "--size", "1000x1000"],
-        "1000 initial states of 1000x1000 pixels make a sheet of more than 100 megapixels",
-    ),
 }
 
 
