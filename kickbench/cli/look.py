@@ -43,7 +43,7 @@ def compare(roots: cli.Roots) -> None:
 @cli.verb("Look at results", "claims mini_home_field runs/mini_home_field")
 def claims(
     experiment: cli.Experiment,
-    folder: Path | None = cli.argument("Its runs (default: the shipped).", "DIR", default=None, **cli.FOLDER),
+    folder: Path | None = cli.argument("Folder of its runs (default: the shipped).", "DIR", default=None),
     strict: bool = cli.flag("Exit code 1 unless every claim is met.", "--strict"),
     power: bool = cli.flag("Simulate how often claims are met, rightly and wrongly, instead.", "--power"),
     json: cli.Json = False,
@@ -60,6 +60,9 @@ def claims(
     if power:
         print(rates_table(loaded))
         return 0
+    # A missing default folder means that nothing is measured yet; a folder that the user names must exist.
+    if folder and not folder.is_dir():
+        raise KickbenchError(f"{folder}: no such folder")
     measured = load_runs(folder or loaded.document.file.parent.parent / "measured" / loaded.name, loaded)
     refuse_contradictions(measured, shown)
     verdicts = judge(loaded, measured)
