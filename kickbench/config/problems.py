@@ -87,7 +87,7 @@ class _Wording:
         if kind in ("missing", "union_tag_not_found"):
             return self._missing(path)
         if kind in ("value_error", "file"):
-            # What a model says of its keys together belongs to its key, what is said of one value to the value.
+            # What a model says of its keys together belongs to its key, of one value to the value.
             place = self.document.mark if isinstance(found, Mapping | BaseModel) else self.document.value_mark
             message = str(context.get("error", detail["msg"]))
             return self.found.append(Problem(place(path), path, message, context.get("hint")))

@@ -59,8 +59,8 @@ def find_method(text: str | Path, task: Path, overrides: Sequence[str] = ()) -> 
 
     Raises:
         SpecError: There is no such file, or it is not YAML.
-        KickbenchError: It is shipped for another robot: `mini/` is for `mini_kicker`, a folder that no robot's name
-            begins with for the robots without one.
+        KickbenchError: It is shipped for another robot: `mini/` is for `mini_kicker`, a folder that no
+            robot's name begins with for the robots without one.
     """
     try:
         return _find_method(text, task, any(text.startswith("robot") for text in overrides))

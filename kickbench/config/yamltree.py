@@ -180,7 +180,10 @@ class _Builder:
         if isinstance(node, ScalarNode) and (
             kind == "str" or (kind in _CORE and _CORE[kind].match(node.value))
         ):
-            return self._scalar(kind, node.value, path, mark)
+            value = _READ[kind](node.value)
+            if kind in ("int", "float"):
+                self._check_number(value, node.value, path, mark)
+            return value
         tag = node.tag.replace(_TAG, "!!")
         self._report(mark, path, f"unknown tag '{tag}'; expected a plain number, string, list or mapping")
         return None
@@ -210,18 +213,12 @@ class _Builder:
             self._report(mark, (*path, name), f"a key must be a string, found {found}", hint)
         return name
 
-    def _scalar(self, kind: str, text: str, path: KeyPath, mark: Mark) -> Scalar:
-        value = _READ[kind](text)
-        if kind in ("int", "float"):
-            self._check_number(value, text, path, mark)
-        return value
-
     def _check_number(self, value: Any, text: str, path: KeyPath, mark: Mark) -> None:
         if not math.isfinite(value):
             self._report(mark, path, f"expected a finite number, found {_short(text)}")
         elif value and not _SMALLEST <= abs(value) <= _GREATEST and not {"seed", "seeds"} & set(path):
-            what = f"expected 0, or a number from {_SMALLEST:g} to {_GREATEST:g} in magnitude, found {_short(text)}"
-            self._report(mark, path, what)
+            bounds = f"from {_SMALLEST:g} to {_GREATEST:g} in magnitude"
+            self._report(mark, path, f"expected 0, or a number {bounds}, found {_short(text)}")
 
     def syntax_problem(self, error: yaml.YAMLError, text: str, path: KeyPath) -> Problem:
         """Words what PyYAML cannot read."""
