@@ -187,7 +187,7 @@ def require(module: str, purpose: str, extra: str = "view") -> Any:
 
     Args:
         module: Full name of the module.
-        purpose: What it is needed for, as the start of the message: `a .mp4`.
+        purpose: What it is needed for, as the start of the message: `an export`.
         extra: The extra that installs it.
 
     Raises:

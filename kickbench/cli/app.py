@@ -13,15 +13,6 @@ from typer.core import TyperGroup
 from kickbench.errors import SpecError
 
 PANELS = ("Train", "Look at results", "Define", "Check")
-_BEGIN = """\
-usage: kickbench VERB ...   (kickbench --help lists all verbs, kickbench VERB --help explains one)
-
-Five to begin with:
-  kickbench list                                  tasks, methods and robots by name
-  kickbench run mini_home_field equivariant       train and evaluate, minutes on a laptop
-  kickbench table runs                            what the runs have reached
-  kickbench report runs                           the same as a page with pictures
-  kickbench new task my_task --from mini_general  a task of your own"""
 
 
 class _Grouped(TyperGroup):
@@ -87,7 +78,7 @@ def _kickbench(
         print(f"kickbench {__version__}")
         raise typer.Exit
     if context.invoked_subcommand is None:
-        typer.echo(_BEGIN, err=True)
+        typer.echo(context.get_help(), err=True)
         raise typer.Exit(2)
 
 
@@ -118,15 +109,6 @@ def refuse_contradiction(overrides: Sequence[str], key: str, flag: str, values: 
     override, given = override_of(overrides, key), " ".join(map(str, values))
     if override and values and {override.partition("=")[2].strip()} != set(map(str, values)):
         raise SpecError.of(f"--set {override}", f"{flag} {given} sets {key}, too: give one of them only")
-
-
-def _whole(least: int) -> Callable[[str], int]:
-    def parse(text: str | int) -> int:  # a default is parsed, too
-        if not str(text).isdecimal() or not least <= int(text) < 2**63:
-            raise typer.BadParameter(f"expected a whole number of at least {least}, found {text!r}")
-        return int(text)
-
-    return parse
 
 
 def number(low: float, high: float) -> Callable[[str], float]:
@@ -169,21 +151,16 @@ def names_of(*kinds: str) -> Callable[[str], list[str]]:
     return complete
 
 
-def argument(text: str, metavar: str, *kinds: str, default: Any = ...) -> Any:
+def argument(text: str, metavar: str, *kinds: str, default: Any = ..., **more: Any) -> Any:
     """A positional argument; of some kinds of file: a path or a shipped name."""
-    completion: dict[str, Any] = {"autocompletion": names_of(*kinds)} if kinds else {}
-    return typer.Argument(default, help=text, metavar=metavar, show_default=False, **completion)
+    if kinds:
+        more["autocompletion"] = names_of(*kinds)
+    return typer.Argument(default, help=text, metavar=metavar, show_default=False, **more)
 
 
-def option(
-    text: str,
-    *flags: str,
-    default: Any = None,
-    metavar: str | None = None,
-    parser: Callable[[str], Any] | None = None,
-) -> Any:
+def option(text: str, *flags: str, default: Any = None, **more: Any) -> Any:
     """An option that only one verb has."""
-    return typer.Option(default, *flags, help=text, metavar=metavar, parser=parser, show_default=False)
+    return typer.Option(default, *flags, help=text, show_default=False, **more)
 
 
 def flag(text: str, name: str) -> Any:
@@ -191,11 +168,14 @@ def flag(text: str, name: str) -> Any:
     return option(text, name, default=False)
 
 
-def count(text: str, *flags: str, default: Any = None, least: int = 1, metavar: str = "N") -> Any:
+def count(text: str, *flags: str, metavar: str = "N", least: int = 1, **more: Any) -> Any:
     """An option that is a whole number."""
-    return option(text, *flags, default=default, metavar=metavar, parser=_whole(least))
+    return option(text, *flags, metavar=metavar, min=least, **more)
 
 
+FILE: dict[str, Any] = {"exists": True, "dir_okay": False}
+FOLDER: dict[str, Any] = {"exists": True, "file_okay": False}
+"""Of an argument or option that is a path: it must be there."""
 NONE: list[Any] = []
 """Default of an option that may be repeated."""
 
@@ -212,9 +192,9 @@ For = Annotated[
 Set = Annotated[list[str], option("Override values.", "--set", default=..., metavar="key.path=value")]
 Device = Annotated[Literal["cpu", "cuda"], typer.Option(help="Where to compute.")]
 Threads = Annotated[int | None, count("Threads (default: the cores this process may use).", default=...)]
-Seed = Annotated[int, count("Seed (default: 0).", default=..., least=0, metavar="K")]
+Seed = Annotated[int, count("Seed (default: 0).", default=..., least=0, max=2**63 - 1, metavar="K")]
 _TASK_SEED = "Seed of the initial states (default: the task's)."
-TaskSeed = Annotated[int | None, count(_TASK_SEED, default=..., least=0, metavar="K")]
+TaskSeed = Annotated[int | None, count(_TASK_SEED, default=..., least=0, max=2**63 - 1, metavar="K")]
 Trust = Annotated[bool, option("Run the code that came with the run.", "--trust-code", default=...)]
 Json = Annotated[bool, option("Print JSON.", "--json", default=...)]
 _SCALE = "Shrink iterations and evaluation episodes (100 a side at least) by this factor; marked in results."

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json as json_text
-import os
 import platform
 import subprocess
 import sys
+from collections.abc import Callable
+from functools import partial
 from importlib import import_module
+from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,13 +21,10 @@ if TYPE_CHECKING:
     from kickbench.trials.trial import Trial
 
 _METHODS = ("baseline", "augmentation", "equivariant")
-_AUDITED = ("method", "representations")
+_METHOD = "Method or table (default: the run's, or the standard one)."
 _NUM_ENVS, _DEFAULT_ENVS = "algorithm.num_envs", 512
 _NEEDED = {"torch": "torch", "mujoco": "mujoco", "rsl-rl-lib": "rsl_rl", "tensordict": "tensordict"}
 """Packages without which nothing runs, and the modules they are imported as."""
-_GPU_EXTRA = ("mujoco-warp", "warp-lang")
-_WAITING = ("OMP_WAIT_POLICY", "GOMP_SPINCOUNT")
-"""What decides whether torch's threads sleep or spin while they have no work."""
 _DRAW = "from kickbench.view.backend import make_context; print(type(make_context(64, 64)).__module__)"
 _SECONDS = 120
 
@@ -33,9 +32,7 @@ _SECONDS = 120
 @cli.verb("Check", "audit k1_general equivariant")
 def audit(
     task: cli.Task,
-    method: Path | None = cli.argument(
-        "Method or table (default: the run's, or the standard one).", "[METHOD]", *_AUDITED, default=None
-    ),
+    method: Path | None = cli.argument(_METHOD, "[METHOD]", "method", "representations", default=None),
     policy: cli.Policy = None,
     states: int = cli.count("States to visit (default: 4096).", default=4096),
     seed: cli.Seed = 0,
@@ -107,76 +104,63 @@ def _trials(task: Path, folder: Path | None, overrides: list[str]) -> dict[str, 
 
 @cli.verb("Check", "doctor")
 def doctor() -> int:
-    """Print what can run here, and why not the rest."""
-    from kickbench import __version__
-    from kickbench.results.provenance import package_versions
-
-    versions = package_versions()
-    rows = [("python", f"{versions['python']}, {platform.system()} {platform.machine()}")]
-    rows += [(name, versions.get(name, "not installed")) for name in (*_NEEDED, *_GPU_EXTRA)]
-    broken = _broken()
-    rows = [(name, f"cannot be imported: {broken[name]}" if name in broken else text) for name, text in rows]
-    waiting = ", ".join(f"{name}={os.environ[name]}" for name in _WAITING if name in os.environ)
-    rows += [("idle threads", waiting or "spin"), ("pictures", _drawing())]
-    if broken:
-        verdict = f"nothing can run: {' and '.join(broken)} cannot be imported"
-    else:
-        found, verdict = _devices()
-        rows += found
-    width = max(len(name) for name, _ in rows)
-    print(f"kickbench {__version__}\n")
-    print("\n".join(f"{name:{width}}  {text}" for name, text in rows))
-    print(f"\n{verdict}")
-    return 1 if broken else 0
-
-
-def _broken() -> dict[str, str]:
-    """Why a needed package cannot be imported, by package."""
-    reasons = {}
-    for package, module in _NEEDED.items():
+    """Print what can run here, and why not the rest; exit code 1 if nothing can."""
+    rows: dict[str, Callable[[], str]] = {
+        "python": lambda: f"{platform.python_version()}, {platform.system()} {platform.machine()}",
+        **{package: partial(_version, package) for package in _NEEDED},
+        "processor": _processor,
+        "CUDA": _cuda,
+        "pictures": _drawing,
+    }
+    broken = set()
+    for name, look in rows.items():
         try:
-            import_module(module)
+            text = look()
         except Exception as error:  # a library that does not load may raise anything
-            reasons[package] = " ".join(str(error).split()) or type(error).__name__
-    return reasons
+            broken.add(name)
+            text = f"no: {' '.join(str(error).split()) or type(error).__name__}"
+        print(f"{name:<12}{text}", flush=True)
+    return int(bool(broken & _NEEDED.keys()))
 
 
-def _devices() -> tuple[list[tuple[str, str]], str]:
-    """Rows about processor and graphics cards, and what can be used of them."""
+def _version(package: str) -> str:
+    import_module(_NEEDED[package])
+    return version(package)
+
+
+def _processor() -> str:
+    from kickbench.results.provenance import cpu_name
+    from kickbench.sim.engine import usable_cores
+
+    return f"{cpu_name()}, {usable_cores()} core{'s' * (usable_cores() != 1)} usable"
+
+
+def _cuda() -> str:
+    """The graphics cards, and whether a step on them is one graph.
+
+    Raises:
+        KickbenchError: CUDA cannot be used.
+    """
     import torch
 
     from kickbench.envs.graph import graph_obstacle
-    from kickbench.results.provenance import cpu_name
-    from kickbench.sim.engine import check_device, usable_cores
+    from kickbench.sim.engine import check_device
 
-    cores = f"{usable_cores()} core{'s' * (usable_cores() != 1)}"
-    numbers = range(torch.cuda.device_count() if torch.cuda.is_available() else 0)
-    obstacle, graphs = None, graph_obstacle(torch.device("cuda"))
-    try:
-        check_device("cuda")
-    except KickbenchError as error:
-        obstacle = graphs = str(error).removeprefix("--device cuda: ").partition(";")[0]
-    rows = [("processor", f"{cpu_name()}, {cores} usable")]
-    rows += [("CUDA device", f"cuda:{k} {torch.cuda.get_device_name(k)}") for k in numbers] or [
-        ("CUDA device", "none")
-    ]
-    rows += [("CUDA graphs", f"off: {graphs}" if graphs else "on")]
-    if obstacle:
-        return rows, f"ready on the CPU ({cores}); not on CUDA: {obstacle}"
-    if graphs:
-        return rows, f"ready on the CPU ({cores}); CUDA WORKS WITHOUT GRAPHS, several times slower: {graphs}"
-    devices = f"{len(numbers)} device{'s' * (len(numbers) != 1)}"
-    return rows, f"ready on the CPU ({cores}) and on CUDA ({devices}), with graphs"
+    check_device("cuda")
+    cards = ", ".join(torch.cuda.get_device_name(number) for number in range(torch.cuda.device_count()))
+    obstacle = graph_obstacle(torch.device("cuda"))
+    return f"{cards}, " + (f"WITHOUT GRAPHS, several times slower: {obstacle}" if obstacle else "with graphs")
 
 
 def _drawing() -> str:
-    """The OpenGL platform that works, or why none does. In a separate process, which some drivers end."""
+    """The OpenGL platform that works. In a separate process, which some drivers end.
+
+    Raises:
+        KickbenchError: None does; says why.
+    """
     command = [sys.executable, "-c", _DRAW]
-    try:
-        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=_SECONDS)
-    except subprocess.TimeoutExpired:
-        return f"cannot be drawn: OpenGL does not answer within {_SECONDS} s"
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=_SECONDS)
     if done.returncode == 0:
         return done.stdout.strip().removeprefix("mujoco.")
     said = done.stderr.split("kickbench.errors.KickbenchError: ")[-1].strip().splitlines()
-    return f"cannot be drawn: {said[-1] if said else f'OpenGL ended the process with code {done.returncode}'}"
+    raise KickbenchError(said[-1] if said else f"OpenGL ended the process with code {done.returncode}")

@@ -1,11 +1,9 @@
-"""Verbs for the YAML files: `list`, `new`, `show`, `validate`, `terms`, `schema` and `symmetry derive`."""
+"""Verbs for the YAML files: `list`, `show`, `validate`, `terms`, `schema` and `symmetry derive`."""
 
 from __future__ import annotations
 
 import json
-import os
 import sys
-from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal
@@ -14,7 +12,6 @@ from kickbench.cli import app as cli
 from kickbench.config.shipped import FOLDERS, find, find_method, names
 from kickbench.errors import KickbenchError, Problem, SpecError, printable, shown
 
-_KINDS = tuple(FOLDERS)
 Kind = Literal["task", "method", "robot", "representations", "reported"]
 Terms = Literal["observations", "rewards", "terminations", "randomizations"]
 
@@ -31,54 +28,24 @@ class _TorchLater:
 
 
 @cli.verb("Define", "list", name="list")
-def list_files(
-    folder: Path | None = cli.argument("Folder whose files are listed instead.", "DIR", default=None),
-) -> None:
-    """List tasks, methods, robots and experiments by name, or those below a folder."""
-    if folder is not None and not folder.is_dir():
-        raise KickbenchError(f"{folder}: no such folder")
-    found = _shipped() if folder is None else sorted(_below(folder))
-    for kind in _KINDS:
-        entries = [(name, text) for found_kind, name, text in found if found_kind == kind]
-        if entries:
-            width = max(len(name) for name, _ in entries)
-            lines = (f"  {name:<{width}}  {printable(text)}".rstrip() for name, text in entries)
-            print("\n".join([f"{kind}:", *lines]))
-
-
-@cli.verb("Define", "new task my_task --from mini_general")
-def new(
-    kind: Literal["task", "method"] = cli.argument("What to define.", "KIND"),
-    name: str = cli.argument("Its name; the file is NAME.yaml.", "NAME"),
-    base: Path = cli.option("What it extends: a YAML file or a name.", "--from", metavar="BASE", default=...),
-) -> None:
-    """Write a YAML file that extends another one, with every value as a comment to edit."""
+def list_files() -> None:
+    """List the tasks, methods, robots, representation tables and experiments that have names."""
     from kickbench.config.yamlio import load_document
-    from kickbench.config.yamltree import dump_yaml
-    from kickbench.results.atomic import atomic_write_text
 
-    file, out = find(base, kind).absolute(), Path(name).with_suffix(".yaml")
-    if out.exists():
-        raise KickbenchError(f"{shown(out)}: is there already")
-    data = load_document(file).data
-    rest = {
-        key: value for key, value in data.items() if key not in ("description", "robot", "representations")
-    }
-    place = os.path.relpath(file, out.parent) if file.is_relative_to(Path.cwd()) else file
-    text = "".join(f"# {line}\n" for line in dump_yaml(rest).splitlines())
-    head = f"# A {kind} like {base}. Remove the `#` of what is to differ, and of the keys above it.\n"
-    own = dump_yaml({"extends": str(place), "description": f"{out.stem}: {data.get('description', '')}"})
-    atomic_write_text(out, f"{head}{own}\n{text}")
-    print(shown(out))
+    for kind in FOLDERS:
+        texts = {name: load_document(path).data.get("description", "") for name, path in names(kind).items()}
+        width = max(map(len, texts))
+        lines = (f"  {name:<{width}}  {printable(str(text))}".rstrip() for name, text in texts.items())
+        print("\n".join([f"{kind}:", *lines]))
 
 
 @cli.verb("Define", "validate my_task.yaml mini/equivariant")
 def validate(
-    files: list[Path] = cli.argument("YAML files of any kind, or names.", "FILE...", *_KINDS),
+    files: list[Path] = cli.argument("YAML files of any kind, or names.", "FILE...", *FOLDERS),
     overrides: cli.Set = cli.NONE,
 ) -> None:
     """Check YAML files, a single task with every method among them, and report all errors."""
-    paths = [find(file, *_KINDS) for file in files]
+    paths = [find(file, *FOLDERS) for file in files]
     sys.modules.setdefault("torch", _TorchLater())  # type: ignore[arg-type]
     from kickbench.trials.validate import check_files
 
@@ -95,16 +62,12 @@ def validate(
 
 @cli.verb("Define", "show mini_home_field --set ball.mass=0.2")
 def show(
-    file: Path = cli.argument("A YAML file of any kind, or a name.", "FILE", *_KINDS),
-    plot: Path | None = cli.option("Draw a task's regions instead (.png, .svg).", metavar="FILE"),
+    file: Path = cli.argument("A YAML file of any kind, or a name.", "FILE", *FOLDERS),
     fields: Path | None = cli.option("Print how all mirrors by this method instead.", metavar="METHOD"),
     overrides: cli.Set = cli.NONE,
 ) -> None:
     """Print a resolved spec and where each value came from."""
-    cli.exclude("--fields", fields, "--plot", plot)
-    path = find(file, *_KINDS)
-    if plot is not None:
-        return _plot(path, plot, overrides)
+    path = find(file, *FOLDERS)
     if fields is not None:
         return _show_fields(path, find_method(fields, path, overrides), overrides)
     from kickbench.config.explain import explain
@@ -121,11 +84,9 @@ def show(
 @cli.verb("Define", "terms rewards")
 def terms(
     kind: Terms | None = cli.argument("Of this kind only.", "[KIND]", default=None),
-    own: Path | None = cli.option("With those of a Python file of one's own.", "--own", metavar="FILE"),
+    own: Path | None = cli.option("With those of one's own Python file.", metavar="FILE", **cli.FILE),
 ) -> None:
     """List all terms with parameters, units and source."""
-    if own is not None and not own.is_file():
-        raise KickbenchError(f"{own}: no such file")
     from kickbench.envs.catalog import catalog
     from kickbench.envs.term import describe_common
 
@@ -167,20 +128,6 @@ def derive(
     return 1 if derivation.unclear else 0
 
 
-def _plot(file: Path, out: Path, overrides: list[str]) -> None:
-    """Draws a task's sampling regions from above."""
-    from kickbench.config.yamlio import load_document
-    from kickbench.envs.compiled_task import read_task
-    from kickbench.trials.validate import kind_of
-    from kickbench.view.regions import plot_regions
-
-    kind = kind_of(load_document(file))
-    if kind != "task":
-        raise KickbenchError(f"--plot draws the sampling regions of a task; {file} is a {kind} file")
-    plot_regions(read_task(file, overrides), out)
-    print(shown(out))
-
-
 def _show_fields(task: Path, method: Path, overrides: list[str]) -> None:
     """Prints field tables, and the actions in both bases."""
     from kickbench.trials.trial import load_trial
@@ -191,32 +138,3 @@ def _show_fields(task: Path, method: Path, overrides: list[str]) -> None:
     parts.append("\n".join((f"actions: {symmetry.actions}", *symmetry.actions.describe(names))))
     parts.append("\n".join(("actions, isotypic form", *symmetry.actions.describe_isotypic(names))))
     print("\n\n".join(parts))
-
-
-Entry = tuple[str, str, str]
-"""Kind, name and description of a file."""
-
-
-def _shipped() -> list[Entry]:
-    return [
-        (kind, name, _kind_and_text(path, kind)[1]) for kind in _KINDS for name, path in names(kind).items()
-    ]
-
-
-def _below(folder: Path) -> Iterator[Entry]:
-    for usual, (place, pattern) in FOLDERS.items():
-        if usual != "representations":  # they are among the methods
-            for path in (folder / place).glob(pattern):
-                kind, text = _kind_and_text(path, usual)
-                yield kind, shown(path), text
-
-
-def _kind_and_text(path: Path, usual: str) -> tuple[str, str]:
-    from kickbench.config.yamlio import load_document
-
-    try:
-        document = load_document(path)
-    except SpecError as error:
-        return usual, f"does not load: {error.problems[0]}"
-    is_table = usual == "method" and "actions" in document.data
-    return "representations" if is_table else usual, str(document.data.get("description", ""))

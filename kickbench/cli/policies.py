@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-import typer
-
 from kickbench.cli import app as cli
 from kickbench.config.shipped import find
 from kickbench.errors import KickbenchError, shown
@@ -64,7 +62,7 @@ def evaluate(
 def render(
     task: cli.Task,
     policy: list[Path] = cli.option("Runs, side by side (default: zero action).", metavar="RUN", default=[]),
-    out: Path | None = cli.option("Sheet of initial states (.png) or film (.webp, .mp4).", metavar="FILE"),
+    out: Path | None = cli.option("Sheet of initial states (.png) or film (.webp).", metavar="FILE"),
     initial_states: int | None = cli.count("Initial states on a sheet (default: 9)."),
     episodes: int | None = cli.count("Episodes of a film (default: 3)."),
     seed: cli.TaskSeed = None,
@@ -80,10 +78,10 @@ def render(
     suffix = out.suffix.lower() if out else ".png"
     if suffix == ".png":
         _refuse("a .png shows initial states", policy=policy, episodes=episodes, mirrored=mirrored)
-    elif suffix in (".webp", ".mp4"):
-        _refuse(f"a {suffix} shows episodes", initial_states=initial_states)
+    elif suffix == ".webp":
+        _refuse("a .webp shows episodes", initial_states=initial_states)
     else:
-        raise KickbenchError(f"{out}: pictures are .png, .webp or .mp4")
+        raise KickbenchError(f"{out}: pictures are .png or .webp")
     from kickbench.envs.compiled_task import read_task
     from kickbench.results.atomic import atomic_file
     from kickbench.view.pictures import contact_sheet, film_runs
@@ -112,15 +110,11 @@ def play(
     path: Path = cli.argument("Run directory; or a task, for zero action.", "RUN|TASK", "task"),
     task: Path | None = cli.option("Another task for the run's policy.", metavar="TASK"),
     seed: cli.TaskSeed = None,
-    port: int = cli.count("Port, or the next that is free (default: 8080).", least=0, default=8080),
-    host: str = cli.option("Interface; who reaches it controls the page.", default="127.0.0.1"),
-    browser: bool | None = cli.option("Open a browser (default: if there is one).", "--browser/--no-browser"),
+    port: int = cli.option("Port, or the next free (default: 8080).", default=8080, min=0, max=2**16 - 1),
     trust_code: cli.Trust = False,
     overrides: cli.Set = cli.NONE,
 ) -> None:
     """Show a policy live in a browser."""
-    if port >= 2**16:
-        raise typer.BadParameter(f"--port: expected a port below 65536, found {port}")
     path = path if path.is_dir() else find(path, "task")
     task = find(task, "task") if task else None
     from kickbench.view.backend import check_mujoco
@@ -144,9 +138,7 @@ def play(
         fitting(compiled, run) if run else None,
         f"kickbench play {shown(path)}",
         seed=compiled.spec.evaluation.seed if seed is None else seed,
-        host=host,
         port=port,
-        browser=browser,
     )
 
 

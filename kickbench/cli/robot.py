@@ -15,14 +15,10 @@ _PORTRAIT = (300, 400)
 
 @cli.verb("Define", "robot init my_robot.xml -o assets/my_robot/robot.yaml", of=cli.robot)
 def init(
-    model: Path = cli.argument("MJCF file.", "MODEL"),
-    out: Path = cli.option(
-        "File to write (default: robot.yaml).", "-o", "--out", metavar="FILE", default=Path("robot.yaml")
-    ),
+    model: Path = cli.argument("MJCF file.", "MODEL", **cli.FILE),
+    out: Path = cli.option("File (default: robot.yaml).", "-o", "--out", default=Path("robot.yaml")),
 ) -> int:
     """Write a robot file for an MJCF, with comments on all that is guessed, and validate it."""
-    if not model.is_file():
-        raise KickbenchError(f"{model}: {'a folder, no file' if model.is_dir() else 'no such file'}")
     if out.exists():
         raise KickbenchError(f"{shown(out)}: is there already")
     from kickbench.results.atomic import atomic_write_text
@@ -42,14 +38,9 @@ def init(
 @cli.verb("Define", "robot check booster_k1 -o k1.png", of=cli.robot)
 def check(
     robot: Path = cli.argument("Robot: a YAML file or a name.", "ROBOT", "robot"),
-    out: Path | None = cli.option(
-        "Draw it, too (.png): its pose, and how each way to step the physics ends.",
-        "-o",
-        "--out",
-        metavar="FILE",
-    ),
+    out: Path | None = cli.option("Draw how it starts and ends (.png).", "-o", "--out", metavar="FILE"),
     task: Path = cli.option(
-        "Task in whose scene it stands (default: mini_general).", metavar="TASK", default=Path("mini_general")
+        "Task whose scene is used (default: mini_general).", default=Path("mini_general")
     ),
     size: cli.Size = None,
     json: cli.Json = False,

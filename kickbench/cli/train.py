@@ -28,6 +28,8 @@ _NOTHING = 0.01
 """Largest loss of success that counts as none."""
 _LEARNED = 0.05
 """Success below which no statement about the other side is made."""
+_GPUS = "Share of a GPU that Ray gives a run (default: 0, of `--device cuda` 1)."
+_RUNS = "Folder of the runs (default: runs/<experiment>; with --scale or --set one of its own)."
 
 
 @cli.verb("Train", "run mini_home_field equivariant --seed 1")
@@ -45,9 +47,7 @@ def run(
     threads: cli.Threads = None,
     experiment: cli.For = None,
     init_from: Path | None = cli.option("Begin with the policy of this run.", metavar="RUN"),
-    init_std: float | None = cli.option(
-        "Begin with this action noise (default: that policy's).", metavar="STD", parser=cli.number(1e-3, 10)
-    ),
+    init_std: float | None = cli.option("Its action noise to begin with.", parser=cli.number(1e-3, 10)),
     force: bool = cli.flag("Overwrite a run that is there.", "--force"),
     resume: bool = cli.flag("Go on with the run that is there; --iterations may extend it.", "--resume"),
 ) -> int:
@@ -82,28 +82,17 @@ def run(
 def reproduce(
     experiment: cli.Experiment,
     only: list[str] = cli.option("This condition only; may be repeated.", metavar="CONDITION", default=[]),
-    seeds: list[int] = cli.count(
-        "Seeds: one or more numbers (default: the experiment's).", least=0, metavar="K...", default=[]
-    ),
+    seeds: list[int] = cli.count("Seeds (default: the experiment's).", least=0, metavar="K...", default=[]),
     scale: cli.Scale = None,
     overrides: cli.Set = cli.NONE,
     jobs: int = cli.count("Runs at a time on this machine (default: 1).", default=1),
     on: Literal["local", "ray"] = cli.option("Where: this machine, or a Ray cluster.", default="local"),
-    address: str | None = cli.option(
-        "Of the Ray cluster (default: one is started on this machine).", metavar="HOST:PORT"
-    ),
+    address: str | None = cli.option("Of the Ray cluster (default: one started here).", metavar="HOST:PORT"),
     cpus_per_run: int = cli.count("Cores that Ray gives a run (default: 1).", default=1),
-    gpus_per_run: float | None = cli.option(
-        "Share of a GPU that Ray gives a run (default: 0, of `--device cuda` 1).",
-        metavar="SHARE",
-        parser=cli.number(0, 64),
-    ),
+    gpus_per_run: float | None = cli.option(_GPUS, metavar="SHARE", parser=cli.number(0, 64)),
     device: cli.Device = "cpu",
     threads: cli.Threads = None,
-    out: Path | None = cli.option(
-        "Folder of the runs (default: runs/<experiment>; with --scale or --set one of its own).",
-        metavar="DIR",
-    ),
+    out: Path | None = cli.option(_RUNS, metavar="DIR"),
     dry_run: bool = cli.flag("Show the plan, write nothing.", "--dry-run"),
 ) -> int:
     """Run a whole experiment, or what is left of it."""
@@ -218,7 +207,7 @@ Three methods, one seed each, at the same time; Ctrl-C stops, the same command g
     print(f"""
 Next:
   kickbench play {shown(plan.folder / "equivariant/seed0")}     # watch the policy in a browser
-  kickbench new task my_task --from mini_general     # a task of your own
+  kickbench show mini_general     # a task, to extend it by one of your own
   kickbench reproduce {DEMO} --jobs {usable_cores()}          # five seeds, and a verdict on every claim""")
     return 0
 
@@ -267,10 +256,8 @@ def _pictures(folder: Path) -> Iterator[str]:
 
 
 @cli.verb("Train", "status runs/mini_home_field")
-def status(root: Path = cli.argument("Folder of runs.", "DIR")) -> None:
+def status(root: Path = cli.argument("Folder of runs.", "DIR", **cli.FOLDER)) -> None:
     """Print how far the runs of a folder are."""
-    if not root.is_dir():
-        raise KickbenchError(f"{root}: no such folder")
     from kickbench.launch.record import read_record
     from kickbench.launch.state import State, counts, run_table, time_left
 

@@ -9,9 +9,10 @@ expressions, too.
 from __future__ import annotations
 
 import ast
+import operator
 import re
-from dataclasses import dataclass
-from typing import Annotated, Literal
+from collections.abc import Callable, Mapping
+from typing import Annotated, Literal, TypeVar
 
 from pydantic import AfterValidator, Field, model_validator
 
@@ -160,67 +161,51 @@ NAMES = ("trivial", "sign", "regular", "regular_sign", "joints", "actions", "fee
 """The four representations of the reflection group that occur, and the robot's own three."""
 
 
-@dataclass(frozen=True)
-class Sum:
-    """Direct sum of the parts."""
-
-    parts: tuple[Expression, ...]
+V = TypeVar("V")
 
 
-@dataclass(frozen=True)
-class Product:
-    """Tensor product of the parts."""
-
-    parts: tuple[Expression, ...]
-
-
-Expression = str | Sum | Product
-
-
-def parse_expression(text: str) -> Expression:
-    """Parses a representation expression.
+def evaluate(text: str, names: Mapping[str, V], add: Callable[[V, V], V], multiply: Callable[[V, V], V]) -> V:
+    """Evaluates a representation expression.
 
     Args:
         text: Names, joined by `+` and `x`, of which `x` binds tighter, and parentheses.
+        names: What each name stands for.
+        add: Direct sum of two.
+        multiply: Tensor product of two.
 
     Raises:
         ValueError: The text is no expression; the message says what was expected.
     """
+
+    def value(node: ast.expr) -> V:
+        match node:
+            case ast.Name(id=name):
+                if name in names:
+                    return names[name]
+                hint = did_you_mean(name, NAMES)
+                what = f"unknown representation '{name}'; expected one of: {', '.join(NAMES)}"
+                raise ValueError(what + (f" ({hint})" if hint else ""))
+            case ast.BinOp(left=left, op=ast.Add(), right=right):
+                return add(value(left), value(right))
+            case ast.BinOp(left=left, op=ast.MatMult(), right=right):
+                return multiply(value(left), value(right))
+        raise SyntaxError
+
     try:
         # Written with `@`, an expression is one of Python's, with the same precedence.
-        return _read(ast.parse(re.sub(r"\bx\b", "@", " ".join(text.split())), mode="eval").body)
+        return value(ast.parse(re.sub(r"\bx\b", "@", " ".join(text.split())), mode="eval").body)
     except (SyntaxError, RecursionError, MemoryError):
         what = f"expected names ({', '.join(NAMES)}) joined by '+' and 'x', and parentheses, found '{text}'"
         raise ValueError(what) from None
 
 
-def _read(node: ast.expr) -> Expression:
-    match node:
-        case ast.Name(id=name) if name in NAMES:
-            return name
-        case ast.Name(id=name):
-            hint = did_you_mean(name, NAMES)
-            what = f"unknown representation '{name}'; expected one of: {', '.join(NAMES)}"
-            raise ValueError(what + (f" ({hint})" if hint else ""))
-        case ast.BinOp(op=ast.Add()):
-            return Sum(_parts(node, ast.Add))
-        case ast.BinOp(op=ast.MatMult()):
-            return Product(_parts(node, ast.MatMult))
-    raise SyntaxError
-
-
-def _parts(node: ast.expr, kind: type[ast.operator]) -> tuple[Expression, ...]:
-    if isinstance(node, ast.BinOp) and isinstance(node.op, kind):
-        return (*_parts(node.left, kind), _read(node.right))
-    return (_read(node),)
-
-
-def _parses(text: str) -> str:
-    parse_expression(text)
+def checked_expression(text: str) -> str:
+    """The text of a representation expression; raises as `evaluate`."""
+    evaluate(text, dict.fromkeys(NAMES, ""), operator.add, operator.add)
     return text
 
 
-ExpressionText = Annotated[str, AfterValidator(_parses)]
+ExpressionText = Annotated[str, AfterValidator(checked_expression)]
 """An expression; what is wrong with it is reported at its own line."""
 
 

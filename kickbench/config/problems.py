@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
@@ -34,7 +34,10 @@ def validate(model: type[S], document: Document) -> S:
     try:
         return model.model_validate(data, context=models)
     except ValidationError as error:
-        problems = _problems_of(error, data, models, document)
+        wording = _Wording(data, models, document)
+        for detail in error.errors(include_url=False):
+            if not _only_seems_short(detail):
+                wording.add(detail)
     files = [str(file) for file in document.sources]
 
     def place(problem: Problem) -> tuple[int, int, int]:
@@ -43,41 +46,7 @@ def validate(model: type[S], document: Document) -> S:
             return len(files), 0, 0
         return files.index(mark.file), mark.line, mark.column
 
-    raise SpecError(sorted(problems, key=place))
-
-
-@dataclass(frozen=True)
-class _Finding:
-    """One error: either `message` is all of it, or `expected` is what should be in place of the value."""
-
-    path: KeyPath
-    message: str | None = None
-    expected: str | None = None
-    hint: str | None = None
-    at_value: bool = False
-
-
-def _problems_of(error: ValidationError, data: Any, models: _Models, document: Document) -> list[Problem]:
-    groups: dict[KeyPath, list[_Finding]] = {}
-    for detail in error.errors(include_url=False):
-        if not _only_seems_short(detail):
-            finding = _find(detail, data, models)
-            groups.setdefault(finding.path, []).append(finding)
-    return [problem for group in groups.values() for problem in _words(group, document)]
-
-
-def _words(group: list[_Finding], document: Document) -> Iterator[Problem]:
-    """Words the findings at one path; those of the types of a union become one sentence."""
-    path = group[0].path
-    types = [finding for finding in group if finding.expected]
-    if types:
-        expected = " or ".join(dict.fromkeys(str(finding.expected) for finding in types))
-        hint = next((finding.hint for finding in types if finding.hint), None)
-        found = describe(_value_at(document.data, path))
-        yield Problem(document.value_mark(path), path, f"expected {expected}, found {found}", hint)
-    for finding in dict.fromkeys(f for f in group if f.message):
-        mark = document.value_mark(path) if finding.at_value else document.mark(path)
-        yield Problem(mark, path, str(finding.message), finding.hint)
+    raise SpecError(sorted(dict.fromkeys(wording.problems()), key=place))
 
 
 def _only_seems_short(detail: ErrorDetails) -> bool:
@@ -87,30 +56,75 @@ def _only_seems_short(detail: ErrorDetails) -> bool:
     return detail["type"] == "too_short" and isinstance(found, list) and len(found) >= least
 
 
-def _find(detail: ErrorDetails, data: Any, models: _Models) -> _Finding:
-    kind, found, context = detail["type"], detail["input"], detail.get("ctx", {})
-    path, of_key = _path(detail["loc"], data, absent=kind == "missing")
-    if kind == "extra_forbidden":
-        return _unknown_key(path, data, models)
-    if kind == "missing":
-        return _missing(path, data, models)
-    if kind == "union_tag_not_found":
-        key = str(context["discriminator"]).strip("'")
-        return _Finding((*path, key), message=f"missing key '{key}'")
-    if kind == "union_tag_invalid":
-        path, found = (*path, str(context["discriminator"]).strip("'")), context["tag"]
-    if kind in ("value_error", "file"):
-        # What a model says of its keys together belongs to its key, what is said of one value to the value.
-        message = str(context.get("error", detail["msg"]))
-        of_model = isinstance(found, Mapping | BaseModel)
-        return _Finding(path, message, hint=context.get("hint"), at_value=not of_model)
-    listed = str(context.get("expected", context.get("expected_tags", "")))
-    choices = [choice.strip("'") for choice in re.split(", | or ", listed) if choice]
-    expected = f"one of: {', '.join(choices)}" if choices else _expected(detail["msg"])
-    hint = did_you_mean(found, choices) if isinstance(found, str) else None
-    if of_key:
-        return _Finding(path, message=f"unknown key '{found}'; expected {expected}", hint=hint)
-    return _Finding(path, expected=expected, hint=hint)
+@dataclass
+class _Wording:
+    """Words pydantic's errors; what the types of a union expect at one path becomes one sentence."""
+
+    data: Any
+    models: _Models
+    document: Document
+    found: list[Problem] = field(default_factory=list)
+    expected: dict[KeyPath, dict[str, str | None]] = field(default_factory=dict)
+    """What should be in place of a value, with a hint."""
+
+    def problems(self) -> Iterator[Problem]:
+        """All of them."""
+        yield from self.found
+        for path, expected in self.expected.items():
+            what = f"expected {' or '.join(expected)}, found {describe(_value_at(self.document.data, path))}"
+            yield Problem(
+                self.document.value_mark(path), path, what, next(filter(None, expected.values()), None)
+            )
+
+    def add(self, detail: ErrorDetails) -> None:
+        """Takes the next error."""
+        kind, found, context = detail["type"], detail["input"], detail.get("ctx", {})
+        path, of_key = _path(detail["loc"], self.data, absent=kind == "missing")
+        if kind in ("union_tag_not_found", "union_tag_invalid"):
+            path = (*path, str(context["discriminator"]).strip("'"))
+        if kind == "extra_forbidden":
+            return self._unknown_key(path)
+        if kind in ("missing", "union_tag_not_found"):
+            return self._missing(path)
+        if kind in ("value_error", "file"):
+            # What a model says of its keys together belongs to its key, of one value to the value.
+            place = self.document.mark if isinstance(found, Mapping | BaseModel) else self.document.value_mark
+            message = str(context.get("error", detail["msg"]))
+            return self.found.append(Problem(place(path), path, message, context.get("hint")))
+        found = context["tag"] if kind == "union_tag_invalid" else found
+        listed = str(context.get("expected", context.get("expected_tags", "")))
+        choices = [choice.strip("'") for choice in re.split(", | or ", listed) if choice]
+        expected = f"one of: {', '.join(choices)}" if choices else _expected(detail["msg"])
+        hint = did_you_mean(found, choices) if isinstance(found, str) else None
+        if of_key:
+            self._report(path, f"unknown key '{found}'; expected {expected}", hint)
+        else:
+            self.expected.setdefault(path, {}).setdefault(expected, hint)
+
+    def _report(self, path: KeyPath, message: str, hint: str | None) -> None:
+        self.found.append(self.document.problem(path, message, hint))
+
+    def _unknown_key(self, path: KeyPath) -> None:
+        name, above = str(path[-1]), _value_at(self.data, path[:-1])
+        known = list(dict.fromkeys(key for model in self.models[id(above)] for key in model.model_fields))
+        # A key that is already there is not the one that was misspelt.
+        free = [key for key in known if key not in above]
+        if name == EXTENDS:
+            hint = f"`{EXTENDS}` stands at the top of a file only"
+        else:
+            hint = did_you_mean(name, free) or did_you_mean(name, known)
+        expected = f"expected one of: {', '.join(known)}" if known else "no keys are expected here"
+        self._report(path, f"unknown key '{name}'; {expected}", hint)
+
+    def _missing(self, path: KeyPath) -> None:
+        name, above = path[-1], path[:-1]
+        if isinstance(name, int):  # an entry of a tuple of fixed length
+            self.expected.setdefault(above, {})["more entries"] = None
+            return
+        known = self.models[id(_value_at(self.data, above))]
+        fields = [model.model_fields[name] for model in known if name in model.model_fields]
+        description = next((field.description for field in fields if field.description), "")
+        self._report(path, f"missing key '{name}'", " ".join(description.split()) or None)
 
 
 _YAML_WORDS = (
@@ -170,27 +184,3 @@ def _value_at(data: Any, path: KeyPath) -> Any:
     for key in path:
         data = data[key]
     return data
-
-
-def _unknown_key(path: KeyPath, data: Any, models: _Models) -> _Finding:
-    name = str(path[-1])
-    above = _value_at(data, path[:-1])
-    known = list(dict.fromkeys(key for model in models[id(above)] for key in model.model_fields))
-    # A key that is already there is not the one that was misspelt.
-    free = [key for key in known if key not in above]
-    if name == EXTENDS:
-        hint = f"`{EXTENDS}` stands at the top of a file only"
-    else:
-        hint = did_you_mean(name, free) or did_you_mean(name, known)
-    expected = f"expected one of: {', '.join(known)}" if known else "no keys are expected here"
-    return _Finding(path, message=f"unknown key '{name}'; {expected}", hint=hint)
-
-
-def _missing(path: KeyPath, data: Any, models: _Models) -> _Finding:
-    name, above = path[-1], path[:-1]
-    if isinstance(name, int):  # an entry of a tuple of fixed length
-        return _Finding(above, expected="more entries")
-    known = models[id(_value_at(data, above))]
-    fields = [model.model_fields[name] for model in known if name in model.model_fields]
-    description = next((field.description for field in fields if field.description), "")
-    return _Finding(path, message=f"missing key '{name}'", hint=" ".join(description.split()) or None)

@@ -58,9 +58,9 @@ def find_method(text: str | Path, task: Path, overrides: Sequence[str] = ()) -> 
     """The method that a path, or a name among the methods for a task's robot, means.
 
     Raises:
-        SpecError: There is no such file.
-        KickbenchError: It is for another robot: `mini/` is for `mini_kicker`, a folder that no robot's name
-            begins with for the robots without one.
+        SpecError: There is no such file, or it is not YAML.
+        KickbenchError: It is shipped for another robot: `mini/` is for `mini_kicker`, a folder that no
+            robot's name begins with for the robots without one.
     """
     try:
         return _find_method(text, task, any(text.startswith("robot") for text in overrides))
@@ -71,35 +71,33 @@ def find_method(text: str | Path, task: Path, overrides: Sequence[str] = ()) -> 
 
 
 def _find_method(text: str | Path, task: Path, any_robot: bool) -> Path:
-    robot = _robot_of_task(task)
-    owners = {name: _robot_of(file) for name, file in names("method").items()}
-    owner = robot if robot in owners.values() else ""
-    fitting = {name: file for name, file in names("method").items() if owners[name] == owner}
+    from kickbench.config.yamlio import load_document  # not needed for --help
+
+    robot, methods = _robot_of_task(task), names("method")
+    owner = robot if robot in map(_robot_of, methods) else ""
+    fitting = {name: file for name, file in methods.items() if _robot_of(name) == owner}
     if not _is_path(text):
         for name, file in fitting.items():
             if str(text) in (name, file.stem):
                 return file
-    method = find(text, "method")
-    if any_robot or _robot_of(method) in (None, owner) or robot not in names("robot"):
+    method = load_document(find(text, "method")).file
+    is_foreign = method in methods.values() and method not in fitting.values()
+    if any_robot or not is_foreign or robot not in names("robot"):
         return method
     use = [name for name, file in fitting.items() if file.stem == method.stem]
     hint = f"; use {' or '.join(use)}" if use else ""
     raise KickbenchError(f"{shown(text)}: this method is not for the task's robot, {robot}{hint}")
 
 
+def _robot_of(method: str) -> str:
+    """The robot whose name begins with the folder of a shipped method; "": none."""
+    folder = method.partition("/")[0]
+    return next((robot for robot in names("robot") if robot.startswith(folder)), "")
+
+
 def _is_path(text: str | Path) -> bool:
     path = Path(text)
     return path.suffix in (".yaml", ".yml") or (path.exists() and not path.is_dir())
-
-
-def _robot_of(method: Path) -> str | None:
-    """The robot whose name the folder begins with that a method's base is shipped in; "": none; None: not shipped."""
-    from kickbench.config.yamlio import load_document  # not needed for --help
-
-    folder, methods = load_document(method).sources[-1].parent, root() / FOLDERS["method"][0]
-    if methods not in (folder, folder.parent):
-        return None
-    return next((robot for robot in names("robot") if robot.startswith(folder.name)), "")
 
 
 def _robot_of_task(task: Path) -> str:

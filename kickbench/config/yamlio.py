@@ -22,9 +22,6 @@ from kickbench.errors import KeyPath, Mark, Problem, SpecError, collected, did_y
 
 __all__ = ["Document", "describe", "dump_yaml", "flow_yaml", "load_document"]
 
-_LARGEST_FILE = 2**24
-"""Bytes of a YAML file at most."""
-
 EXTENDS = "extends"
 """The key that names the file to build on."""
 
@@ -127,8 +124,6 @@ def _read(
     """Reads a file, named at a mark and reached through a chain of others, and what it extends."""
     try:
         check_regular(file)
-        if file.stat().st_size > _LARGEST_FILE:
-            raise OSError(errno.EFBIG, f"larger than {_LARGEST_FILE // 2**20} MiB")
         data = file.read_bytes()
     except (OSError, ValueError) as error:  # ValueError: a null byte in the path
         raise SpecError([Problem(named, (EXTENDS,) if chain else (), *unreadable(file, error))]) from None

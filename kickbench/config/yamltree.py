@@ -12,7 +12,7 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import yaml
 from yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
@@ -27,21 +27,19 @@ _MAX_VALUES = 50_000
 MAX_DEPTH = 100
 """Nor near this depth, and Python has a limit of its own."""
 
-_MAX_DIGITS = 100
-
 _SMALLEST, _GREATEST = 1e-12, 1e12
 """Magnitudes of numbers other than 0: their squares and products are still numbers in single precision."""
 
 _TAG = "tag:yaml.org,2002:"
 _CORE = {
-    "null": re.compile(r"~|null|Null|NULL|"),
-    "bool": re.compile(r"true|True|TRUE|false|False|FALSE"),
-    "int": re.compile(r"[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+"),
+    "null": re.compile(r"(~|null|Null|NULL|)\Z"),
+    "bool": re.compile(r"(true|True|TRUE|false|False|FALSE)\Z"),
+    "int": re.compile(r"([-+]?[0-9]{1,19}|0o[0-7]{1,21}|0x[0-9a-fA-F]{1,16})\Z"),
     "float": re.compile(
-        r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)"
+        r"([-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN))\Z"
     ),
 }
-"""The core schema, tested in this order (YAML 1.2.2, 10.3.2)."""
+"""The core schema, tested in this order (YAML 1.2.2, 10.3.2). A longer integer is read as a float."""
 
 
 class Located(str):
@@ -96,12 +94,16 @@ def describe(value: object) -> str:
     if isinstance(value, int | float):
         return f"the number {value}"
     if isinstance(value, str):
-        return f"the string {str(value) if len(value) <= 60 else value[:57] + '...'!r}"
+        return f"the string {_short(str(value))!r}"
     if isinstance(value, dict):
         return "a mapping" if value else "an empty mapping"
     if isinstance(value, list | tuple):
         return f"a list of {len(value)}" if value else "an empty list"
     return f"a {type(value).__name__}"
+
+
+def _short(text: str) -> str:
+    return text if len(text) <= 60 else f"{text[:57]}..."
 
 
 def parse(
@@ -121,48 +123,30 @@ def parse(
     """
     builder = _Builder(name, origin)
     try:
-        node = _compose(text)
+        node = _Loader(text).get_single_node()
+        return (builder.build(node, path, None) if node else None), builder.problems
     except yaml.YAMLError as error:
         return None, [builder.syntax_problem(error, text, path)]
     except RecursionError:
         return None, [Problem(builder.mark(1, 1), path, "nested too deeply")]
-    return (builder.build(node, path, None) if node else None), builder.problems
 
 
 class _Loader(yaml.SafeLoader):
     """Composes nodes whose tags follow the core schema; it never constructs an object."""
 
-    def resolve(self, kind: type[Node], value: Any, implicit: Any) -> str:
-        if kind is ScalarNode and implicit[0]:
-            return _core_tag(value)
-        return _TAG + {ScalarNode: "str", SequenceNode: "seq", MappingNode: "map"}[kind]
+    yaml_implicit_resolvers: ClassVar[dict[str, Any]] = {}
+
+    def get_single_node(self) -> Node | None:
+        try:
+            return super().get_single_node()
+        except (ValueError, OverflowError):  # PyYAML does not check that an escape is in the range of Unicode
+            what = "the escape stands for no character"
+            raise yaml.MarkedYAMLError(problem=what, problem_mark=self.get_mark()) from None
 
     def compose_scalar_node(self, anchor: Any) -> ScalarNode:
         node = super().compose_scalar_node(anchor)
-        try:
-            node.value.encode()
-        except UnicodeEncodeError:  # half of a pair of UTF-16, which an escape can write
-            raise yaml.MarkedYAMLError(problem=_NO_CHARACTER, problem_mark=node.start_mark) from None
+        node.value.encode()  # fails for half of a pair of UTF-16, which an escape can write
         return node
-
-
-_NO_CHARACTER = "the escape stands for no character"
-
-
-def _compose(text: str) -> Node | None:
-    loader = _Loader(text)
-    try:
-        return loader.get_single_node()
-    except (ValueError, OverflowError):
-        # From `chr`: PyYAML does not look whether an escape is in the range of Unicode.
-        raise yaml.MarkedYAMLError(problem=_NO_CHARACTER, problem_mark=loader.get_mark()) from None
-    finally:
-        loader.dispose()
-
-
-def _core_tag(text: str) -> str:
-    """Tag of a plain scalar: `tag:yaml.org,2002:float` and so on."""
-    return _TAG + next((name for name, pattern in _CORE.items() if pattern.fullmatch(text)), "str")
 
 
 @dataclass
@@ -177,15 +161,11 @@ class _Builder:
     def build(self, node: Node, path: KeyPath, key: Mark | None) -> Tree:
         """Builds the tree of the node at a path; `key` is the mark of its key, None for list items and the top."""
         mark = self._mark(node)
-        here = key or mark
         self._count += 1
-        if self._count == _MAX_VALUES:
-            self._report(here, (), f"aliases expand to more than {_MAX_VALUES} values")
-        elif len(path) == MAX_DEPTH and self._count < _MAX_VALUES:
-            self._report(here, (), "nested too deeply, or an alias that contains itself")
-        if self._count >= _MAX_VALUES or len(path) >= MAX_DEPTH:
-            return Tree(None, mark, here, self.origin)
-        return Tree(self._value(node, path, mark), mark, here, self.origin)
+        if self._count > _MAX_VALUES or len(path) > MAX_DEPTH:
+            what = f"nested too deeply, or aliases expand to more than {_MAX_VALUES} values"
+            raise yaml.MarkedYAMLError(problem=what, problem_mark=node.start_mark)
+        return Tree(self._value(node, path, mark), mark, key or mark, self.origin)
 
     def mark(self, line: int, column: int) -> Mark:
         """A mark in the text; within an override there is only the override itself."""
@@ -197,8 +177,13 @@ class _Builder:
             return self._mapping(node, path)
         if isinstance(node, SequenceNode) and kind == "seq":
             return [self.build(item, (*path, i), None) for i, item in enumerate(node.value)]
-        if isinstance(node, ScalarNode) and kind in _READ:
-            return self._scalar(kind, node.value, path, mark)
+        if isinstance(node, ScalarNode) and (
+            kind == "str" or (kind in _CORE and _CORE[kind].match(node.value))
+        ):
+            value = _READ[kind](node.value)
+            if kind in ("int", "float"):
+                self._check_number(value, node.value, path, mark)
+            return value
         tag = node.tag.replace(_TAG, "!!")
         self._report(mark, path, f"unknown tag '{tag}'; expected a plain number, string, list or mapping")
         return None
@@ -228,24 +213,12 @@ class _Builder:
             self._report(mark, (*path, name), f"a key must be a string, found {found}", hint)
         return name
 
-    def _scalar(self, kind: str, text: str, path: KeyPath, mark: Mark) -> Scalar:
-        if kind != "str" and not _CORE[kind].fullmatch(text):
-            self._report(mark, path, f"'{text}' is not a value of the tag '!!{kind}'")
-        elif kind == "int" and len(text) > _MAX_DIGITS:
-            self._report(mark, path, f"a number of {len(text)} digits is too long")
-        else:
-            value = _READ[kind](text)
-            if kind in ("int", "float"):
-                self._check_number(value, text, path, mark)
-            return value
-        return None
-
     def _check_number(self, value: Any, text: str, path: KeyPath, mark: Mark) -> None:
         if not math.isfinite(value):
-            self._report(mark, path, f"expected a finite number, found {text}")
+            self._report(mark, path, f"expected a finite number, found {_short(text)}")
         elif value and not _SMALLEST <= abs(value) <= _GREATEST and not {"seed", "seeds"} & set(path):
-            what = f"expected 0, or a number from {_SMALLEST:g} to {_GREATEST:g} in magnitude, found {text}"
-            self._report(mark, path, what)
+            bounds = f"from {_SMALLEST:g} to {_GREATEST:g} in magnitude"
+            self._report(mark, path, f"expected 0, or a number {bounds}, found {_short(text)}")
 
     def syntax_problem(self, error: yaml.YAMLError, text: str, path: KeyPath) -> Problem:
         """Words what PyYAML cannot read."""
@@ -315,12 +288,6 @@ def _dump(data: Any, flow: bool, width: float) -> str:
 class _Dumper(yaml.SafeDumper):
     """Leaves a string without quotes only if it is a string by the rules of both YAML 1.1 and 1.2."""
 
-    def resolve(self, kind: Any, value: Any, implicit: Any) -> str:
-        if kind is not yaml.ScalarNode or not implicit[0]:
-            return super().resolve(kind, value, implicit)
-        tag = _core_tag(value)
-        return tag if tag != _TAG + "str" else super().resolve(kind, value, implicit)
-
     def ignore_aliases(self, data: Any) -> bool:
         return True
 
@@ -334,5 +301,8 @@ def _represent_str(dumper: _Dumper, text: str) -> yaml.ScalarNode:
     return dumper.represent_scalar(_TAG + "str", text, style=None if text.isprintable() else '"')
 
 
+for _kind, _pattern in _CORE.items():
+    for _user in (_Loader, _Dumper):
+        _user.add_implicit_resolver(_TAG + _kind, _pattern, None)
 _Dumper.add_representer(str, _represent_str)
 _Dumper.add_representer(tuple, _Dumper.represent_list)

@@ -12,7 +12,7 @@ from pydantic.dataclasses import dataclass
 from pydantic.fields import FieldInfo
 
 from kickbench.config.base import PositiveInt
-from kickbench.config.method import parse_expression
+from kickbench.config.method import checked_expression
 from kickbench.config.terms import (
     ObservationParams,
     RandomizationParams,
@@ -199,7 +199,7 @@ def observation(
         from_default: See `Marker`.
     """
     if isinstance(size, str):
-        parse_expression(size)
+        checked_expression(size)
     facts = {"representation": size, "frame": frame, "from_default": from_default}
     return Marker(kind="observation", units=units, source=source, needs=frozenset(needs), **facts)
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, reduce
+from functools import cached_property
 
-from kickbench.config.method import Expression, RepresentationSpec, Sum, parse_expression
+from kickbench.config.method import RepresentationSpec, evaluate
 from kickbench.config.yamlio import Document
 from kickbench.errors import Problem, SpecError, nearest
 from kickbench.symmetry.representation import BY_NAME, Representation, direct_sum, tensor
@@ -60,17 +61,10 @@ def resolve_expression(text: str, own: Mapping[str, Representation]) -> Represen
     """Evaluates a representation expression.
 
     Args:
-        text: The expression, see `config.representation`.
+        text: The expression, see `config.method.evaluate`.
         own: The robot's representations: `joints` and `actions`.
     """
-    return _resolve(parse_expression(text), {**BY_NAME, **own})
-
-
-def _resolve(expression: Expression, names: Mapping[str, Representation]) -> Representation:
-    if isinstance(expression, str):
-        return names[expression]
-    parts = [_resolve(part, names) for part in expression.parts]
-    return direct_sum(parts) if isinstance(expression, Sum) else reduce(tensor, parts)
+    return evaluate(text, {**BY_NAME, **own}, operator.add, tensor)
 
 
 def completed(table: RepresentationSpec, stated: Mapping[str, str | int]) -> RepresentationSpec:

@@ -277,9 +277,8 @@ def _misfits(claim: AnyClaim, conditions: Mapping[str, Condition]) -> Iterator[M
             yield (key, "task"), what, did_you_mean(str(operand.task), condition.tasks)
         else:
             task = condition.tasks[operand.task or condition.task.name]
-            yield from (
-                ((key, *part), what, None) for part, what in _missing(claim, operand, condition, task)
-            )
+            for part, what in _missing(claim, operand, condition, task):
+                yield (key, *part), what, None
             yield from _unknown_terms(claim, task)
 
 

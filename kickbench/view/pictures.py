@@ -1,33 +1,27 @@
-"""Pictures with words and a small map: a contact sheet of initial states, and films of episodes."""
+"""Pictures with words: a contact sheet of initial states, and films of episodes."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from kickbench.config.task import SamplingSpec
 from kickbench.envs.compiled_task import CompiledTask
-from kickbench.errors import KickbenchError, require
 from kickbench.evaluation.progress_bar import tracked
 from kickbench.results.atomic import atomic_file
 from kickbench.results.metrics import load_metrics
 from kickbench.results.store import RunDirectory
 from kickbench.training.trained import load_run
-from kickbench.view.regions import outlines
 from kickbench.view.session import Session, evaluation_initial_states, fitting
 from kickbench.view.stage import Stage
 
 _INK, _PAPER, _PALE, _WHITE = (32, 38, 44), (250, 250, 248), (104, 112, 120), (255, 255, 255)
-_BALL, _TARGET, _NIGHT = (120, 190, 255), (255, 214, 60), (24, 34, 28)
+_NIGHT = (24, 34, 28)
 _GAP = 10
-_LARGEST = 100_000_000
-"""Pixels of a sheet at most: more would fill the memory, and no viewer shows them."""
 _FRAME_TIME, _HOLD = 0.04, 0.8
 """Desired time between frames, and how long the last one of an episode is shown, s."""
 _QUALITY = 30
@@ -35,7 +29,7 @@ _QUALITY = 30
 
 
 def contact_sheet(task: CompiledTask, count: int, seed: int, width: int, height: int) -> Image.Image:
-    """Draws initial states of a task's evaluation, each with its numbers and its place in the regions.
+    """Draws initial states of a task's evaluation, each with its numbers.
 
     Args:
         task: The task.
@@ -45,12 +39,8 @@ def contact_sheet(task: CompiledTask, count: int, seed: int, width: int, height:
         height: Its height, pixels.
 
     Raises:
-        KickbenchError: There is no OpenGL, or the sheet would be very large.
+        KickbenchError: There is no OpenGL.
     """
-    if count * width * height > _LARGEST:
-        raise KickbenchError(
-            f"{count} initial states of {width}x{height} pixels make a sheet of more than 100 megapixels"
-        )
     columns = math.ceil(math.sqrt(count))
     size = max(height // 22, 11)
     head, cell = 4 * size + _GAP, (width + _GAP, height + 2 * size + _GAP)
@@ -61,7 +51,6 @@ def contact_sheet(task: CompiledTask, count: int, seed: int, width: int, height:
     words = f"{count} initial states of seed {seed}; x points forward, y and angles to the left"
     draw.text((_GAP, _GAP + 1.9 * size), words, _PALE, ImageFont.load_default(size))
     initial, place = evaluation_initial_states(task, count, seed), task.scene.layout.ball_qpos
-    small_map = SmallMap(task.spec.sampling, height // 4)
     with Stage(task, width, height) as stage:
         for index, (qpos, target) in enumerate(
             zip(initial.qpos.numpy(), initial.target.numpy(), strict=True)
@@ -69,7 +58,7 @@ def contact_sheet(task: CompiledTask, count: int, seed: int, width: int, height:
             row, column = divmod(index, columns)
             left, top = _GAP + column * cell[0], head + row * cell[1]
             ball, pixels = qpos[place : place + 2], stage.picture(qpos, target, stage.camera(qpos, target))
-            sheet.paste(small_map.stamped(Image.fromarray(pixels), ball, target), (left, top))
+            sheet.paste(Image.fromarray(pixels), (left, top))
             words = f"{index}   {describe_start(ball, target)}"
             draw.text((left, top + height + size // 3), words, _INK, ImageFont.load_default(size))
     return sheet
@@ -110,51 +99,6 @@ def describe_start(ball: np.ndarray, target: np.ndarray) -> str:
     return f"ball ({ball[0]:.2f}, {ball[1]:+.2f}) m, target {distance:.2f} m at {angle:+.0f}°"
 
 
-class SmallMap:
-    """The sampling regions from above in the corner of a picture, x up and y to the left."""
-
-    _FINE = 3
-    """It is drawn this much larger and scaled down: Pillow draws without anti-aliasing."""
-
-    def __init__(self, sampling: SamplingSpec, size: int, mirrored: bool = False) -> None:
-        """Sizes the map so that robot and regions fill it.
-
-        Args:
-            sampling: The regions.
-            size: Side of the map, pixels.
-            mirrored: Whether the mirror images of the regions are shown.
-        """
-        regions = [outline * [1.0, -1.0 if mirrored else 1.0] for outline in outlines(sampling)]
-        corners = np.concatenate([*regions, np.zeros((1, 2))])
-        low, high = corners.min(axis=0), corners.max(axis=0)
-        self._size, self._side, self._middle = size, size * self._FINE, (low + high) / 2.0
-        self._scale = 0.84 * self._side / float((high - low).max())
-        self._map = Image.new("RGBA", (self._side, self._side), (0, 0, 0, 0))
-        draw = ImageDraw.Draw(self._map)
-        draw.rounded_rectangle((0, 0, self._side - 1, self._side - 1), self._side // 14, (*_NIGHT, 150))
-        for region, colour in zip(regions, (_BALL, _TARGET), strict=True):
-            # Width as well as area: a region may be a line or a point.
-            draw.polygon(self.place(region), (*colour, 90), (*colour, 200), self._FINE)
-        ((x, y),), nose = self.place(np.zeros((1, 2))), self._side / 22.0
-        draw.polygon([(x, y - 1.5 * nose), (x + nose, y + nose), (x - nose, y + nose)], _WHITE)
-
-    def place(self, points: np.ndarray) -> list[tuple[float, float]]:
-        """Places of points [N, 2], m, on the fine map, pixels from its upper left corner."""
-        offset, middle = (points - self._middle) * self._scale, self._side / 2.0
-        return [(float(middle - y), float(middle - x)) for x, y in offset]
-
-    def stamped(self, image: Image.Image, ball: np.ndarray, target: np.ndarray) -> Image.Image:
-        """The picture with the map in its upper left corner, with ball and target [2], m."""
-        fine, radius = self._map.copy(), self._side / 30.0
-        draw = ImageDraw.Draw(fine)
-        places = self.place(np.stack([target, ball]))
-        for (x, y), colour in zip(places, (_TARGET, _BALL), strict=True):
-            draw.ellipse((x - radius, y - radius, x + radius, y + radius), colour, _NIGHT, self._FINE)
-        small = fine.resize((self._size, self._size), Image.Resampling.LANCZOS)
-        image.paste(small, (_GAP, _GAP), small)
-        return image
-
-
 def film_runs(
     task: CompiledTask,
     runs: Sequence[Path],
@@ -170,24 +114,21 @@ def film_runs(
     Args:
         task: The task.
         runs: Run directories, whose policies are shown side by side; none: zero action.
-        out: File to write, .webp or .mp4.
+        out: File to write, .webp.
         episodes: Number of episodes.
         seed: Seed of the initial states.
         size: Width and height of one policy's part, pixels.
         mirrored: Whether to show the mirror images of the initial states.
 
     Raises:
-        KickbenchError: There is no OpenGL, a library is missing, or a run has no policy for the task.
+        KickbenchError: There is no OpenGL, or a run has no policy for the task.
     """
-    is_mp4 = out.suffix.lower() == ".mp4"
-    if is_mp4:
-        check_mp4(*size)
     policies = [fitting(task, load_run(run, unfinished=True)) for run in runs] or [None]
     titles = [_title(run) for run in runs] if len(runs) > 1 else [""]
     named = zip(policies, titles, strict=True)
     sessions = [Session(task, policy, seed, episodes, title) for policy, title in named]
     frames = tracked(film(task, sessions, episodes, *size, mirrored=mirrored), "drawing", "frames")
-    (write_mp4 if is_mp4 else write_webp)(out, frames, frame_time(task))
+    write_webp(out, frames, frame_time(task))
 
 
 def _title(run: Path) -> str:
@@ -227,7 +168,6 @@ def film(
     Raises:
         KickbenchError: There is no OpenGL.
     """
-    small_map = SmallMap(task.spec.sampling, height // 4, mirrored)
     with Stage(task, width, height) as stage:
         for number in range(episodes):
             for session in sessions:
@@ -235,22 +175,21 @@ def film(
                 session.show(number)
             start = sessions[0].start
             camera = stage.camera(start.qpos[0].numpy(), start.target[0].numpy())
-            yield (image := _frame(stage, camera, small_map, sessions))
+            yield (image := _frame(stage, camera, sessions))
             while not all(session.ending for session in sessions):
                 for session in sessions:
                     for _ in range(frame_stride(task)):
                         session.step()
-                yield (image := _frame(stage, camera, small_map, sessions))
+                yield (image := _frame(stage, camera, sessions))
             yield from [image] * round(_HOLD / frame_time(task))
 
 
-def _frame(stage: Stage, camera: Any, small_map: SmallMap, sessions: Sequence[Session]) -> Image.Image:
+def _frame(stage: Stage, camera: Any, sessions: Sequence[Session]) -> Image.Image:
     image = Image.new("RGB", (len(sessions) * stage.width, stage.height))
     size = max(stage.height // 24, 10)
     for part, session in enumerate(sessions):
         target = session.start.target[0].numpy()
         panel = Image.fromarray(stage.picture(session.qpos, target, camera))
-        small_map.stamped(panel, session.ball, target)
         draw, font = ImageDraw.Draw(panel), ImageFont.load_default(size)
         for text, place, anchor in (
             (session.title, (stage.width - size, size), "ra"),
@@ -286,44 +225,3 @@ def write_webp(path: Path, frames: Iterable[Image.Image], seconds: float) -> Non
             file, "WEBP", save_all=True, append_images=frames, duration=round(1000 * seconds), loop=0,
             quality=_QUALITY,
         )  # fmt: skip
-
-
-def check_mp4(width: int, height: int) -> None:
-    """Checks that an .mp4 of that size can be written.
-
-    Raises:
-        KickbenchError: The library is missing, or a side is odd.
-    """
-    require("imageio_ffmpeg", "an .mp4", "mp4")
-    if width % 2 or height % 2:
-        raise KickbenchError(f"an .mp4 has even sides; found {width}x{height}")
-
-
-def write_mp4(path: Path, frames: Iterable[Image.Image], seconds: float) -> None:
-    """Writes frames as H.264 that browsers play.
-
-    Args:
-        path: File to write.
-        frames: Frames of one size with even sides, at least one.
-        seconds: Time between two frames.
-
-    Raises:
-        KickbenchError: `imageio-ffmpeg` is not installed.
-    """
-    ffmpeg, frames = require("imageio_ffmpeg", "an .mp4", "mp4"), iter(frames)
-    first = next(frames)
-    # The suffix of the temporary file does not give the format.
-    options = {
-        "codec": "libx264",
-        "quality": 7,
-        "macro_block_size": 2,
-        "output_params": ["-f", "mp4", "-movflags", "+faststart"],
-    }
-    with atomic_file(path) as file:
-        writer = ffmpeg.write_frames(file.name, first.size, fps=1.0 / seconds, **options)
-        writer.send(None)
-        try:
-            for frame in chain([first], frames):
-                writer.send(frame.tobytes())
-        finally:
-            writer.close()

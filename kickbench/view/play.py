@@ -14,7 +14,6 @@ from kickbench.envs.episode import FOOT_NAMES
 from kickbench.errors import KickbenchError
 from kickbench.evaluation.rollouts import Policy
 from kickbench.nets.build import torch_threads
-from kickbench.view.regions import outlines
 from kickbench.view.session import Session
 from kickbench.view.stage import dress
 
@@ -162,8 +161,9 @@ def slider_limits(task: CompiledTask) -> np.ndarray:
 
     They cover the regions, their mirror images and a margin.
     """
-    corners = [np.concatenate([region, region * [1.0, -1.0]]) for region in outlines(task.spec.sampling)]
-    limits = np.concatenate([np.stack([c.min(axis=0), c.max(axis=0)], axis=1) for c in corners])
+    ball, target = task.spec.sampling.ball, task.spec.sampling.target
+    reaches = [(x, max(map(abs, y))) for x, y in ((ball.x, ball.y), target.extent())]
+    limits = np.array([bounds for x, reach in reaches for bounds in (x, (-reach, reach))])
     margin = np.maximum(0.25 * np.ptp(limits, axis=1), 0.1)
     return limits + margin[:, None] * [-1.0, 1.0]
 
@@ -174,9 +174,7 @@ def play(
     title: str,
     *,
     seed: int,
-    host: str,
     port: int,
-    browser: bool | None,
 ) -> None:
     """Shows a policy on a task in a browser until Ctrl-C.
 
@@ -185,9 +183,7 @@ def play(
         policy: Deterministic policy; None: zero action.
         title: Title of page and window.
         seed: Seed of the initial states.
-        host: Interface to bind.
         port: Port; if it is taken, one of the next.
-        browser: Whether to open a browser; None: if there is one.
 
     Raises:
         KickbenchError: MuJoCo has no viewer that can be guarded, or `studio.show` fails.
@@ -201,6 +197,6 @@ def play(
     session = Session(task, policy, seed, task.spec.evaluation.episodes, title)
     try:
         with torch_threads(1):
-            show(dress(task.scene.spec, 640, 480), Player(session), title, host, port, browser)
+            show(dress(task.scene.spec, 640, 480), Player(session), title, port)
     finally:
         session.close()

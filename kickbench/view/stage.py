@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from types import TracebackType
-
 # pyright: reportAttributeAccessIssue=false
 import mujoco
 import numpy as np
@@ -49,9 +47,7 @@ class Stage:
     def __enter__(self) -> Stage:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self._gl.make_current()
         self._context.free()
         self._gl.free()

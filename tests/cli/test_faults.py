@@ -114,7 +114,6 @@ def test_names_of_folders_reach_the_terminal_as_escapes(tmp_path, capsys):
     run = tmp_path / "seed\x1b[2J\n0"
     (run / "specs").mkdir(parents=True)
     (run / "metrics.json").write_text("{")
-    main(["list", str(tmp_path)])
     main(["table", str(tmp_path)])
     main(["status", str(tmp_path)])
     printed = "".join(capsys.readouterr())
@@ -139,13 +138,6 @@ def test_what_is_no_regular_file_is_refused_and_not_waited_for(pipe, tmp_path, c
     said = capsys.readouterr().err
     assert "no regular file" in said
     assert key == "command line" or said.startswith(f"{task}:{'1:1' if key == 'extends' else '2:8'}: {key}: ")
-
-
-def test_a_huge_file_is_refused(tmp_path, capsys):
-    with open(tmp_path / "huge.yaml", "wb") as file:
-        file.truncate(2**25)
-    assert main(["validate", str(tmp_path / "huge.yaml")]) == 2
-    assert "larger than 16 MiB" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -85,9 +85,7 @@ def test_no_verb_is_a_usage_error(capsys):
     with pytest.raises(SystemExit) as stop:
         main([])
     assert stop.value.code == 2
-    said = capsys.readouterr().err
-    assert "VERB" in said
-    assert len(re.findall("^  kickbench ", said, re.MULTILINE)) == 5
+    assert re.search("^  validate  Check YAML files", capsys.readouterr().err, re.MULTILINE)
 
 
 def test_help_lists_every_verb(capsys):
@@ -163,7 +161,6 @@ def resolve(schema, root):
 
 
 def test_schema_is_a_json_schema_that_knows_the_keys_of_the_shipped_files(kind, printed):
-    from kickbench.config.yamlio import load_document
 
     schema = json.loads(printed("schema", kind))
     assert schema["$schema"] == "https://json-schema.org/draft/2020-12/schema"
@@ -235,29 +232,13 @@ def test_terms_are_headed_by_their_kinds(printed):
 # list
 
 
-def test_list_names_tasks_methods_robots_and_tables_with_their_descriptions(place, printed):
-    text = printed("list", ".")
+def test_list_names_files_of_every_kind_with_their_descriptions(printed):
+    text = printed("list")
     headings = [line for line in text.splitlines() if not line.startswith(" ")]
-    assert headings == ["task:", "method:", "robot:", "representations:"]
-    assert re.search(
-        r"^  tasks/mini_general.yaml +Mini kicker, ball and target anywhere in front$", text, re.MULTILINE
-    )
-    assert re.search(r"^  methods/mini/baseline.yaml +Plain PPO$", text, re.MULTILINE)
-    assert re.search(r"^  assets/mini_kicker/robot.yaml$", text, re.MULTILINE)
-
-
-def test_list_goes_on_after_a_file_that_does_not_load(place, printed):
-    Path("tasks/broken.yaml").write_text("a: [\n")
-    text = printed("list", ".")
-    assert re.search(
-        r"^  tasks/broken.yaml +does not load: tasks/broken.yaml:2:1: not valid YAML", text, re.MULTILINE
-    )
-    assert "methods/mini/baseline.yaml" in text
-
-
-def test_list_of_a_folder_that_does_not_exist_is_an_error(place, capsys):
-    assert main(["list", "nowhere"]) == 2
-    assert capsys.readouterr().err == "nowhere: no such folder\n"
+    assert headings == ["task:", "method:", "robot:", "representations:", "reported:"]
+    assert re.search(r"^  mini_general +Mini kicker, ball and target anywhere in front$", text, re.MULTILINE)
+    assert re.search(r"^  mini/baseline +Plain PPO$", text, re.MULTILINE)
+    assert re.search(r"^  mini_kicker$", text, re.MULTILINE)
 
 
 def test_a_table_of_no_runs_is_an_error(place, capsys):
@@ -316,14 +297,6 @@ def test_show_fields_prints_how_everything_that_is_seen_and_done_mirrors(printed
 def test_show_fields_of_a_missing_method_is_an_error_that_names_it(capsys):
     assert main(["show", "tasks/mini_home_field.yaml", "--fields", "methods/mini/equivariantt.yaml"]) == 2
     assert "did you mean 'equivariant.yaml'" in capsys.readouterr().err
-
-
-def test_show_prints_fields_or_draws_regions_but_not_both(place, capsys):
-    with pytest.raises(SystemExit) as stop:
-        main(["show", "tasks/mini_general.yaml", "--plot", "x.svg", "--fields", "methods/mini/baseline.yaml"])
-    assert stop.value.code == 2
-    assert "--fields: not allowed with argument --plot" in capsys.readouterr().err
-    assert not Path("x.svg").exists()
 
 
 # names
@@ -402,29 +375,6 @@ def test_terms_of_one_kind(printed):
     assert text.startswith("rewards\n-------\n")
     assert text in printed("terms")
     assert not {"observations", "terminations"} & set(text.splitlines())
-
-
-@pytest.mark.parametrize("folder", ["", "deep/er/"])
-@pytest.mark.parametrize(("kind", "base"), [("task", "mini_general"), ("method", "mini/equivariant")])
-def test_a_new_file_is_its_base_until_a_line_is_uncommented(
-    tmp_path, monkeypatch, printed, kind, base, folder
-):
-    monkeypatch.chdir(tmp_path)
-    assert printed("new", kind, f"{folder}mine", "--from", base) == f"{folder}mine.yaml\n"
-    file = Path(f"{folder}mine.yaml")
-    mine, theirs = load_document(file), load_document(find(base, kind))
-    assert {**mine.data, "description": ""} == {**theirs.data, "description": ""}
-    text = file.read_text()
-    key = "max_steps" if kind == "task" else "gamma"
-    (line,) = [line for line in text.splitlines() if f" {key}: " in line]
-    above = "episode" if kind == "task" else "algorithm"
-    text = text.replace(
-        line, line[2:].split(":")[0] + ": 0.5" if kind == "method" else line[2:].split(":")[0] + ": 7"
-    )
-    file.write_text(text.replace(f"# {above}:", f"{above}:"))
-    assert load_document(file).data[above] == {**theirs.data[above], key: 7 if kind == "task" else 0.5}
-    assert main(["validate", str(file)]) == 0
-    assert main(["new", kind, f"{folder}mine", "--from", base]) == 2
 
 
 def test_a_shell_completes_names(tmp_path):

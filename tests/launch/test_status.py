@@ -6,6 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from kickbench.cli import main
 from kickbench.launch.record import PlanRecord, RunRecord, write_record
 from kickbench.results.atomic import atomic_write_text
@@ -64,8 +66,9 @@ def test_one_run_is_a_folder_of_runs(make_run, capsys):
 
 
 def test_a_folder_without_runs_or_with_a_damaged_plan_is_an_error(tmp_path, capsys):
-    assert main(["status", str(tmp_path / "nowhere")]) == 2
-    assert "no such folder" in capsys.readouterr().err
+    with pytest.raises(SystemExit, match="2"):
+        main(["status", str(tmp_path / "nowhere")])
+    assert "nowhere' does not exist" in capsys.readouterr().err
     assert main(["status", str(tmp_path)]) == 2
     assert "holds no runs and no plan" in capsys.readouterr().err
     (tmp_path / "plan.json").write_text("{")

@@ -486,7 +486,7 @@ def test_a_killed_forced_run_leaves_the_old_one_whole_and_goes_on(copy, undistur
     forced = command(copy, "--set", "algorithm.gamma=0.9")
     run_and_kill("kickbench.training.iteration_log:RunProgress.update", 53, [*forced, "--force"])
     assert snapshot(copy) == before
-    for verb in ("table", "list"):
+    for verb in ("table", "status"):
         assert main([verb, str(copy.parent)]) == 0
         assert ".partial" not in capsys.readouterr().out
     assert main(command(copy, "--resume")) == 0, "the old run is as it was"

@@ -1,11 +1,9 @@
-"""Words, the small map, contact sheets and films."""
+"""Words, contact sheets and films."""
 
 from __future__ import annotations
 
-import sys
 from types import SimpleNamespace
 
-import imageio_ffmpeg
 import numpy as np
 import pytest
 import torch
@@ -13,18 +11,14 @@ from PIL import Image, ImageFont, ImageSequence
 
 from kickbench.errors import KickbenchError
 from kickbench.view.pictures import (
-    SmallMap,
     caption,
-    check_mp4,
     contact_sheet,
     describe_start,
     film,
     frame_stride,
     frame_time,
-    write_mp4,
     write_webp,
 )
-from kickbench.view.regions import outlines
 from kickbench.view.session import Session
 
 
@@ -37,34 +31,6 @@ def test_the_font_has_every_character_of_the_words():
     words, font = describe_start(np.array([0.42, -0.1]), np.array([-3.0, 3.0])), ImageFont.load_default(20)
     missing = bytes(font.getmask("\uffff"))
     assert [c for c in set(words) - {" "} if bytes(font.getmask(c)) == missing] == []
-
-
-def test_forward_is_up_and_left_is_left_on_the_map(task):
-    small_map = SmallMap(task.spec.sampling, 90)
-    (x0, y0), (x1, y1), (x2, y2) = small_map.place(np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 0.5]]))
-    assert (x0, y1) == (x1, y2)
-    assert y1 < y0
-    assert x2 < x1
-
-
-@pytest.mark.parametrize("mirrored", [False, True])
-def test_regions_and_robot_are_inside_the_map(task, mirrored):
-    regions = np.concatenate([*outlines(task.spec.sampling), [[0, 0]]]) * [1.0, -1.0 if mirrored else 1.0]
-    places = np.array(SmallMap(task.spec.sampling, 90, mirrored).place(regions))
-    assert places.min() > 0
-    assert places.max() < 3 * 90
-
-
-def test_the_map_shows_ball_and_target_at_their_places(task):
-    small_map = SmallMap(task.spec.sampling, 90)
-    ball, target = np.array([0.4, 0.1]), np.array([1.5, 0.5])
-    image = small_map.stamped(Image.new("RGB", (200, 150)), ball, target)
-    for point, brightest in ((ball, 2), (target, 0)):
-        ((x, y),) = small_map.place(point[None])
-        colour = image.getpixel((10 + round(x / 3), 10 + round(y / 3)))
-        assert np.argmax(colour) == brightest
-        assert max(colour) > 200
-    assert np.asarray(image)[105:].max() == 0
 
 
 def test_a_sheet_has_a_picture_for_every_start(opengl, task):
@@ -111,31 +77,10 @@ def test_a_webp_has_every_frame_in_order_and_repeats(frames, tmp_path):
     assert read == pytest.approx([bar_of(frame) for frame in frames], abs=1.0)
 
 
-def test_an_mp4_has_every_frame_in_order(frames, tmp_path):
-    write_mp4(tmp_path / "a.mp4", frames, 0.04)
-    reader = imageio_ffmpeg.read_frames(str(tmp_path / "a.mp4"))
-    facts = next(reader)
-    assert (facts["size"], facts["fps"], facts["codec"]) == ((64, 48), 25.0, "h264")
-    read = [bar_of(Image.frombytes("RGB", (64, 48), data)) for data in reader]
-    assert read == pytest.approx([bar_of(frame) for frame in frames], abs=1.5)
-
-
-@pytest.mark.parametrize("write", [write_webp, write_mp4])
-def test_a_film_that_tears_leaves_nothing_behind(frames, tmp_path, write):
+def test_a_film_that_tears_leaves_nothing_behind(frames, tmp_path):
     with pytest.raises(KickbenchError, match="the film tore"):
-        write(tmp_path / "a", broken(frames), 0.04)
+        write_webp(tmp_path / "a", broken(frames), 0.04)
     assert not list(tmp_path.iterdir())
-
-
-def test_an_mp4_has_even_sides():
-    with pytest.raises(KickbenchError, match=r"an \.mp4 has even sides; found 101x80"):
-        check_mp4(101, 80)
-
-
-def test_without_ffmpeg_the_error_names_the_extra(monkeypatch):
-    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
-    with pytest.raises(KickbenchError, match=r"an .mp4 needs imageio_ffmpeg, .*'kickbench\[mp4\]'"):
-        check_mp4(100, 80)
 
 
 def test_films_run_at_the_speed_of_the_world(task):

@@ -57,20 +57,12 @@ def test_render_films_a_short_episode(opengl):
     short = ["--set", "episode.max_steps=6", "--episodes", "1", "--size", "96x72"]
     assert main(["render", TASK, "--out", "a.webp", *short]) == 0
     assert Image.open("a.webp").n_frames >= 3
-    assert main(["render", TASK, "--out", "a.mp4", *short]) == 0
-    assert Path("a.mp4").read_bytes()[4:8] == b"ftyp"
-
-
-def test_show_plots_instead_of_printing(capsys):
-    assert main(["show", TASK, "--plot", "a.svg", "--set", "sampling.ball.x=[0.3, 0.4]"]) == 0
-    assert capsys.readouterr().out == "a.svg\n"
-    assert Path("a.svg").read_text().startswith("<?xml")
 
 
 ERRORS = {
     "unknown kind of picture": (
         ["render", TASK, "--out", "a.jpg"],
-        "a.jpg: pictures are .png, .webp or .mp4",
+        "a.jpg: pictures are .png or .webp",
     ),
     "policy for a sheet": (["render", TASK, "--policy", "runs/x"], "--policy: a .png shows initial states"),
     "episodes for a sheet": (["render", TASK, "--episodes", "2"], "--episodes: a .png shows initial states"),
@@ -82,23 +74,7 @@ ERRORS = {
         ["render", TASK, "--out", "a.webp", "--policy", "runs/x"],
         "runs/x: not a run directory (it has no task.yaml)",
     ),
-    "odd sides": (
-        ["render", TASK, "--out", "a.mp4", "--size", "101x80"],
-        "an .mp4 has even sides; found 101x80",
-    ),
     "no such task": (["render", "x.yaml"], "x.yaml: no such file: 'x.yaml'"),
-    "sheet that fills the memory": (
-        ["render", TASK, "--initial-states", "1000", "--size", "1000x1000"],
-        "1000 initial states of 1000x1000 pixels make a sheet of more than 100 megapixels",
-    ),
-    "plot of a method": (
-        ["show", str(ROOT / "methods/mini/baseline.yaml"), "--plot", "a.png"],
-        f"--plot draws the sampling regions of a task; {ROOT}/methods/mini/baseline.yaml is a method file",
-    ),
-    "plot of another kind": (
-        ["show", TASK, "--plot", "a.webp"],
-        "a.webp: sampling regions are drawn as .png or .svg",
-    ),
 }
 
 
