@@ -166,20 +166,6 @@ class Recording:
     velocity: Pairs = field(default_factory=lambda: Pairs("velocity"))
     coverage: dict[str, int] = field(default_factory=dict)
 
-    @staticmethod
-    def begun(task: CompiledTask, reflection: Reflection) -> Recording:
-        """A recording with nothing in it yet."""
-        layout = task.scene.layout
-        return Recording(
-            task,
-            reflection,
-            fields=_field_pairs(task),
-            rewards=tuple(Pairs(bound.name, bound.term.units, bound=bound) for bound, _ in task.rewards),
-            terminations=tuple(Pairs(bound.name, bound=bound) for bound in task.terminations),
-            touches=tuple(map(Pairs, layout.contacts)),
-            forces=tuple(Pairs(name, "N") for name in layout.forces),
-        )
-
     def count(self, what: str, mask: Tensor) -> None:
         """Counts states in which something happened."""
         self.coverage[what] = self.coverage.get(what, 0) + int(mask.sum())
@@ -228,8 +214,17 @@ class _Recorder:
             for model in twin_models(task.scene.model, derivation)
         ]
         twins[1] = mirrored_layout(twins[1], self.reflection)
-        self.recording = Recording.begun(task, self.reflection)
-        actions = len(task.scene.layout.actuator_names)
+        layout = task.scene.layout
+        self.recording = Recording(
+            task,
+            self.reflection,
+            fields=_field_pairs(task),
+            rewards=tuple(Pairs(bound.name, bound.term.units, bound=bound) for bound, _ in task.rewards),
+            terminations=tuple(Pairs(bound.name, bound=bound) for bound in task.terminations),
+            touches=tuple(map(Pairs, layout.contacts)),
+            forces=tuple(Pairs(name, "N") for name in layout.forces),
+        )
+        actions = len(layout.actuator_names)
         envs = max(min(_ENVS, states // _STEPS), _KINDS)
         initial = VariedInitialStates(task, seed)
         self.env, self.other = (

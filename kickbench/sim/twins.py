@@ -25,7 +25,8 @@ from kickbench.symmetry.representation import Representation
 
 _SETTLING, _STEPS = 5, 4
 """Steps before a state is taken, so that it has contacts and sensor readings, and steps compared after it."""
-_SPEED = 1.0  # rad/s or m/s
+_SPREAD, _SPEED = 0.1, 1.0
+"""Standard deviations of positions about the default pose, rad or m, and of velocities, rad/s or m/s."""
 
 
 @dataclass(frozen=True)
@@ -89,11 +90,8 @@ class Twins:
             images: Its mirror image [N, nu].
             half_period: How much later the image is, s.
         """
-        draws, original, image = (
-            np.random.default_rng(0),
-            mujoco.MjData(self.model),
-            mujoco.MjData(self.image),
-        )
+        draws = np.random.default_rng(0)
+        original, image = mujoco.MjData(self.model), mujoco.MjData(self.image)
         for action, mirrored in zip(actions, images, strict=True):
             qpos, qvel = self._random_state(draws, original, action)
             time = draws.uniform(0.0, 100.0)
@@ -126,18 +124,10 @@ class Twins:
     def _random_state(
         self, draws: np.random.Generator, data: mujoco.MjData, action: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        model, qpos = self.model, self.pose.copy()
-        for joint, coordinate in enumerate(self._coordinates):
-            first = coordinate.qpos
-            if coordinate.free:
-                turn = qpos[first + 3 : first + 7] + 0.2 * draws.normal(size=4)
-                qpos[first : first + 3] += draws.uniform(-0.02, 0.05, 3)
-                qpos[first + 3 : first + 7] = turn / np.linalg.norm(turn)
-            else:
-                low, high = model.jnt_range[joint] if model.jnt_limited[joint] else (-0.5, 0.5)
-                qpos[first] += draws.uniform(0.0, 0.5) * (draws.uniform(low, high) - qpos[first])
-        self._set(model, data, qpos, _SPEED * draws.normal(size=model.nv), action, 0.0)
-        mujoco.mj_step(model, data, _SETTLING)
+        qpos, nv = self.pose.copy(), self.model.nv
+        mujoco.mj_integratePos(self.model, qpos, _SPREAD * draws.normal(size=nv), 1.0)
+        self._set(self.model, data, qpos, _SPEED * draws.normal(size=nv), action, 0.0)
+        mujoco.mj_step(self.model, data, _SETTLING)
         return data.qpos.copy(), data.qvel.copy()
 
 
