@@ -72,8 +72,7 @@ class RobotReport:
 
     def as_json(self) -> dict[str, Any]:
         """The report as plain data."""
-        facts = [asdict(fact) for fact in self.facts]
-        return {"robot": str(self.robot), "passed": not self.failed, "facts": facts}
+        return {"robot": str(self.robot), "passed": not self.failed, "facts": [*map(asdict, self.facts)]}
 
     def lines(self) -> Iterator[str]:
         """The report for people."""

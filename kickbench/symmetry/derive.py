@@ -17,7 +17,7 @@ import numpy as np
 
 from kickbench.config.yamltree import flow_yaml
 from kickbench.symmetry.mirror import AXIAL, POLAR
-from kickbench.symmetry.model_parts import Actuator, Body, Element, Joint, ModelParts, Shape, Site
+from kickbench.symmetry.model_parts import Actuator, Body, Element, Joint, ModelParts, Shape
 from kickbench.symmetry.representation import BY_NAME, kind_of_coordinate
 
 E = TypeVar("E", bound=Element)
@@ -95,7 +95,7 @@ def derive(parts: ModelParts) -> Derivation:
     bodies = finder.bodies()
     joints = finder.joints()
     shapes = [finder.part(shape, parts.shapes, finder.shape_cost)[0] for shape in parts.shapes]
-    sites = [finder.part(site, parts.sites, finder.site_cost)[0] for site in parts.sites]
+    sites = [finder.part(site, parts.sites, finder.far)[0] for site in parts.sites]
     images = {
         "joint": {match.name: match for match in joints},
         "site": {match.name: match for match in sites},
@@ -144,7 +144,7 @@ class _Finder:
 
     def _body_cost(self, body: Body, other: Body) -> float:
         largest = max(body.mass, other.mass)
-        costs = [self._far(body, other)]
+        costs = [self.far(body, other)]
         if largest > 0.0:
             costs.append(float(np.linalg.norm(self._apart(body, other, "centre"))) / self._near)
             costs.append(abs(body.mass - other.mass) / largest / _MASS)
@@ -200,16 +200,13 @@ class _Finder:
     def shape_cost(self, shape: Shape, other: Shape) -> float:
         if shape.kind != other.kind or shape.touches != other.touches:
             return np.inf
-        return max(self._far(shape, other), _unequal(shape.extent, other.extent))
-
-    def site_cost(self, site: Site, other: Site) -> float:
-        return self._far(site, other)
+        return max(self.far(shape, other), _unequal(shape.extent, other.extent))
 
     @property
     def _near(self) -> float:
         return _PLACE * self.parts.size
 
-    def _far(self, element: Element, other: Element) -> float:
+    def far(self, element: Element, other: Element) -> float:
         return float(np.linalg.norm(self._apart(element, other, "place"))) / self._near
 
     def _apart(self, element: Element, other: Element, name: str) -> np.ndarray:
@@ -234,10 +231,9 @@ class _Finder:
         fits = sorted(
             (other for other in candidates if costs[other.name] <= 1.0), key=lambda o: costs[o.name]
         )
-        if len(fits) > 1:
-            fits = [other for other in fits if prefer(other)] or fits
+        fits = [other for other in fits if prefer(other)] or fits
         if not fits:
-            return Match(element.name, reason=_nearest(element.name, costs)), None
+            return Match(element.name, reason=_nearest(costs)), None
         best, *others = fits
         if others and costs[others[0].name] <= _CLEARLY * costs[best.name] + _NOTHING:
             what = f"ambiguous: '{best.name}' and '{others[0].name}' both lie where its mirror image would"
@@ -279,14 +275,11 @@ def _unequal(mine: np.ndarray, theirs: np.ndarray) -> float:
     return float(np.linalg.norm(mine - np.outer(POLAR, POLAR) * theirs)) / largest / _INERTIA
 
 
-def _nearest(part: str, costs: Mapping[str, float]) -> str:
-    if not costs:
-        return "no partner: its body's partner has no such part"
-    name = min(costs, key=lambda key: costs[key])
-    if not np.isfinite(costs[name]):
+def _nearest(costs: Mapping[str, float]) -> str:
+    name = min(costs, key=lambda key: costs[key], default="")
+    if not np.isfinite(costs.get(name, np.inf)):
         return "no partner of its kind"
-    which = "the part itself" if name == part else f"'{name}'"
-    return f"no partner: what fits best, {which}, differs by {costs[name]:.3g} times the tolerance"
+    return f"no partner: what fits best, '{name}', differs by {costs[name]:.3g} times the tolerance"
 
 
 def symmetry_block(derivation: Derivation, title: str) -> str:
