@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kickbench.symmetry.representation import Representation, kind_of_coordinate
+from kickbench.symmetry.representation import Representation, image_words, kind_of_coordinate
 
 _CLEARLY = 100.0
 """An entry is ruled out once it misses by so many tolerances."""
@@ -42,23 +42,6 @@ class Measurement:
     def wrong(self) -> np.ndarray:
         """Components whose declared entry does not fit [d] bool."""
         return ~(self.error <= self.tolerance)
-
-
-def measure(
-    original: np.ndarray, image: np.ndarray, declared: Representation, relative: float, floor: float = 0.0
-) -> Measurement:
-    """Measures a representation.
-
-    Args:
-        original: The vector in every state [N, d].
-        image: The vector in every state's mirror image [N, d].
-        declared: Its declared representation.
-        relative: Tolerance, relative to the vector's largest component.
-        floor: Least absolute tolerance.
-    """
-    peak = float(np.abs(original).max(initial=0.0))
-    tolerance = max(relative * peak, floor)
-    return judge_misfits(misfits(original, image), declared, tolerance, peak)
 
 
 def judge_misfits(misfit: np.ndarray, declared: Representation, tolerance: float, peak: float) -> Measurement:
@@ -142,23 +125,12 @@ def _inner(signs: Sequence[int]) -> str:
     return names[0] if len(set(names)) == 1 else f"({', '.join(names)})"
 
 
-def entry_words(name: str, partner: str, sign: int) -> str:
-    """Names how a coordinate transforms: "sign", "regular with Right_Hip_Yaw"."""
-    kind = kind_of_coordinate(partner == name, sign)
-    return kind if partner == name else f"{kind} with {partner}"
-
-
-def entry_name(representation: Representation, index: int, names: Sequence[str]) -> str:
-    """Names one entry of a representation on named coordinates."""
-    partner = names[representation.permutation[index]]
-    return entry_words(names[index], partner, representation.signs[index])
-
-
 def entry_contradiction(
     declared: Representation, measured: Representation, index: int, names: Sequence[str]
 ) -> str:
     """Describes what is wrong with one entry."""
-    said, seen = (entry_name(table, index, names) for table in (declared, measured))
+    entries = ((table.permutation[index], table.signs[index]) for table in (declared, measured))
+    said, seen = (image_words(names[index], names[partner], sign) for partner, sign in entries)
     return f"{names[index]} declared {said}; measured: {seen}"
 
 

@@ -1,28 +1,25 @@
-"""How equal a robot's sides are, with sizes, and the copy with equal sides that tables are proved on."""
+"""How symmetric a robot is: what it and its mirror image differ in, with sizes."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
-from typing import TypeVar
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
 from kickbench.audit.report import Row
 from kickbench.envs.compiled_task import CompiledTask
-from kickbench.sim.layout import SceneLayout, Servo
+from kickbench.sim.mirror_image import FIGURES, mirror_image
 from kickbench.sim.read_parts import read_parts
 from kickbench.sim.sensors import ROBOT
-from kickbench.sim.symmetrise import Pair, copy_images, pairs_of, symmetrised
 from kickbench.symmetry.derive import Derivation, Match, derive
-from kickbench.symmetry.mirror import QUATERNION
-from kickbench.symmetry.model_parts import PLANES, Element, Law, Quantity, mirror_value
 
-E = TypeVar("E", bound=Element)
+Comparison = tuple[float, str]
+"""Relative difference of a quantity from that of the mirror image, and the difference in words."""
 _TOLERANCE = 1e-5
 """Relative; model files round to six or seven digits."""
-_REFLECTION = PLANES["xz"]
+_POSITIONS = ("jnt_range", "qpos0", "qpos_spring")
+"""Figures in rad or m."""
 
 
 def derive_scene(task: CompiledTask) -> Derivation:
@@ -30,179 +27,135 @@ def derive_scene(task: CompiledTask) -> Derivation:
     return derive(read_parts(task.scene.model, ROBOT))
 
 
-def equal_sided(task: CompiledTask, derivation: Derivation) -> CompiledTask:
-    """The task with a robot whose right side mirrors its left one, gains and default pose included.
-
-    Args:
-        task: Compiled task.
-        derivation: What the robot's geometry says.
-    """
-    model = symmetrised(task.scene.model, derivation, ROBOT)
-    layout, pairs = task.scene.layout, pairs_of(derivation.actuators)
-    places = {
-        model.joint(j).name.removeprefix(ROBOT) or f"joint {j}": int(model.jnt_qposadr[j])
-        for j in range(model.njnt)
-    }
-    of_joint = [places[match.name] for match in derivation.joints]
-    joints = [Pair(of_joint[p], of_joint[i], s) for p, i, s in pairs_of(derivation.joints)]
-    rows = [int(np.flatnonzero(model.jnt_qposadr == place)[0]) for place in layout.joint_qpos]
-    limited = model.jnt_limited[rows][:, None] != 0
-    equal = replace(
-        layout,
-        default_qpos=_upright(_copied(layout.default_qpos, joints, "signed"), layout),
-        default_target=_copied(layout.default_target, pairs, "signed"),
-        action_scale=_copied(layout.action_scale, pairs, "scalar"),
-        servos=Servo(*(_copied(values, pairs, "scalar") for values in layout.servos)),
-        joint_range=np.where(limited, model.jnt_range[rows], layout.joint_range),
-    )
-    return replace(task, scene=replace(task.scene, model=model, layout=equal))
-
-
-def _copied(array: np.ndarray, pairs: Sequence[Pair], law: Law) -> np.ndarray:
-    copy_images(copy := array.copy(), pairs, law)
-    return copy
-
-
-def _upright(qpos: np.ndarray, layout: SceneLayout) -> np.ndarray:
-    """A free base that neither rolls nor turns, in place."""
-    for coordinate in layout.coordinates:
-        if coordinate.free:
-            turn = qpos[coordinate.qpos + 3 : coordinate.qpos + 7]
-            turn += turn * QUATERNION
-            turn /= np.linalg.norm(turn)
-    return qpos
-
-
 def model_rows(task: CompiledTask, derivation: Derivation) -> Iterator[Row]:
     """Rows of bodies, joints, actuators, soles and contact exclusions, in the model's order."""
-    parts = derivation.parts
-    yield from _bodies(derivation)
-    for match, joint in _speakers(derivation.joints, parts.joints):
-        if joint.kind != "free":
-            yield _row(_orbit(match), match, list(_compare(joint, match, parts.joints)))
-    servos = _complete_servos(task, derivation)
-    for match, servo in _speakers(derivation.actuators, servos):
-        yield _row(f"servo {_orbit(match)}", match, list(_compare(servo, match, servos)))
-    for match, site in _speakers(derivation.sites, parts.sites):
-        if match.name.startswith("kickbench_"):
-            name = f"site {_orbit(match)}".replace("kickbench_", "")
-            yield _row(name, match, list(_compare(site, match, parts.sites)))
-    yield _exclusions(derivation)
-    for what in parts.left_out:
-        yield Row("model", what, "not compared", detail="the audit does not know how they mirror")
+    yield from _Comparer(task, derivation).rows()
 
 
-def _bodies(derivation: Derivation) -> Iterator[Row]:
-    parts, images = derivation.parts, {match.name: match for match in derivation.shapes}
-    for match, body in _speakers(derivation.bodies, parts.bodies):
-        compared = list(_compare(body, match, parts.bodies))
-        for shape in (s for s in parts.shapes if s.body == body.body and s.touches):
-            image = images[shape.name]
-            if image.partner is None:
-                compared.append((np.inf, f"shape '{shape.name}' has no mirror image"))
-            compared += [
-                (error, f"{shape.name}: {words}") for error, words in _compare(shape, image, parts.shapes)
-            ]
-        yield _row(_orbit(match), match, compared)
+class _Comparer:
+    """Compares every part of a robot with what stands in its place in the mirror image of the model."""
+
+    def __init__(self, task: CompiledTask, derivation: Derivation) -> None:
+        self.model, self.layout, self.derivation = task.scene.model, task.scene.layout, derivation
+        self.image = mirror_image(self.model, derivation)
+        self.here, self.there = derivation.parts, read_parts(self.image, ROBOT)
+
+    def rows(self) -> Iterator[Row]:
+        found, here = self.derivation, self.here
+        for place, match in _speakers(found.bodies):
+            yield _row(_orbit(match), match, self._body(place, match))
+        for place, match in _speakers(found.joints):
+            if here.joints[place].kind != "free":
+                yield _row(_orbit(match), match, self._joint(place))
+        for place, match in _speakers(found.actuators):
+            yield _row(f"servo {_orbit(match)}", match, self._servo(place, match))
+        for place, match in _speakers(found.sites):
+            if match.name.startswith("kickbench_"):
+                apart = self._apart("place", here.sites[place].place - self.there.sites[place].place, match)
+                yield _row(f"site {_orbit(match)}".replace("kickbench_", ""), match, [apart])
+        yield self._exclusions()
+        for what in here.left_out:
+            yield Row("model", what, "not compared", detail="the audit does not know how they mirror")
+
+    def _body(self, place: int, match: Match) -> Iterator[Comparison]:
+        mine, theirs = self.here.bodies[place], self.there.bodies[place]
+        yield self._apart("place", mine.place - theirs.place, match)
+        yield from self._figures("body", mine.row)
+        yield self._apart("centre of mass", mine.centre - theirs.centre, match)
+        yield _share("inertia", mine.inertia, theirs.inertia)
+        for index, shape in enumerate(self.here.shapes):
+            if shape.body == mine.body and shape.touches:
+                yield from ((error, f"{shape.name}: {words}") for error, words in self._shape(index))
+
+    def _shape(self, place: int) -> Iterator[Comparison]:
+        mine, theirs = self.here.shapes[place], self.there.shapes[place]
+        match = self.derivation.shapes[place]
+        if match.partner is None:
+            yield np.inf, "it has no mirror image"
+            return
+        yield self._apart("place", mine.place - theirs.place, match)
+        yield _share("extent", mine.extent, theirs.extent)
+        yield from self._figures("geom", mine.row)
+
+    def _joint(self, place: int) -> Iterator[Comparison]:
+        mine, theirs = self.here.joints[place], self.there.joints[place]
+        yield _share("axis", mine.axis, theirs.axis)
+        if mine.kind == "hinge":  # the anchor of a slide has no effect, nor that of a hinge along its axis
+            apart = mine.anchor - theirs.anchor
+            across = float(np.linalg.norm(apart - (apart @ mine.axis) * mine.axis))
+            yield across / self.here.size, f"anchor {1000 * across:.3g} mm"
+        factor, unit = (180.0 / math.pi, "degrees") if mine.kind == "hinge" else (1.0, "m")
+        yield from self._figures("jnt", mine.row, factor, unit)
+        yield from self._figures("qpos", self.model.jnt_qposadr[mine.row], factor, unit)
+        yield from self._figures("dof", self.model.jnt_dofadr[mine.row])
+
+    def _servo(self, place: int, match: Match) -> Iterator[Comparison]:
+        """The actuator, and what the robot file says of its action."""
+        yield from self._figures("actuator", place)
+        partner = place if match.partner is None else self.layout.actuator_names.index(match.partner)
+        target, scale = self.layout.default_target, self.layout.action_scale
+        yield _against("default target", target[place], match.sign * target[partner], 1.0)
+        yield _against("action scale", scale[place], scale[partner])
+
+    def _figures(self, kind: str, row: int, factor: float = 1.0, unit: str = "") -> Iterator[Comparison]:
+        """What the model's arrays say of a part and of its image; angles and lengths in the given unit."""
+        for name in FIGURES[kind].split():
+            mine, theirs = (np.ravel(getattr(model, name)[row]) for model in (self.model, self.image))
+            words, least = name.partition("_")[2] or name, float(kind == "qpos")
+            in_unit = (factor, unit) if name in _POSITIONS else (1.0, "")
+            yield _against(words, mine, theirs, least, *in_unit)
+
+    def _apart(self, name: str, apart: np.ndarray, match: Match) -> Comparison:
+        error = float(np.abs(apart).max())
+        if match.partner == match.name:
+            return error / self.here.size, f"{name} {1000 * error / 2:.3g} mm off the mirror plane"
+        return error / self.here.size, f"{name} {1000 * error:.3g} mm"
+
+    def _exclusions(self) -> Row:
+        odd = set(self.model.exclude_signature.tolist()) - set(self.image.exclude_signature.tolist())
+        names = [
+            " and ".join(
+                self.model.body(body).name.removeprefix(ROBOT) for body in (pair >> 16, pair & 0xFFFF)
+            )
+            for pair in sorted(odd)
+        ]
+        detail = f"no mirror image among them: {'; '.join(names)}" if odd else ""
+        verdict = "unequal" if odd else "ok"
+        return Row("model", "contact exclusions", verdict, float(len(odd)), 0.0, "pairs", detail=detail)
 
 
-def _complete_servos(task: CompiledTask, derivation: Derivation) -> list[Element]:
-    """The actuators with what the robot file says of their actions."""
-    layout = task.scene.layout
-    of_action = zip(layout.actuator_names, layout.default_target, layout.action_scale, strict=True)
-    extra = {
-        name: (
-            Quantity("default target", target, "signed", "", 1.0),
-            Quantity("action scale", scale, "scalar"),
-        )
-        for name, target, scale in of_action
-    }
-    actuators = derivation.parts.actuators
-    return [Element(a.name, a.body, (*a.quantities, *extra[a.name])) for a in actuators]
+def _against(
+    name: str, mine: np.ndarray, theirs: np.ndarray, least: float = 0.0, factor: float = 1.0, unit: str = ""
+) -> Comparison:
+    """The number that differs most and what it would be in the mirror: "range -120 against -110 degrees"."""
+    mine, theirs = np.ravel(mine).astype(float), np.ravel(theirs).astype(float)
+    off, size = np.abs(mine - theirs), max(np.abs(mine).max(), np.abs(theirs).max(), least)
+    place = int(off.argmax())
+    words = f"{name} {factor * mine[place]:.5g} against {factor * theirs[place]:.5g} {unit}".rstrip()
+    return float(off[place] / (size or 1.0)), words
 
 
-def _exclusions(derivation: Derivation) -> Row:
-    images = {match.name: match.partner for match in derivation.bodies}
-    pairs = derivation.parts.exclusions
-    odd = [pair for pair in pairs if frozenset(images.get(name, name) for name in pair) not in pairs]
-    detail = "; ".join(" and ".join(sorted(pair)) for pair in odd)
-    detail = f"no mirror image among them: {detail}" if odd else ""
-    return Row(
-        "model",
-        "contact exclusions",
-        "unequal" if odd else "ok",
-        float(len(odd)),
-        0.0,
-        "pairs",
-        detail=detail,
-    )
+def _share(name: str, mine: np.ndarray, theirs: np.ndarray) -> Comparison:
+    """The difference of two vectors or tensors relative to their size."""
+    relative = float(np.abs(mine - theirs).max() / max(np.abs(mine).max(), np.abs(theirs).max(), 1e-12))
+    return relative, f"{name} {100 * relative:.2g} %"
 
 
-def _speakers(matches: Sequence[Match], elements: Sequence[E]) -> Iterator[tuple[Match, E]]:
-    """Parts in the model's order; of a pair only the first."""
-    places = {element.name: place for place, element in enumerate(elements)}
-    for place, (match, element) in enumerate(zip(matches, elements, strict=True)):
+def _speakers(matches: Sequence[Match]) -> Iterator[tuple[int, Match]]:
+    """Places of the parts in the model's order; of a pair only the first."""
+    places = {match.name: place for place, match in enumerate(matches)}
+    for place, match in enumerate(matches):
         if match.partner is None or place <= places[match.partner]:
-            yield match, element
+            yield place, match
 
 
-Comparison = tuple[float, str]
-"""Relative error of a quantity against its mirror image, and the error in words."""
-
-
-def _compare(element: Element, match: Match, others: Sequence[Element]) -> Iterator[Comparison]:
-    """Compares all quantities of a part with the mirror image of its partner's."""
-    if match.partner is None:
-        return
-    partner = next(other for other in others if other.name == match.partner)
-    for quantity in element.quantities:
-        other = partner.by_name[quantity.name]
-        error = quantity.error(other, _REFLECTION, match.sign or 1)
-        relative = quantity.relative_error(other, _REFLECTION, match.sign or 1)
-        if quantity.name == "axis":
-            # The axis may also be reversed: the joint's declared sign accounts for that.
-            opposite = replace(quantity, value=-quantity.value)
-            error = relative = min(error, opposite.error(other, _REFLECTION))
-        elif quantity.name == "anchor":
-            error = _anchor_error(element, partner)
-            relative = error / (quantity.scale or 1.0)
-        words = f"{100 * relative:.2g} %"
-        if quantity.law == "point" and partner.name == element.name:
-            words = f"{1000 * error / 2:.3g} mm off the mirror plane"
-        elif quantity.unit == "m":
-            words = f"{1000 * error:.3g} mm"
-        elif quantity.law in ("scalar", "signed", "range", "exact"):
-            words = _against(quantity, other, match.sign or 1)
-        yield relative, f"{quantity.name} {words}"
-
-
-def _against(quantity: Quantity, other: Quantity, sign: int) -> str:
-    """The number that differs most and what it would be in the mirror: "-120 against -110 degrees"."""
-    mine, theirs = (
-        np.ravel(q).astype(float)
-        for q in (quantity.value, mirror_value(other.value, other.law, _REFLECTION, sign))
-    )
-    same = mine == theirs  # infinities too
-    place = int(np.abs(np.where(same, 0.0, mine) - np.where(same, 0.0, theirs)).argmax())
-    factor, unit = (180.0 / math.pi, "degrees") if quantity.unit == "rad" else (1.0, quantity.unit)
-    return f"{factor * mine[place]:.5g} against {factor * theirs[place]:.5g} {unit}".rstrip()
-
-
-def _anchor_error(joint: Element, partner: Element) -> float:
-    """Distance between a hinge's anchor and its partner's image across the axis, m."""
-    if joint.by_name["axis"].law == "polar":  # the anchor of a slide has no effect
-        return 0.0
-    apart, axis = joint.get("anchor") - _REFLECTION @ partner.get("anchor"), joint.get("axis")
-    return float(np.linalg.norm(apart - (apart @ axis) * axis))
-
-
-def _row(name: str, match: Match, compared: Sequence[Comparison]) -> Row:
+def _row(name: str, match: Match, compared: Iterable[Comparison]) -> Row:
     if match.partner is None:
         return Row("model", name, "unequal", np.inf, _TOLERANCE, detail=match.reason)
-    worst = max((relative for relative, _ in compared), default=0.0)
-    bad = [words for relative, words in sorted(compared, reverse=True) if relative > _TOLERANCE]
+    ranked = sorted(compared, reverse=True)
+    bad = [words for relative, words in ranked if relative > _TOLERANCE]
     detail = "; ".join(bad[:3]) + (f"; {len(bad) - 3} more" if len(bad) > 3 else "")
-    return Row("model", name, "unequal" if bad else "ok", worst, _TOLERANCE, detail=detail)
+    return Row("model", name, "unequal" if bad else "ok", ranked[0][0], _TOLERANCE, detail=detail)
 
 
 def _orbit(match: Match) -> str:

@@ -19,6 +19,9 @@ from kickbench.envs.tensors import Tensors
 from kickbench.envs.term import Bound
 from kickbench.evaluation.rollouts import Policy
 from kickbench.nets.build import torch_threads
+from kickbench.sim.layout import Servo, joint_ranges
+from kickbench.sim.mirror_image import twin_models
+from kickbench.sim.sensors import ROBOT
 from kickbench.symmetry.derive import Derivation
 from kickbench.symmetry.mirror import Image, mirror_actions, mirror_qpos, mirror_qvel
 from kickbench.symmetry.torch_ops import Mirror
@@ -76,6 +79,27 @@ def reflection_of(task: CompiledTask, derivation: Derivation) -> Reflection:
         return Reflection.of(task, declared)
 
 
+def mirrored_layout(task: CompiledTask, reflection: Reflection) -> CompiledTask:
+    """A task whose default pose, targets, scales and gains are those of the partners.
+
+    Args:
+        task: A task with the mirror image of its model.
+        reflection: What states are mirrored with.
+    """
+    model, layout, actions = task.scene.model, task.scene.layout, reflection.actions.representation
+    of_action = list(actions.permutation)
+    joints = [model.joint(ROBOT + name).id for name in layout.joint_names]
+    image = replace(
+        layout,
+        default_qpos=reflection.qpos.representation.mirror(layout.default_qpos),
+        default_target=actions.mirror(layout.default_target),
+        action_scale=layout.action_scale[of_action],
+        servos=Servo(*(values[of_action] for values in layout.servos)),
+        joint_range=joint_ranges(model, joints),
+    )
+    return replace(task, scene=replace(task.scene, layout=image))
+
+
 @dataclass(eq=False)
 class Pairs:
     """A quantity in every state and in every state's mirror image; filled step by step, then read.
@@ -121,7 +145,7 @@ class Recording:
 
     Attributes:
         task: The task.
-        reflection: What states were mirrored with.
+        reflection: What states were mirrored with; their images are states of the mirror image of the model.
         fields: Observation fields.
         rewards: Reward terms, unweighted.
         terminations: Termination terms, as 0 and 1.
@@ -129,8 +153,6 @@ class Recording:
         forces: Force channels one step later, summed over their parts [N, 3]; the original's already
             reflected.
         velocity: Velocities one step later, the original's [N, nv] and the image's.
-        response: Effect of a unit action of every actuator on the velocities, [S, nu, nv]; in the mirror
-            image, of a unit action and of its opposite [S, 2 nu, nv].
         coverage: What happened: "with ball contact" -> number of states.
     """
 
@@ -142,22 +164,7 @@ class Recording:
     touches: tuple[Pairs, ...]
     forces: tuple[Pairs, ...]
     velocity: Pairs = field(default_factory=lambda: Pairs("velocity"))
-    response: Pairs = field(default_factory=lambda: Pairs("response"))
     coverage: dict[str, int] = field(default_factory=dict)
-
-    @staticmethod
-    def begun(task: CompiledTask, reflection: Reflection) -> Recording:
-        """A recording with nothing in it yet."""
-        layout = task.scene.layout
-        return Recording(
-            task,
-            reflection,
-            fields=_field_pairs(task),
-            rewards=tuple(Pairs(bound.name, bound.term.units, bound=bound) for bound, _ in task.rewards),
-            terminations=tuple(Pairs(bound.name, bound=bound) for bound in task.terminations),
-            touches=tuple(map(Pairs, layout.contacts)),
-            forces=tuple(Pairs(name, "N") for name in layout.forces),
-        )
 
     def count(self, what: str, mask: Tensor) -> None:
         """Counts states in which something happened."""
@@ -177,7 +184,7 @@ class Recording:
 
 def record(
     task: CompiledTask,
-    reflection: Reflection,
+    derivation: Derivation,
     states: int,
     seed: int = 0,
     threads: int | None = None,
@@ -187,30 +194,44 @@ def record(
 
     Args:
         task: Compiled task.
-        reflection: What to mirror states with.
+        derivation: What the robot's geometry says.
         states: Number of states; rounded up to whole steps of all envs.
         seed: Seed of initial states, actions and randomisation.
         threads: Physics threads.
         policy: Drives half of the envs.
     """
     with torch.inference_mode(), torch_threads(1):
-        return _Recorder(task, reflection, states, seed, threads).run(states, policy)
+        return _Recorder(task, derivation, states, seed, threads).run(states, policy)
 
 
 class _Recorder:
     def __init__(
-        self, task: CompiledTask, reflection: Reflection, states: int, seed: int, threads: int | None
+        self, task: CompiledTask, derivation: Derivation, states: int, seed: int, threads: int | None
     ) -> None:
-        self.task, self.reflection = task, reflection
-        self.recording = Recording.begun(task, reflection)
-        actions = len(task.scene.layout.actuator_names)
-        envs = max(min(_ENVS, states // _STEPS), _KINDS, 2 * actions + 1)
+        self.task, self.reflection = task, reflection_of(task, derivation)
+        twins = [
+            replace(task, scene=replace(task.scene, model=model))
+            for model in twin_models(task.scene.model, derivation)
+        ]
+        twins[1] = mirrored_layout(twins[1], self.reflection)
+        layout = task.scene.layout
+        self.recording = Recording(
+            task,
+            self.reflection,
+            fields=_field_pairs(task),
+            rewards=tuple(Pairs(bound.name, bound.term.units, bound=bound) for bound, _ in task.rewards),
+            terminations=tuple(Pairs(bound.name, bound=bound) for bound in task.terminations),
+            touches=tuple(map(Pairs, layout.contacts)),
+            forces=tuple(Pairs(name, "N") for name in layout.forces),
+        )
+        actions = len(layout.actuator_names)
+        envs = max(min(_ENVS, states // _STEPS), _KINDS)
         initial = VariedInitialStates(task, seed)
         self.env, self.other = (
             KickEnv(
-                task, make_engine(task, envs, num_threads=threads), seed, noise=False, initial_states=initial
+                twin, make_engine(twin, envs, num_threads=threads), seed, noise=False, initial_states=initial
             )
-            for _ in range(2)
+            for twin in twins
         )
         self.actions = VariedActions(envs, actions, seed)
         self.draws = torch.Generator().manual_seed(seed)
@@ -220,7 +241,6 @@ class _Recorder:
 
     def run(self, states: int, policy: Policy | None) -> Recording:
         env, other = self.env, self.other
-        self._measure_response()
         self._begin(torch.ones(env.num_envs, dtype=torch.bool))
         driven = (torch.arange(env.num_envs) % 2 == 0).unsqueeze(1)
         for _ in range(-(-states // env.num_envs)):
@@ -270,27 +290,6 @@ class _Recorder:
         recording.count("with ball contact", state.ball_contact & keep)
         if "body_floor" in self.task.scene.layout.contacts:
             recording.count("with the body on the floor", state.body_floor_contact & keep)
-
-    def _measure_response(self) -> None:
-        """Steps envs that differ in one actuator's command, and their mirror images with both signs of it."""
-        env, other, actions = self.env, self.other, self.env.num_actions
-        count = 2 * actions + 1
-        commands = torch.cat([torch.eye(actions), -torch.eye(actions), torch.zeros(1, actions)])
-        states = env.num_envs // count
-        which = torch.arange(env.num_envs)
-        command = commands[which % count]
-        for first in range(0, 4 * states, states):
-            start = env.snapshot().take((first + which // count) % env.num_envs)
-            effects = []
-            for stepped, snapshot in ((env, start), (other, self.reflection(start))):
-                stepped.restore(snapshot)
-                stepped.engine.step(stepped.targets(command))
-                velocity = stepped.engine.qvel[: states * count].view(states, count, -1)
-                effects.append(velocity[:, :-1] - velocity[:, -1:])
-            self.recording.response.add(
-                effects[0][:, :actions], effects[1], torch.ones(states, dtype=torch.bool)
-            )
-            env.reset()
 
 
 def _field_pairs(task: CompiledTask) -> tuple[Pairs, ...]:

@@ -6,11 +6,9 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from rsl_rl.models import MLPModel
-
 from kickbench.audit.checks import judge, policy_rows
-from kickbench.audit.model import derive_scene, equal_sided, model_rows
-from kickbench.audit.record import record, reflection_of
+from kickbench.audit.model import derive_scene, model_rows
+from kickbench.audit.record import record
 from kickbench.audit.report import Report
 from kickbench.config.load import Loaded, load, load_method, load_task
 from kickbench.config.method import RepresentationSpec
@@ -19,9 +17,7 @@ from kickbench.config.yamlio import load_document
 from kickbench.envs.catalog import model_of_task
 from kickbench.envs.compiled_task import CompiledTask, compile_task
 from kickbench.errors import KickbenchError, shown
-from kickbench.nets.build import build_critic
 from kickbench.results.store import RunDirectory
-from kickbench.training.checkpoint import Checkpoints
 from kickbench.training.trained import load_run
 from kickbench.trials.trial import Trial, symmetry_of
 from kickbench.trials.validate import kind_of
@@ -55,19 +51,17 @@ def audit(
     compiled = compile_task(load_task(model_of_task, task, overrides))
     representations = _load_table(table, run)
     symmetry = symmetry_of(compiled, representations)
-    trained = critic = None
+    trained = None
     if run is not None:
         trained = load_run(run)
         check_run(compiled, trained.trial, run)
-        critic = _load_critic(trained.trial, run)
     derivation = derive_scene(compiled)
     policy = trained.policy if trained else None
-    equal = equal_sided(compiled, derivation)
-    recording = record(equal, reflection_of(equal, derivation), states, seed, threads, policy)
+    recording = record(compiled, derivation, states, seed, threads, policy)
     rows = list(judge(recording, derivation, symmetry, compiled.robot.spec.symmetry.image()))
     rows += model_rows(compiled, derivation)
     if trained is not None:
-        rows += policy_rows(recording, symmetry, trained.trial, trained.policy, critic)
+        rows += policy_rows(recording, symmetry, trained.trial, trained.policy)
     return Report(
         task=compiled.name,
         robot=shown(compiled.robot.document.file),
@@ -103,17 +97,3 @@ def check_run(task: CompiledTask, run: Trial, path: Path) -> None:
             names = ", ".join(name for name, _ in theirs)
             what = f"its {group} sees {names}, which is not what {task.name} shows"
             raise KickbenchError(f"--policy {path}: {what}")
-
-
-def _load_critic(run: Trial, path: Path) -> MLPModel | None:
-    """The value function in a run's newest checkpoint, where it has one."""
-    folder = RunDirectory(path).checkpoints
-    state = Checkpoints(folder).load()
-    if state is None:
-        return None
-    critic = build_critic(run.method.spec, run.symmetry.groups["critic"])
-    try:
-        critic.load_state_dict(state["learner"]["critic_state_dict"])
-    except (RuntimeError, LookupError, TypeError) as error:
-        raise KickbenchError(f"{folder}: this checkpoint is of another network: {error}") from None
-    return critic.eval()

@@ -111,30 +111,25 @@ def schema(kind: Kind = cli.argument("Kind of file.", "KIND")) -> None:
 
 
 @cli.verb("Define", "symmetry derive my_robot.xml", of=cli.symmetry)
-def derive(
-    model: Path = cli.argument("MJCF file.", "MODEL"),
-    plane: Literal["xz", "yz", "xy"] = cli.option(
-        "Mirror plane of the root body (default: xz).", default="xz"
-    ),
-) -> int:
+def derive(model: Path = cli.argument("MJCF file.", "MODEL")) -> int:
     """Print the `symmetry:` block of a robot file, derived from the geometry of its MJCF."""
     if not model.is_file():
         raise KickbenchError(f"{model}: {'a folder, no file' if model.is_dir() else 'no such file'}")
-    from kickbench.sim.read_parts import compile_parts
+    from kickbench.sim.carried import compile_robot
+    from kickbench.sim.read_parts import read_parts
     from kickbench.symmetry.derive import derive, symmetry_block
 
-    derivation = derive(compile_parts(model), plane)
+    derivation = derive(read_parts(compile_robot(model)))
     print(symmetry_block(derivation, model.name))
     return 1 if derivation.unclear else 0
 
 
 def _show_fields(task: Path, method: Path, overrides: list[str]) -> None:
-    """Prints field tables, and the actions in both bases."""
+    """Prints field tables, and how the actions mirror."""
     from kickbench.trials.trial import load_trial
 
     experiment = load_trial(task, method, overrides)
     symmetry, names = experiment.symmetry, experiment.task.scene.layout.actuator_names
     parts = [f"observations: {group}\n{table}" for group, table in symmetry.groups.items()]
     parts.append("\n".join((f"actions: {symmetry.actions}", *symmetry.actions.describe(names))))
-    parts.append("\n".join(("actions, isotypic form", *symmetry.actions.describe_isotypic(names))))
     print("\n\n".join(parts))

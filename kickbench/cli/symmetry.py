@@ -23,11 +23,6 @@ def check(
     observe: str | None = cli.option(
         "Function (model, data) -> observations of a physical state.", metavar="MODULE:FUNCTION"
     ),
-    fields: str | None = cli.option(
-        "Without --observe: what the observations are made of, such as "
-        "base_ang_vel,projected_gravity,velocity_commands,joint_pos,joint_vel,actions,heights:187.",
-        metavar="NAME,...",
-    ),
     group: str = cli.option("Observation group (default: policy).", default="policy", metavar="NAME"),
     period: float | None = cli.option(
         "Period of clocks that --observe reads off data.time, s.", parser=cli.number(0, 1e6), metavar="S"
@@ -37,13 +32,12 @@ def check(
 
     Modules are imported from here or from the Python path: code runs because it is named here.
     """
-    cli.exclude("--fields", fields, "--observe", observe)
     if not model.is_file():
         raise KickbenchError(f"{model}: {'a folder, no file' if model.is_dir() else 'no such file'}")
     functions = _function("--mirror", mirror), _function("--observe", observe) if observe else None
     from kickbench.audit.foreign import check_mirror
 
-    report = check_mirror(model, *functions, fields.split(",") if fields else (), group=group, period=period)
+    report = check_mirror(model, *functions, group=group, period=period)
     print(report)
     return 0 if report else 1
 

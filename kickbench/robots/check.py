@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import product
 from pathlib import Path
@@ -13,22 +13,21 @@ from typing import Any, Literal
 import mujoco
 import numpy as np
 
-from kickbench.config.load import Loaded
 from kickbench.config.robot import RobotSpec
+from kickbench.config.task import SimulationSpec
 from kickbench.envs.compiled_task import CompiledTask, read_task
 from kickbench.errors import shown
 from kickbench.results.tables import render_block
-from kickbench.robots.guess import GRAVITY, centre_height, efforts_of, supports
+from kickbench.robots.guess import GRAVITY, efforts_of, supports
 from kickbench.robots.stand import ENVS, SECONDS, Standing, stand
 from kickbench.sim.check import read_robot
-from kickbench.sim.plausible import SAFE, Finding, Stepped, findings, stepped
+from kickbench.sim.plausible import SAFE, Finding, findings, stepped
 from kickbench.sim.pose import base_joint, lowest_point, posed, touching_geoms
 from kickbench.sim.sensors import robot_feet
 
 _TIMESTEPS, _INTEGRATORS = (0.002, 0.005), ("euler", "implicitfast")
 _BRISK = 2.0
 """Speed of a joint of a standing robot that is noted, rad/s."""
-_AT_LIMIT = 1e-3
 _ROOM = 0.2
 """Around the places of the bodies, m: what their geoms may take."""
 _FEET_TERMS = ("observations.critic.foot_position", "observations.critic.foot_ball_contact")
@@ -49,38 +48,12 @@ class Fact:
 
 
 @dataclass(frozen=True)
-class JointFact:
-    """Numbers of one driven joint.
-
-    Attributes:
-        joint: Its name.
-        kp: Stiffness, N m/rad.
-        effort: Largest torque, N m.
-        mjcf_effort: The MJCF's; None: it has none.
-        damping: kd dt / I at the task's time step.
-        euler: Share of the way to instability with that integrator; 1 is unstable.
-        implicitfast: The same.
-        speed: Largest speed while standing, rad/s; None: it never stood.
-    """
-
-    joint: str
-    kp: float
-    effort: float
-    mjcf_effort: float | None
-    damping: float
-    euler: float
-    implicitfast: float
-    speed: float | None
-
-
-@dataclass(frozen=True)
 class RobotReport:
     """What `robot check` prints.
 
     Attributes:
         robot: The robot file.
         facts: The page.
-        joints: A line a driven joint.
         standings: Ways to step the physics, with what came of each.
         task: The task that it stood in.
         box: Half of the side, and height of the box around the robot, m.
@@ -88,7 +61,6 @@ class RobotReport:
 
     robot: Path
     facts: tuple[Fact, ...]
-    joints: tuple[JointFact, ...]
     standings: tuple[Standing, ...]
     task: CompiledTask
     box: tuple[float, float]
@@ -100,29 +72,18 @@ class RobotReport:
 
     def as_json(self) -> dict[str, Any]:
         """The report as plain data."""
-        facts, joints = [asdict(fact) for fact in self.facts], [asdict(joint) for joint in self.joints]
-        return {"robot": str(self.robot), "passed": not self.failed, "facts": facts, "joints": joints}
+        return {"robot": str(self.robot), "passed": not self.failed, "facts": [*map(asdict, self.facts)]}
 
     def lines(self) -> Iterator[str]:
         """The report for people."""
         width = max(len(fact.detail) for fact in self.facts)
         facts = [(f.name, f.value, f.verdict, f.detail.ljust(width)) for f in self.facts]
         yield render_block(f"robot {shown(self.robot)}", _HEADER, [facts], None)
-        joints = [tuple(map(_cell, asdict(joint).values())) for joint in self.joints]
-        timestep = f"{1000 * self.task.spec.simulation.timestep:g} ms"
-        header = ("joint", "kp", "effort", "MJCF's", "kd dt / I", "euler", "implicitfast", "rad/s")
-        groups = ("", "", "[N m]", "", f"at {timestep}", "of instability", "", "standing")
-        yield ""
-        yield render_block("", header, [joints], groups)
         failures = [fact for fact in self.facts if fact.verdict == "FAIL"]
         yield ""
         yield (
             f"{failures[0].name}: {failures[0].detail or failures[0].value}" if failures else "no fact fails"
         )
-
-
-def _cell(value: str | float | None) -> str:
-    return "-" if value is None else value if isinstance(value, str) else f"{value:.3g}"
 
 
 def check_robot(file: Path, task: Path | str = "mini_general") -> RobotReport:
@@ -139,21 +100,19 @@ def check_robot(file: Path, task: Path | str = "mini_general") -> RobotReport:
     own = _task(file, task)
     robot, simulation = own.robot, own.spec.simulation
     _, model = read_robot(robot)
+    data = posed(model, robot.spec.initial.position, robot.spec.pose)
     standings = tuple(map(stand, tasks.values()))
     best = next((s for s in reversed(standings) if s.stands), None)
-    ways = [list(stepped(robot.spec, model, simulation.timestep, name)) for name in _INTEGRATORS]
-    joints = tuple(_joints(robot.spec, efforts_of(model), ways, best))
     facts = (
-        *_sizes(robot, model),
+        *_sizes(model, data),
         *_found(list(findings(robot, model))),
-        *_limits(robot, model),
-        *_efforts(joints),
-        *_ankles(robot, model),
-        _steps(ways, simulation.integrator, simulation.timestep),
+        *_efforts(robot.spec, efforts_of(model)),
+        *_ankles(robot.spec, model, data),
+        _steps(robot.spec, model, simulation),
         *_standing(standings, base_joint(model) is not None),
-        *_speeds(robot.spec, joints),
+        *(() if best is None else (_fastest(own, best),)),
     )
-    return RobotReport(file, facts, joints, standings, own, _box(robot, model))
+    return RobotReport(file, facts, standings, own, _box(data))
 
 
 def _task(file: Path, task: Path | str, timestep: float | None = None, integrator: str = "") -> CompiledTask:
@@ -166,28 +125,18 @@ def _task(file: Path, task: Path | str, timestep: float | None = None, integrato
     return read_task(task, overrides)
 
 
-def _joints(
-    robot: RobotSpec, efforts: dict[str, float], ways: Sequence[list[Stepped]], best: Standing | None
-) -> Iterator[JointFact]:
-    for index, (euler, calm) in enumerate(zip(*ways, strict=True)):
-        servo, speed = robot.actuators[euler.actuator], None if best is None else float(best.speed[index])
-        numbers = (servo.kp or 0.0, servo.effort, efforts.get(euler.joint), euler.damping)
-        yield JointFact(euler.joint, *numbers, euler.share, calm.share, speed)
-
-
-def _sizes(robot: Loaded[RobotSpec], model: mujoco.MjModel) -> Iterator[Fact]:
-    data = posed(model, robot.spec.initial.position, robot.spec.pose)
+def _sizes(model: mujoco.MjModel, data: mujoco.MjData) -> Iterator[Fact]:
     yield Fact("mass", f"{model.body_mass[1:].sum():.4g} kg")
     geoms = touching_geoms(model)
     if geoms:
         lowest = {geom: lowest_point(model, data, geom) for geom in geoms}
         top = max(2.0 * data.geom_xpos[geom, 2] - height for geom, height in lowest.items())
-        yield Fact("height", f"{top:.3g} m", "", f"centre of mass at {centre_height(model, data):.3g} m")
+        yield Fact("height", f"{top:.3g} m", "", f"centre of mass at {data.subtree_com[0, 2]:.3g} m")
         yield Fact("sole over the floor", f"{1000 * min(lowest.values()):.1f} mm")
 
 
-def _box(robot: Loaded[RobotSpec], model: mujoco.MjModel) -> tuple[float, float]:
-    places = posed(model, robot.spec.initial.position, robot.spec.pose).xpos[1:]
+def _box(data: mujoco.MjData) -> tuple[float, float]:
+    places = data.xpos[1:]
     return float(np.abs(places[:, :2]).max()) + _ROOM, float(places[:, 2].max()) + _ROOM
 
 
@@ -198,34 +147,24 @@ def _found(found: Sequence[Finding]) -> Iterator[Fact]:
         yield Fact(name, f"{len(own)} found" if own else "", verdict, own[0].problem.message if own else "")
 
 
-def _limits(robot: Loaded[RobotSpec], model: mujoco.MjModel) -> Iterator[Fact]:
-    data = posed(model, robot.spec.initial.position, robot.spec.pose)
-    limited = [j for j in range(model.njnt) if model.jnt_limited[j]]
-    near = [
-        j for j in limited if np.abs(data.qpos[model.jnt_qposadr[j]] - model.jnt_range[j]).min() < _AT_LIMIT
-    ]
-    names = ", ".join(model.joint(j).name for j in near)
-    yield Fact("joints at a limit", f"{len(near)}", "warn" if near else "ok", names)
-
-
-def _efforts(joints: Sequence[JointFact]) -> Iterator[Fact]:
-    known = [joint for joint in joints if joint.mjcf_effort is not None]
-    off = [j for j in known if j.mjcf_effort and abs(j.effort / j.mjcf_effort - 1.0) > 1e-3]
-    above = [j for j in off if j.mjcf_effort and j.effort > j.mjcf_effort]
-    words = "; ".join(f"{j.joint} {j.effort:g}, the MJCF's {j.mjcf_effort:g}" for j in (above or off)[:2])
+def _efforts(robot: RobotSpec, limits: Mapping[str, float]) -> Iterator[Fact]:
+    """Efforts against the limits that the MJCF puts on the joints."""
+    known = {servo.joint: servo.effort for servo in robot.actuators.values() if servo.joint in limits}
+    off = [str(joint) for joint, effort in known.items() if abs(effort / limits[str(joint)] - 1.0) > 1e-3]
+    above = [joint for joint in off if known[joint] > limits[joint]]
+    words = "; ".join(f"{j} {known[j]:g}, the MJCF's {limits[j]:g}" for j in (above or off)[:2])
     value = f"{len(known) - len(off)} of {len(known)} as in the MJCF"
     yield Fact("efforts", value, "warn" if above else "ok" if known else "", words)
 
 
-def _ankles(robot: Loaded[RobotSpec], model: mujoco.MjModel) -> Iterator[Fact]:
+def _ankles(robot: RobotSpec, model: mujoco.MjModel, data: mujoco.MjData) -> Iterator[Fact]:
     """Stiffness of the joints next to the feet against that of the tipping robot."""
-    data = posed(model, robot.spec.initial.position, robot.spec.pose)
-    servos = {s.joint: s for s in robot.spec.actuators.values()}
-    if base_joint(model) is None or not robot.spec.feet:
+    servos = {s.joint: s for s in robot.actuators.values()}
+    if base_joint(model) is None or not robot.feet:
         return
-    tipping = GRAVITY * model.body_mass[1:].sum() * centre_height(model, data) / len(supports(model, data))
+    tipping = GRAVITY * model.body_mass[1:].sum() * data.subtree_com[0, 2] / len(supports(model, data))
     stiffness = dict[str, float]()
-    for foot in robot_feet(robot.spec).values():
+    for foot in robot_feet(robot).values():
         body = model.body(foot.body).id
         while body and not model.body_jntnum[body]:
             body = int(model.body_parentid[body])
@@ -241,13 +180,14 @@ def _ankles(robot: Loaded[RobotSpec], model: mujoco.MjModel) -> Iterator[Fact]:
         yield Fact("least stiff foot joint", value, verdict, words)
 
 
-def _steps(ways: Sequence[list[Stepped]], integrator: str, timestep: float) -> Fact:
-    own = ways[_INTEGRATORS.index(integrator)] if integrator in _INTEGRATORS else ways[0]
-    worst = max(own, key=lambda joint: joint.share)
-    name = f"time step {1000 * timestep:g} ms, {integrator}"
+def _steps(robot: RobotSpec, model: mujoco.MjModel, simulation: SimulationSpec) -> Fact:
+    timestep, integrator = simulation.timestep, simulation.integrator
+    worst = max(stepped(robot, model, timestep, integrator), key=lambda joint: joint.share)
     verdict: Verdict = "ok" if worst.share <= SAFE else "warn"
     words = f"'{worst.joint}' comes nearest to instability, which is at 100 %"
-    return Fact(name, f"{100 * worst.share:.0f} %", verdict, words)
+    return Fact(
+        f"time step {1000 * timestep:g} ms, {integrator}", f"{100 * worst.share:.0f} %", verdict, words
+    )
 
 
 def _standing(standings: Sequence[Standing], can_fall: bool) -> Iterator[Fact]:
@@ -263,12 +203,12 @@ def _standing(standings: Sequence[Standing], can_fall: bool) -> Iterator[Fact]:
         yield Fact(name, f"{np.median(seconds):.2f} s", verdict, words)
 
 
-def _speeds(robot: RobotSpec, joints: Sequence[JointFact]) -> Iterator[Fact]:
-    limits = {servo.joint: servo.velocity_limit or np.inf for servo in robot.actuators.values()}
-    moving = [joint for joint in joints if joint.speed is not None]
-    if moving:
-        worst = max(moving, key=lambda joint: joint.speed or 0.0)
-        beyond = [joint.joint for joint in moving if (joint.speed or 0.0) > limits[joint.joint]]
-        verdict: Verdict = "FAIL" if beyond else "warn" if (worst.speed or 0.0) > _BRISK else "ok"
-        words = f"beyond their velocity limit: {', '.join(beyond)}" if beyond else f"'{worst.joint}'"
-        yield Fact("fastest joint, standing", f"{worst.speed:.2g} rad/s", verdict, words)
+def _fastest(task: CompiledTask, best: Standing) -> Fact:
+    """The joint that moves fastest while the robot stands."""
+    limits = {servo.joint: servo.velocity_limit for servo in task.robot.spec.actuators.values()}
+    speeds = dict(zip(task.scene.layout.joint_names, best.speed.tolist(), strict=True))
+    beyond = [joint for joint, speed in speeds.items() if speed > (limits.get(joint) or np.inf)]
+    joint = max(speeds, key=lambda name: speeds[name])
+    verdict: Verdict = "FAIL" if beyond else "warn" if speeds[joint] > _BRISK else "ok"
+    words = f"beyond their velocity limit: {', '.join(beyond)}" if beyond else f"'{joint}'"
+    return Fact("fastest joint, standing", f"{speeds[joint]:.2g} rad/s", verdict, words)

@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 
 from kickbench.errors import KickbenchError
-from kickbench.sim.carried import lost_parts, read_mjcf, unfit_parts
+from kickbench.sim.carried import compile_robot
 from kickbench.sim.pose import apparent_inertia, base_joint, lowest_point, posed, touching_geoms, underside
 from kickbench.sim.read_parts import read_parts
 from kickbench.sim.sensors import SIDES
@@ -90,18 +90,13 @@ class Candidate:
         Raises:
             KickbenchError: MuJoCo cannot read it, or no robot file can be written for it; says why.
         """
-        try:
-            spec = read_mjcf(str(file))
-            self.model: mujoco.MjModel = spec.compile()
-        except ValueError as error:
-            raise KickbenchError(f"{file}: MuJoCo cannot read it: {' '.join(str(error).split())}") from None
-        reasons = [*unfit_parts(spec), *lost_parts(spec)]
+        self.model: mujoco.MjModel = compile_robot(file)
         if base_joint(self.model) is None:
-            reasons.append("the model has no free joint: a robot that kicks stands on its own feet")
+            what = "the model has no free joint: a robot that kicks stands on its own feet"
+            raise KickbenchError(f"{file}: {what}")
         if not touching_geoms(self.model):
-            reasons.append("no geom of the model collides (contype and conaffinity are 0): it has no feet")
-        if reasons:
-            raise KickbenchError("\n".join(f"{file}: {reason}" for reason in reasons))
+            what = "no geom of the model collides (contype and conaffinity are 0): it has no feet"
+            raise KickbenchError(f"{file}: {what}")
         self.derivation: Derivation = derive(read_parts(self.model))
 
     # Pose
@@ -191,7 +186,7 @@ class Candidate:
     @cached_property
     def centre(self) -> float:
         """Height of the centre of mass above the floor, m."""
-        return centre_height(self.model, self.data)
+        return float(self.data.subtree_com[0, 2])
 
     @cached_property
     def needed(self) -> dict[str, float]:
@@ -247,11 +242,6 @@ def supports(model: mujoco.MjModel, data: mujoco.MjData) -> list[int]:
         body, height = int(model.geom_bodyid[geom]), lowest_point(model, data, geom)
         lowest[body] = min(height, lowest.get(body, np.inf))
     return [body for body, height in lowest.items() if height < min(lowest.values()) + _SOLE]
-
-
-def centre_height(model: mujoco.MjModel, data: mujoco.MjData) -> float:
-    """Height of the centre of mass, m."""
-    return float(model.body_mass[1:] @ data.xipos[1:, 2] / model.body_mass[1:].sum())
 
 
 def efforts_of(model: mujoco.MjModel) -> dict[str, float]:

@@ -15,8 +15,9 @@ from kickbench.config.robot import RobotSpec
 from kickbench.config.task import BallSpec, SimulationSpec, TargetSampling, TaskSpec
 from kickbench.errors import SpecError
 from kickbench.sim.carried import differences
-from kickbench.sim.check import check_start, model_error, read_robot
+from kickbench.sim.check import feet_problems, model_error, pose_problems, read_robot
 from kickbench.sim.layout import GOAL, SceneLayout, Servo, read_layout
+from kickbench.sim.pose import posed
 from kickbench.sim.sensors import ALWAYS, ROBOT, SensorGroup, plan_sensors, robot_feet, sole_site
 
 _AXES = ("x", "y", "z", "rx", "ry", "rz")
@@ -100,8 +101,9 @@ def build_scene(task: TaskSpec, robot: Loaded[RobotSpec], needs: frozenset[Senso
         raise model_error(robot, "compile the scene of this model", error) from None
     model.opt.jacobian = jacobian_of(task.simulation, model.nv)
     layout = read_layout(model, robot.spec, plans, needs)
+    start = posed(native, robot.spec.initial.position, robot.spec.pose)
     problems = [robot.document.problem(("model",), what) for what in differences(native, model)]
-    problems += check_start(robot, model, layout)
+    problems += [*pose_problems(robot, native, start), *feet_problems(robot, model, layout)]
     if problems:
         raise SpecError(problems)
     return Scene(scene, model, layout)

@@ -1,25 +1,52 @@
-"""What a scene keeps of an MJCF: nothing may get lost silently, so what it cannot keep is an error."""
+"""Reads an MJCF, and says what a scene cannot keep of it: nothing may get lost silently."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 
 # pyright: reportAttributeAccessIssue=false
 import mujoco
 import numpy as np
 
+from kickbench.errors import KickbenchError
 from kickbench.sim.layout import GOAL
-from kickbench.sim.read_parts import name_parts, part_name, unsupported
 from kickbench.sim.sensors import ROBOT
+
+_UNSUPPORTED_DRIVES = {
+    mujoco.mjtTrn.mjTRN_TENDON: "the tendon",
+    mujoco.mjtTrn.mjTRN_SLIDERCRANK: "a slider-crank",
+}
 
 
 def read_mjcf(file: str) -> mujoco.MjSpec:
-    """Reads an MJCF whose bodies stay apart and all have names, also those that it gives none."""
+    """Reads an MJCF whose bodies stay apart; what has no name is `body_3`, or `BODY:0`, a body's first joint."""
     spec = mujoco.MjSpec.from_file(file)
     # Bodies that the robot file names would be merged into their parents.
     spec.compiler.fusestatic = False
-    name_parts(spec)
+    for index, body in enumerate(spec.bodies[1:], start=1):
+        body.name = body.name or f"body_{index}"
+        for rank, joint in enumerate(body.joints):
+            if joint.type != mujoco.mjtJoint.mjJNT_FREE:
+                joint.name = joint.name or f"{body.name}:{rank}"
     return spec
+
+
+def compile_robot(file: Path) -> mujoco.MjModel:
+    """Compiles the MJCF of a robot that has no robot file yet.
+
+    Raises:
+        KickbenchError: MuJoCo cannot read it, or no robot file can be written for it; says why.
+    """
+    try:
+        spec = read_mjcf(str(file))
+        model = spec.compile()
+    except ValueError as error:
+        reason = " ".join(str(error).split())
+        raise KickbenchError(f"{file}: MuJoCo cannot read this model: {reason}") from None
+    if reasons := [*unfit_parts(spec), *lost_parts(spec)]:
+        raise KickbenchError("\n".join(f"{file}: {reason}" for reason in reasons))
+    return model
 
 
 def unfit_parts(model: mujoco.MjSpec) -> Iterator[str]:
@@ -33,10 +60,20 @@ def unfit_parts(model: mujoco.MjSpec) -> Iterator[str]:
     if model.compiler.settotalmass > 0.0:
         what = "the compiler setting `settotalmass` does not reach a scene"
         yield f"{what}; expected masses of the bodies"
-    yield from unsupported(model)
     for joint in model.joints:
+        if joint.type == mujoco.mjtJoint.mjJNT_BALL:
+            yield f"the joint '{joint.name}' is a ball joint; expected hinge, slide or free joints"
         if joint.name == "ball":
             yield "a joint of the robot is named 'ball', which is the name of the scene's ball"
+    for index, actuator in enumerate(model.actuators):
+        if drive := _UNSUPPORTED_DRIVES.get(actuator.trntype):
+            name = part_name(actuator, index)
+            yield f"the actuator {name} drives {drive}; the servos of a robot file drive joints or the base"
+
+
+def part_name(part: mujoco.MjsElement, index: int) -> str:
+    """A name in quotes, or the number of what has none."""
+    return f"'{part.name}'" if part.name else f"number {index}"
 
 
 def lost_parts(spec: mujoco.MjSpec) -> Iterator[str]:

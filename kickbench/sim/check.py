@@ -16,9 +16,9 @@ from kickbench.errors import KeyPath, Problem, SpecError, nearest, shown
 from kickbench.sim.carried import lost_parts, read_mjcf, unfit_parts
 from kickbench.sim.layout import SceneLayout
 from kickbench.sim.read_parts import read_parts
-from kickbench.sim.sensors import ROBOT, SIDES, robot_feet
+from kickbench.sim.sensors import SIDES, robot_feet
 from kickbench.symmetry.derive import Derivation, derive
-from kickbench.symmetry.representation import kind_of_coordinate
+from kickbench.symmetry.representation import image_words
 
 _LEFT_TOLERANCE = 0.02
 """Angle between the base's y axis and the left, rad: a manufacturer's frames may be off by rounding."""
@@ -157,42 +157,22 @@ def _pose_problems(robot: Loaded[RobotSpec]) -> Iterator[Problem]:
 # The default pose
 
 
-def check_start(robot: Loaded[RobotSpec], model: mujoco.MjModel, layout: SceneLayout) -> list[Problem]:
-    """The robot starts at the origin, facing +x, within its joints' ranges, on feet that touch things.
+def pose_problems(robot: Loaded[RobotSpec], model: mujoco.MjModel, data: mujoco.MjData) -> list[Problem]:
+    """The robot starts at the origin, facing +x, within its joints' ranges, with a base that looks ahead.
 
     Args:
         robot: The robot file.
-        model: The compiled scene.
-        layout: Its index maps, with the default pose.
-    """
-    data = mujoco.MjData(model)
-    data.qpos[:] = layout.default_qpos
-    mujoco.mj_kinematics(model, data)
-    return [*pose_problems(robot, model, data, ROBOT), *_feet_problems(robot, model, layout)]
-
-
-def pose_problems(
-    robot: Loaded[RobotSpec], model: mujoco.MjModel, data: mujoco.MjData, prefix: str = ""
-) -> list[Problem]:
-    """What is wrong with a default pose: place, turn, base that looks elsewhere, ranges left.
-
-    Args:
-        robot: The robot file.
-        model: The robot's model, or a scene.
-        data: The default pose, with the bodies' places.
-        prefix: What the robot's names begin with.
+        model: Its MJCF, compiled.
+        data: Its default pose.
     """
     # A robot that is turned as a whole turns its base with it.
-    frames = list(_place_problem(robot, model, data, prefix)) or list(_base_problem(robot, data, prefix))
-    return [*frames, *_range_problems(robot, model, data, prefix)]
+    frames = list(_place_problem(robot, data)) or list(_base_problem(robot, data))
+    return [*frames, *_range_problems(robot, model, data)]
 
 
-def _place_problem(
-    robot: Loaded[RobotSpec], model: mujoco.MjModel, data: mujoco.MjData, prefix: str
-) -> Iterator[Problem]:
+def _place_problem(robot: Loaded[RobotSpec], data: mujoco.MjData) -> Iterator[Problem]:
     """Regions and the mirror plane are those of the world."""
-    root = next(body for body in range(1, model.nbody) if model.body(body).name.startswith(prefix))
-    (x, y), left = data.xpos[root, :2], data.xmat[root].reshape(3, 3)[:2, 1]
+    (x, y), left = data.xpos[1, :2], data.xmat[1].reshape(3, 3)[:2, 1]
     turn = math.degrees(math.atan2(0.0 - left[0], left[1]))
     if max(abs(x), abs(y)) >= 1e-6 or abs(turn) >= 1e-3:
         what = f"the robot starts at x = {x:.3g} m, y = {y:.3g} m, turned by {turn:.3g} degrees"
@@ -200,9 +180,9 @@ def _place_problem(
         yield robot.document.problem(path, f"{what}; expected x = y = 0 and no turn, facing +x")
 
 
-def _base_problem(robot: Loaded[RobotSpec], data: mujoco.MjData, prefix: str) -> Iterator[Problem]:
+def _base_problem(robot: Loaded[RobotSpec], data: mujoco.MjData) -> Iterator[Problem]:
     """Observations are read in the base's frame: x ahead, y to the left, z up in the default pose."""
-    axes = data.body(prefix + robot.spec.base).xmat.reshape(3, 3)
+    axes = data.body(robot.spec.base).xmat.reshape(3, 3)
     off_left, off_ahead = (math.acos(np.clip(axes[i, i], -1.0, 1.0)) for i in (1, 0))
     if off_left > _LEFT_TOLERANCE or off_ahead > _PITCH_TOLERANCE:
         vectors = [", ".join(f"{value:.2g}" for value in axes[:, i]) for i in range(3)]
@@ -212,10 +192,10 @@ def _base_problem(robot: Loaded[RobotSpec], data: mujoco.MjData, prefix: str) ->
 
 
 def _range_problems(
-    robot: Loaded[RobotSpec], model: mujoco.MjModel, data: mujoco.MjData, prefix: str
+    robot: Loaded[RobotSpec], model: mujoco.MjModel, data: mujoco.MjData
 ) -> Iterator[Problem]:
     for joint in np.flatnonzero(model.jnt_limited):
-        name = model.joint(int(joint)).name.removeprefix(prefix)
+        name = model.joint(int(joint)).name
         low, high = model.jnt_range[joint]
         value = data.qpos[model.jnt_qposadr[joint]]
         if not low - _AT_LIMIT <= value <= high + _AT_LIMIT:
@@ -226,8 +206,14 @@ def _range_problems(
             yield robot.document.problem(path, what, hint)
 
 
-def _feet_problems(robot: Loaded[RobotSpec], model: mujoco.MjModel, layout: SceneLayout) -> Iterator[Problem]:
-    """A foot has a geom that collides, and nothing keeps it from touching floor and ball."""
+def feet_problems(robot: Loaded[RobotSpec], model: mujoco.MjModel, layout: SceneLayout) -> Iterator[Problem]:
+    """A foot has a geom that collides, and nothing keeps it from touching floor and ball.
+
+    Args:
+        robot: The robot file.
+        model: The compiled scene.
+        layout: Its index maps.
+    """
     excluded = {(int(sign) >> 16, int(sign) & 0xFFFF) for sign in model.exclude_signature}
     for (place, foot), geoms in zip(robot_feet(robot.spec).items(), layout.foot_geoms, strict=True):
         touching = [g for g in geoms if model.geom_contype[g] or model.geom_conaffinity[g]]
@@ -288,20 +274,14 @@ def _contradicted_joints(robot: Loaded[RobotSpec], derivation: Derivation) -> It
     for path, joint in _declared_joints(robot.spec):
         # The left joint of a pair stands for both.
         if "right" not in path and joint in derived and declared[joint] != derived[joint]:
-            here, there = (_words(joint, *table[joint]) for table in (declared, derived))
+            here, there = (image_words(joint, *table[joint]) for table in (declared, derived))
             what = f"the joint '{joint}' is declared {here}, but by its geometry it is {there}"
             yield robot.document.problem(path, what, hint)
             hint = None  # once is enough
 
 
-def _words(joint: str, partner: str, sign: int) -> str:
-    """How a joint transforms: "sign", "regular with 'right_knee'"."""
-    kind = kind_of_coordinate(partner == joint, sign)
-    return kind if partner == joint else f"{kind} with '{partner}'"
-
-
 def _contradicted_feet(robot: Loaded[RobotSpec], derivation: Derivation) -> Iterator[Problem]:
-    feet, places = robot_feet(robot.spec), {b.name: b.get("place") for b in derivation.parts.bodies}
+    feet, places = robot_feet(robot.spec), {b.name: b.place for b in derivation.parts.bodies}
     for left, right in zip([*feet][::2], [*feet][1::2], strict=True):
         yield from _contradicted_pair(robot, derivation, left, right)
     for index, (place, foot) in enumerate(feet.items()):

@@ -28,9 +28,6 @@ class FrameSensing:
         Args:
             model: Compiled model; its frame sensors come first in sensordata.
             num_threads: Threads, the calling one among them.
-
-        Raises:
-            ValueError: Other sensors come before frame sensors.
         """
         self.size = frame_size(model)
         """Numbers that the frame sensors of an env give."""

@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 
 from kickbench.config.robot import ActuatorSpec, FootSpec, RobotSpec
+from kickbench.sim.pose import touching_geoms, upright_box
 from kickbench.sim.sensors import ROBOT, SIDES, SensorGroup, SensorPlan, robot_feet
 from kickbench.symmetry.mirror import Coordinate
 
@@ -128,8 +129,7 @@ def read_layout(
         plans: Its sensors.
         needs: The groups that they were planned for.
     """
-    coordinates = tuple(_coordinate(model, j) for j in range(model.njnt))
-    by_name = {c.name: c for c in coordinates}
+    by_name = coordinates_of(model)
     actuators = list(robot.actuators.values())
     observed, feet = robot.observed_joints, robot_feet(robot)
     joints = np.array([model.joint(ROBOT + name).id for name in observed], dtype=np.int64)
@@ -140,12 +140,12 @@ def read_layout(
     if "body_floor" in needs:  # where the feet alone collide there is nothing to sense of the rest
         contacts.setdefault("body_floor", np.array([], dtype=np.int64))
     return SceneLayout(
-        coordinates=coordinates,
+        coordinates=tuple(by_name.values()),
         actuator_names=tuple(robot.actuators),
         joint_names=observed,
         joint_qpos=model.jnt_qposadr[joints].astype(np.int64),
         joint_qvel=model.jnt_dofadr[joints].astype(np.int64),
-        joint_range=np.where(model.jnt_limited[joints][:, None], model.jnt_range[joints], [-np.inf, np.inf]),
+        joint_range=joint_ranges(model, joints),
         ball_qpos=by_name["ball"].qpos,
         ball_qvel=by_name["ball"].qvel,
         default_qpos=default,
@@ -167,6 +167,12 @@ def read_layout(
     )
 
 
+def joint_ranges(model: mujoco.MjModel, joints: Sequence[int] | Indices) -> np.ndarray:
+    """Lowest and highest position of each joint [joints, 2]; infinite without limits."""
+    limited = model.jnt_limited[joints].astype(bool)
+    return np.where(limited[:, None], model.jnt_range[joints], [-np.inf, np.inf])
+
+
 def _goal(model: mujoco.MjModel, by_name: Mapping[str, Coordinate]) -> dict[str, Any]:
     if GOAL[0] not in by_name:
         return {}
@@ -175,10 +181,14 @@ def _goal(model: mujoco.MjModel, by_name: Mapping[str, Coordinate]) -> dict[str,
     return {"goal_qpos": by_name[GOAL[0]].qpos, "goal_width": width}
 
 
-def _coordinate(model: mujoco.MjModel, joint: int) -> Coordinate:
-    name = model.joint(joint).name.removeprefix(ROBOT)
-    free = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE
-    return Coordinate(name, free, int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint]))
+def coordinates_of(model: mujoco.MjModel) -> dict[str, Coordinate]:
+    """Joints of a scene, or of a robot alone, by the names that they have in the robot's MJCF."""
+    found = {}
+    for joint in range(model.njnt):
+        name = model.joint(joint).name.removeprefix(ROBOT)
+        free = bool(model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE)
+        found[name] = Coordinate(name, free, int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint]))
+    return found
 
 
 def _default_qpos(model: mujoco.MjModel, robot: RobotSpec, by_name: Mapping[str, Coordinate]) -> np.ndarray:
@@ -239,16 +249,7 @@ def _obstacles(model: mujoco.MjModel, qpos: np.ndarray, sides: Indices) -> np.nd
     data.qpos[:] = qpos
     mujoco.mj_kinematics(model, data)
     top = 2.0 * model.geom("ball").size[0]
-    boxes = []
-    for geom in range(model.ngeom):
-        collides = model.geom_contype[geom] or model.geom_conaffinity[geom]
-        if not collides or sides[model.geom_bodyid[geom]] == NO_SIDE:
-            continue
-        # The axis-aligned box of a rotated box: centre and half sizes through the absolute rotation.
-        rotation = data.geom_xmat[geom].reshape(3, 3)
-        centre = data.geom_xpos[geom] + rotation @ model.geom_aabb[geom, :3]
-        half = np.abs(rotation) @ model.geom_aabb[geom, 3:]
-        if centre[2] - half[2] < top:
-            low, high = centre - half, centre + half
-            boxes.append((low[0], high[0], low[1], high[1]))
-    return np.array(boxes).reshape(-1, 4)
+    of_robot = [g for g in touching_geoms(model) if sides[model.geom_bodyid[g]] != NO_SIDE]
+    boxes = [upright_box(model, data, geom) for geom in of_robot]
+    ground = [(low[0], high[0], low[1], high[1]) for low, high in boxes if low[2] < top]
+    return np.array(ground).reshape(-1, 4)

@@ -70,17 +70,10 @@ def findings(robot: Loaded[RobotSpec], model: mujoco.MjModel | None = None) -> I
 
 
 def _floor(model: mujoco.MjModel, data: mujoco.MjData) -> Iterator[tuple[str, KeyPath, float, str]]:
-    geoms = touching_geoms(model)
-    if not geoms:
-        return
-    height = min(lowest_point(model, data, geom) for geom in geoms)
-    if height < 0.0:
-        where = f"{-1000 * height:.0f} mm in the floor"
-    elif base_joint(model) is not None:
-        where = f"{1000 * height:.0f} mm above the floor"
-    else:  # a base that cannot fall
-        return
-    yield "floor", ("initial", "position"), height, f"the robot's lowest point begins {where}"
+    height = min((lowest_point(model, data, geom) for geom in touching_geoms(model)), default=0.0)
+    if height < 0.0 or base_joint(model) is not None:  # a base that cannot fall may hang
+        where = f"{abs(1000 * height):.0f} mm {'in' if height < 0.0 else 'above'} the floor"
+        yield "floor", ("initial", "position"), height, f"the robot's lowest point begins {where}"
 
 
 def _soles(

@@ -63,16 +63,20 @@ def lowest_point(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> float
     return float(data.geom_xpos[geom, 2] - depth)
 
 
+def upright_box(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> tuple[np.ndarray, np.ndarray]:
+    """Corners [3], [3] of the box along the world's axes around a geom's own box, m."""
+    rotation = data.geom_xmat[geom].reshape(3, 3)
+    centre = data.geom_xpos[geom] + rotation @ model.geom_aabb[geom, :3]
+    half = np.abs(rotation) @ model.geom_aabb[geom, 3:]
+    return centre - half, centre + half
+
+
 def underside(
     model: mujoco.MjModel, data: mujoco.MjData, geoms: Sequence[int]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Corners [3], [3] of the upright box around some geoms, m; its lower side is their lowest point."""
-    low, high = np.full(3, np.inf), np.full(3, -np.inf)
-    for geom in geoms:
-        rotation = data.geom_xmat[geom].reshape(3, 3)
-        centre = data.geom_xpos[geom] + rotation @ model.geom_aabb[geom, :3]
-        half = np.abs(rotation) @ model.geom_aabb[geom, 3:]
-        low, high = np.minimum(low, centre - half), np.maximum(high, centre + half)
+    lows, highs = zip(*(upright_box(model, data, geom) for geom in geoms), strict=True)
+    low, high = np.min(lows, axis=0), np.max(highs, axis=0)
     low[2] = min(lowest_point(model, data, geom) for geom in geoms)
     return low, high
 

@@ -1,8 +1,8 @@
-"""Physical states of a robot with equal sides, their mirror images, and what a step makes of both."""
+"""Physical states of a robot, their mirror images, and what a step makes of both."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -15,46 +15,43 @@ from kickbench.config.load import load
 from kickbench.config.robot import RobotSpec
 from kickbench.errors import KickbenchError
 from kickbench.sim.build import robot_alone
-from kickbench.sim.read_parts import compile_model, read_parts
-from kickbench.sim.symmetrise import symmetrised
+from kickbench.sim.carried import compile_robot
+from kickbench.sim.layout import coordinates_of
+from kickbench.sim.mirror_image import twin_models
+from kickbench.sim.read_parts import read_parts
 from kickbench.symmetry.derive import Derivation, derive
 from kickbench.symmetry.mirror import Coordinate, mirror_qpos, mirror_qvel
 from kickbench.symmetry.representation import Representation
 
 _SETTLING, _STEPS = 5, 4
 """Steps before a state is taken, so that it has contacts and sensor readings, and steps compared after it."""
-_SPEED = 1.0  # rad/s or m/s
-
-
-@dataclass(frozen=True)
-class Command:
-    """Control targets of actions: `default + scale * action`, [nu] each."""
-
-    default: np.ndarray
-    scale: np.ndarray
+_SPREAD, _SPEED = 0.1, 1.0
+"""Standard deviations of positions about the default pose, rad or m, and of velocities, rad/s or m/s."""
 
 
 @dataclass(frozen=True)
 class Twins:
-    """A robot with equal sides.
+    """A robot and its mirror image.
 
     Attributes:
         model: Compiled model.
-        derivation: What the geometry of the original says.
+        image: Its mirror image.
+        derivation: What the geometry says.
         pose: Default positions [nq], as they were given.
-        command: What actions mean.
-        joints: Joints that observations list, with their places.
+        default: Control targets of a zero action [nu].
+        scale: What a unit action adds to them [nu].
     """
 
     model: mujoco.MjModel
+    image: mujoco.MjModel
     derivation: Derivation
     pose: np.ndarray
-    command: Command
-    joints: Mapping[str, Coordinate]
+    default: np.ndarray
+    scale: np.ndarray
 
     @cached_property
     def _coordinates(self) -> list[Coordinate]:
-        return list(_coordinates(self.model).values())
+        return list(coordinates_of(self.model).values())
 
     @cached_property
     def qpos(self) -> Representation:
@@ -93,48 +90,44 @@ class Twins:
             images: Its mirror image [N, nu].
             half_period: How much later the image is, s.
         """
-        draws, original, image = (
-            np.random.default_rng(0),
-            mujoco.MjData(self.model),
-            mujoco.MjData(self.model),
-        )
+        draws = np.random.default_rng(0)
+        original, image = mujoco.MjData(self.model), mujoco.MjData(self.image)
         for action, mirrored in zip(actions, images, strict=True):
             qpos, qvel = self._random_state(draws, original, action)
             time = draws.uniform(0.0, 100.0)
-            self._set(original, qpos, qvel, action, time)
-            self._set(image, _apply(self.qpos, qpos), _apply(self.qvel, qvel), mirrored, time + half_period)
+            self._set(self.model, original, qpos, qvel, action, time)
+            there = self.qpos.mirror(qpos), self.qvel.mirror(qvel)
+            self._set(self.image, image, *there, mirrored, time + half_period)
             yield original, image
 
     def motion_error(self, original: mujoco.MjData, image: mujoco.MjData) -> float:
         """Relative error of the velocities some steps after a state and its mirror image."""
-        for data in (original, image):
-            mujoco.mj_step(self.model, data, _STEPS)
-        off = np.abs(_apply(self.qvel, original.qvel) - image.qvel).max(initial=0.0)
+        mujoco.mj_step(self.model, original, _STEPS)
+        mujoco.mj_step(self.image, image, _STEPS)
+        off = np.abs(self.qvel.mirror(original.qvel) - image.qvel).max(initial=0.0)
         return float(off / max(1.0, np.abs(image.qvel).max(initial=0.0)))
 
     def _set(
-        self, data: mujoco.MjData, qpos: np.ndarray, qvel: np.ndarray, action: np.ndarray, time: float
+        self,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        qpos: np.ndarray,
+        qvel: np.ndarray,
+        action: np.ndarray,
+        time: float,
     ) -> None:
-        mujoco.mj_resetData(self.model, data)
+        mujoco.mj_resetData(model, data)
         data.qpos[:], data.qvel[:], data.time = qpos, qvel, time
-        data.ctrl[:] = self.command.default + self.command.scale * action
-        mujoco.mj_forward(self.model, data)
+        data.ctrl[:] = self.default + self.scale * action
+        mujoco.mj_forward(model, data)
 
     def _random_state(
         self, draws: np.random.Generator, data: mujoco.MjData, action: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        model, qpos = self.model, self.pose.copy()
-        for joint, coordinate in enumerate(self._coordinates):
-            first = coordinate.qpos
-            if coordinate.free:
-                turn = qpos[first + 3 : first + 7] + 0.2 * draws.normal(size=4)
-                qpos[first : first + 3] += draws.uniform(-0.02, 0.05, 3)
-                qpos[first + 3 : first + 7] = turn / np.linalg.norm(turn)
-            else:
-                low, high = model.jnt_range[joint] if model.jnt_limited[joint] else (-0.5, 0.5)
-                qpos[first] += draws.uniform(0.0, 0.5) * (draws.uniform(low, high) - qpos[first])
-        self._set(data, qpos, _SPEED * draws.normal(size=model.nv), action, 0.0)
-        mujoco.mj_step(model, data, _SETTLING)
+        qpos, nv = self.pose.copy(), self.model.nv
+        mujoco.mj_integratePos(self.model, qpos, _SPREAD * draws.normal(size=nv), 1.0)
+        self._set(self.model, data, qpos, _SPEED * draws.normal(size=nv), action, 0.0)
+        mujoco.mj_step(self.model, data, _SETTLING)
         return data.qpos.copy(), data.qvel.copy()
 
 
@@ -147,30 +140,14 @@ def read_twins(path: Path) -> Twins:
     if path.suffix in (".yaml", ".yml"):
         robot = load(RobotSpec, path)
         model, specs = robot_alone(robot), list(robot.spec.actuators.values())
-        known, pose = _coordinates(model), model.qpos0.copy()
+        known, pose = coordinates_of(model), model.qpos0.copy()
         for name, value in robot.spec.pose.items():
             pose[known[name].qpos] = value
-        joints = {str(s.joint): known[str(s.joint)] for s in specs if s.joint is not None}
         default = [pose[known[str(s.joint)].qpos] if s.kind == "position" else 0.0 for s in specs]
-        command = Command(np.array(default), np.array([s.scale for s in specs]))
+        scale = [s.scale for s in specs]
     else:
-        model = compile_model(path)
+        model = compile_robot(path)
         pose = model.key_qpos[0] if model.nkey else model.qpos0
-        joints = {name: place for name, place in _coordinates(model).items() if not place.free}
-        command = Command(np.zeros(model.nu), np.ones(model.nu))
+        default, scale = np.zeros(model.nu), np.ones(model.nu)
     derivation = derive(read_parts(model))
-    return Twins(symmetrised(model, derivation), derivation, pose, command, joints)
-
-
-def _coordinates(model: mujoco.MjModel) -> dict[str, Coordinate]:
-    found = {}
-    for joint in range(model.njnt):
-        name = model.joint(joint).name or f"joint {joint}"
-        free = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE
-        place = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
-        found[name] = Coordinate(name, bool(free), *place)
-    return found
-
-
-def _apply(representation: Representation, vector: np.ndarray) -> np.ndarray:
-    return vector[list(representation.permutation)] * np.array(representation.signs)
+    return Twins(*twin_models(model, derivation), derivation, pose, np.array(default), np.array(scale))

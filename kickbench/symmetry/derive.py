@@ -16,18 +16,8 @@ from typing import TypeVar
 import numpy as np
 
 from kickbench.config.yamltree import flow_yaml
-from kickbench.symmetry.model_parts import (
-    PLANES,
-    Actuator,
-    Body,
-    Element,
-    Joint,
-    ModelParts,
-    Plane,
-    Shape,
-    Site,
-    mirror_value,
-)
+from kickbench.symmetry.mirror import AXIAL, POLAR
+from kickbench.symmetry.model_parts import Actuator, Body, Element, Joint, ModelParts, Shape
 from kickbench.symmetry.representation import BY_NAME, kind_of_coordinate
 
 E = TypeVar("E", bound=Element)
@@ -58,11 +48,10 @@ class Match:
 
 @dataclass(frozen=True)
 class Derivation:
-    """What a model's geometry says about its reflection.
+    """What a model's geometry says about its reflection in the xz plane of its frame.
 
     Attributes:
         parts: The model.
-        plane: The mirror plane, through the origin of the model's frame.
         bodies: One match per body, in the model's order; likewise the others.
         joints: Free joints are their own images, without a sign.
         shapes: Geoms.
@@ -71,12 +60,22 @@ class Derivation:
     """
 
     parts: ModelParts
-    plane: Plane
     bodies: tuple[Match, ...]
     joints: tuple[Match, ...]
     shapes: tuple[Match, ...]
     sites: tuple[Match, ...]
     actuators: tuple[Match, ...]
+
+    @property
+    def groups(self) -> dict[str, tuple[Sequence[Element], Sequence[Match]]]:
+        """All parts with their matches, by what MuJoCo calls them."""
+        return {
+            "body": (self.parts.bodies, self.bodies),
+            "joint": (self.parts.joints, self.joints),
+            "geom": (self.parts.shapes, self.shapes),
+            "site": (self.parts.sites, self.sites),
+            "actuator": (self.parts.actuators, self.actuators),
+        }
 
     @cached_property
     def image(self) -> Mapping[str, tuple[str, int]]:
@@ -90,29 +89,24 @@ class Derivation:
         return tuple(match for match in self.joints if not match.sign and match.name not in free)
 
 
-def derive(parts: ModelParts, plane: Plane = "xz") -> Derivation:
-    """Derives the reflection of a model from its geometry.
-
-    Args:
-        parts: The model.
-        plane: Mirror plane of the model's frame.
-    """
-    finder = _Finder(parts, PLANES[plane])
+def derive(parts: ModelParts) -> Derivation:
+    """Derives the reflection of a model from its geometry."""
+    finder = _Finder(parts)
     bodies = finder.bodies()
     joints = finder.joints()
     shapes = [finder.part(shape, parts.shapes, finder.shape_cost)[0] for shape in parts.shapes]
-    sites = [finder.part(site, parts.sites, finder.site_cost)[0] for site in parts.sites]
+    sites = [finder.part(site, parts.sites, finder.far)[0] for site in parts.sites]
     images = {
-        kind: {match.name: match for match in matches}
-        for kind, matches in {"body": bodies, "joint": joints, "shape": shapes, "site": sites}.items()
+        "joint": {match.name: match for match in joints},
+        "site": {match.name: match for match in sites},
     }
     actuators = [finder.actuator(actuator, images) for actuator in parts.actuators]
-    return Derivation(parts, plane, *map(tuple, (bodies, joints, shapes, sites, actuators)))
+    return Derivation(parts, *map(tuple, (bodies, joints, shapes, sites, actuators)))
 
 
 class _Finder:
-    def __init__(self, parts: ModelParts, reflection: np.ndarray) -> None:
-        self.parts, self.reflection = parts, reflection
+    def __init__(self, parts: ModelParts) -> None:
+        self.parts = parts
         self.body_of: dict[int, int | None] = {-1: -1}
         """Body -> its partner."""
 
@@ -149,12 +143,12 @@ class _Finder:
         )
 
     def _body_cost(self, body: Body, other: Body) -> float:
-        mass, other_mass = float(body.get("mass")), float(other.get("mass"))
-        costs = [self._far(body, other, "place")]
-        if max(mass, other_mass) > 0.0:
-            costs.append(self._far(body, other, "centre of mass"))
-            costs.append(abs(mass - other_mass) / max(mass, other_mass) / _MASS)
-            costs.append(self._unequal(body, other, "inertia"))
+        largest = max(body.mass, other.mass)
+        costs = [self.far(body, other)]
+        if largest > 0.0:
+            costs.append(float(np.linalg.norm(self._apart(body, other, "centre"))) / self._near)
+            costs.append(abs(body.mass - other.mass) / largest / _MASS)
+            costs.append(_unequal(body.inertia, other.inertia))
         return max(costs)
 
     # Parts of a body
@@ -185,7 +179,7 @@ class _Finder:
         for joint in self.parts.joints:
             match, other = self.part(joint, self.parts.joints, self._joint_cost, alike=False)
             if other is not None and joint.kind in ("hinge", "slide"):
-                same = joint.get("axis") @ other.mirrored("axis", self.reflection) > 0
+                same = joint.axis @ _mirrored_axis(other) > 0
                 match = replace(match, sign=1 if same else -1)
             matches.append(match)
         return matches
@@ -193,42 +187,37 @@ class _Finder:
     def _joint_cost(self, joint: Joint, other: Joint) -> float:
         if joint.kind != other.kind:
             return np.inf
-        if joint.kind in ("free", "ball"):
+        if joint.kind == "free":
             return 0.0
-        axis = joint.get("axis")
-        angle = np.arccos(min(1.0, abs(float(axis @ other.mirrored("axis", self.reflection)))))
+        angle = float(np.arccos(min(1.0, abs(float(joint.axis @ _mirrored_axis(other))))))
         if joint.kind == "slide":
-            return float(angle) / _AXIS
+            return angle / _AXIS
         # Along its axis, the anchor of a hinge is of no account.
         apart = self._apart(joint, other, "anchor")
-        apart = apart - (apart @ axis) * axis
-        return max(float(angle) / _AXIS, float(np.linalg.norm(apart)) / (_PLACE * self.parts.size))
+        apart = apart - (apart @ joint.axis) * joint.axis
+        return max(angle / _AXIS, float(np.linalg.norm(apart)) / self._near)
 
     def shape_cost(self, shape: Shape, other: Shape) -> float:
         if shape.kind != other.kind or shape.touches != other.touches:
             return np.inf
-        return max(self._far(shape, other, "place"), self._unequal(shape, other, "extent"))
+        return max(self.far(shape, other), _unequal(shape.extent, other.extent))
 
-    def site_cost(self, site: Site, other: Site) -> float:
-        return self._far(site, other, "place")
+    @property
+    def _near(self) -> float:
+        return _PLACE * self.parts.size
 
-    def _far(self, element: Element, other: Element, name: str) -> float:
-        return float(np.linalg.norm(self._apart(element, other, name))) / (_PLACE * self.parts.size)
+    def far(self, element: Element, other: Element) -> float:
+        return float(np.linalg.norm(self._apart(element, other, "place"))) / self._near
 
     def _apart(self, element: Element, other: Element, name: str) -> np.ndarray:
         """From the mirror image of a place to a place, each as seen from its body or its body's parent."""
-        ends = [part.get(name) - self._origin(part) for part in (element, other)]
-        return ends[0] - self.reflection @ ends[1]
+        ends = [getattr(part, name) - self._origin(part) for part in (element, other)]
+        return ends[0] - ends[1] * POLAR
 
     def _origin(self, part: Element) -> np.ndarray:
         """Where the body of a part is; of a body, its parent. Errors then do not add up along a limb."""
         body = part.parent if isinstance(part, Body) else part.body
-        return self.parts.bodies[body].get("place") if body >= 0 else np.zeros(3)
-
-    def _unequal(self, element: Element, other: Element, name: str) -> float:
-        mine, theirs = element.get(name), other.mirrored(name, self.reflection)
-        largest = max(float(np.linalg.norm(mine)), float(np.linalg.norm(theirs)), 1e-12)
-        return float(np.linalg.norm(mine - theirs)) / largest / _INERTIA
+        return self.parts.bodies[body].place if body >= 0 else np.zeros(3)
 
     def _best(
         self,
@@ -242,10 +231,9 @@ class _Finder:
         fits = sorted(
             (other for other in candidates if costs[other.name] <= 1.0), key=lambda o: costs[o.name]
         )
-        if len(fits) > 1:
-            fits = [other for other in fits if prefer(other)] or fits
+        fits = [other for other in fits if prefer(other)] or fits
         if not fits:
-            return Match(element.name, reason=_nearest(element.name, costs)), None
+            return Match(element.name, reason=_nearest(costs)), None
         best, *others = fits
         if others and costs[others[0].name] <= _CLEARLY * costs[best.name] + _NOTHING:
             what = f"ambiguous: '{best.name}' and '{others[0].name}' both lie where its mirror image would"
@@ -271,21 +259,27 @@ class _Finder:
         mine, theirs = np.array(actuator.wrench), np.array(other.wrench)
         if actuator.kind == "joint":
             return int(joint_sign * np.sign(mine[0] * theirs[0]))
-        force = mirror_value(theirs[:3], "polar", self.reflection)
-        mirrored = np.concatenate([force, mirror_value(theirs[3:], "axial", self.reflection)])
+        mirrored = theirs * (POLAR + AXIAL)
         product = mine @ mirrored
         lengths = np.linalg.norm(mine) * np.linalg.norm(mirrored)
         return int(np.sign(product)) if abs(product) >= np.cos(_AXIS) * lengths else 0
 
 
-def _nearest(part: str, costs: Mapping[str, float]) -> str:
-    if not costs:
-        return "no partner: its body's partner has no such part"
-    name = min(costs, key=lambda key: costs[key])
-    if not np.isfinite(costs[name]):
+def _mirrored_axis(joint: Joint) -> np.ndarray:
+    return joint.axis * (AXIAL if joint.kind == "hinge" else POLAR)
+
+
+def _unequal(mine: np.ndarray, theirs: np.ndarray) -> float:
+    """How badly a tensor and the mirror image of another one fit."""
+    largest = max(float(np.linalg.norm(mine)), float(np.linalg.norm(theirs)), 1e-12)
+    return float(np.linalg.norm(mine - np.outer(POLAR, POLAR) * theirs)) / largest / _INERTIA
+
+
+def _nearest(costs: Mapping[str, float]) -> str:
+    name = min(costs, key=lambda key: costs[key], default="")
+    if not np.isfinite(costs.get(name, np.inf)):
         return "no partner of its kind"
-    which = "the part itself" if name == part else f"'{name}'"
-    return f"no partner: what fits best, {which}, differs by {costs[name]:.3g} times the tolerance"
+    return f"no partner: what fits best, '{name}', differs by {costs[name]:.3g} times the tolerance"
 
 
 def symmetry_block(derivation: Derivation, title: str) -> str:
@@ -296,7 +290,7 @@ def symmetry_block(derivation: Derivation, title: str) -> str:
         title: Name of the model.
     """
     root = derivation.parts.bodies[0].name
-    lines = [f"# Derived from {title}: reflection in the {derivation.plane} plane of '{root}'."]
+    lines = [f"# Derived from {title}: reflection in the xz plane of '{root}'."]
     lines += [f"# {line}" for line in _comments(derivation)]
     return "\n".join([*lines, "symmetry:", *_tables(derivation)])
 
@@ -322,37 +316,14 @@ def _is_left(derivation: Derivation, name: str, partner: str) -> bool:
     parts = derivation.parts
     joints = {joint.name: joint for joint in parts.joints}
     one, other = joints[name], joints[partner]
-    # Facing y, the left is at negative x.
-    normal = np.diag((np.eye(3) - PLANES[derivation.plane]) / 2) * (-1 if derivation.plane == "yz" else 1)
-    bodies = [parts.bodies[joint.body].get("centre of mass") for joint in (one, other)]
-    for apart in (one.get("anchor") - other.get("anchor"), bodies[0] - bodies[1]):
-        if abs(float(normal @ apart)) > 1e-6 * parts.size:
-            return bool(normal @ apart > 0)
+    bodies = [parts.bodies[joint.body].centre for joint in (one, other)]
+    for apart in (one.anchor - other.anchor, bodies[0] - bodies[1]):
+        if abs(float(apart[1])) > 1e-6 * parts.size:
+            return bool(apart[1] > 0)
     return True
 
 
 def _comments(derivation: Derivation) -> Iterator[str]:
-    groups = {
-        "body": derivation.bodies,
-        "joint": derivation.joints,
-        "geom": derivation.shapes,
-        "site": derivation.sites,
-        "actuator": derivation.actuators,
-    }
-    counts = []
-    for kind, matches in groups.items():
-        central = sum(match.partner == match.name for match in matches)
-        pairs = sum(match.partner not in (None, match.name) for match in matches) // 2
-        plural = "bodies" if kind == "body" else f"{kind}s"
-        counts += [f"{plural}: {pairs} pairs, {central} central"] if matches else []
-    yield "; ".join(counts)
-    for match in derivation.actuators:
-        if match.partner is not None and match.name <= match.partner:
-            other = "itself" if match.partner == match.name else f"'{match.partner}'"
-            sign = ", with opposite sign" if match.sign < 0 else ""
-            yield f"actuator '{match.name}' mirrors into {other}{sign}"
-    for kind, matches in groups.items():
-        yield from (
-            f"NOT DERIVED: {kind} '{match.name}': {match.reason}" for match in matches if match.reason
-        )
+    for kind, (_, matches) in derivation.groups.items():
+        yield from (f"NOT DERIVED: {kind} '{m.name}': {m.reason}" for m in matches if m.reason)
     yield from (f"NOT COMPARED: {what}" for what in derivation.parts.left_out)

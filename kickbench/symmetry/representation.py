@@ -64,6 +64,10 @@ class Representation:
         matrix[np.arange(self.dim), list(self.permutation)] = self.signs
         return matrix
 
+    def mirror(self, vectors: np.ndarray) -> np.ndarray:
+        """Mirror images of vectors ``[..., dim]``."""
+        return vectors[..., list(self.permutation)] * np.array(self.signs)
+
     def orbits(self) -> tuple[tuple[int, ...], ...]:
         """Sets of coordinates that s maps to each other: ``(i,)`` or ``(i, j)`` with i < j, ordered by i."""
         return tuple(
@@ -97,20 +101,6 @@ class Representation:
             f"{names[orbit[0]]} {arrows[len(orbit)]} " + "-" * (self.signs[orbit[0]] < 0) + names[orbit[-1]]
             for orbit in self.orbits()
         )
-
-    def describe_isotypic(self, names: Sequence[str]) -> tuple[str, ...]:
-        """One line a basis vector of :meth:`isotypic`: ``even: (left + right)/sqrt2``, ``odd: y``.
-
-        Args:
-            names: Names of the coordinates.
-        """
-        lines = []
-        for parity, basis in zip(("even", "odd"), self.isotypic(), strict=True):
-            for column in basis.T:
-                places = np.flatnonzero(column).tolist()
-                terms = "".join(f" {'-' if column[i] < 0 else '+'} {names[i]}" for i in places)[3:]
-                lines.append(f"{parity}: {terms if len(places) == 1 else f'({terms})/sqrt{len(places)}'}")
-        return tuple(lines)
 
     def __str__(self) -> str:
         kinds = [kind_of_coordinate(len(orbit) == 1, self.signs[orbit[0]]) for orbit in self.orbits()]
@@ -157,3 +147,9 @@ def kind_of_coordinate(central: bool, sign: int) -> str:
     """Name of the representation of a coordinate that is its own image (central), or of a pair."""
     even, odd = ("trivial", "sign") if central else ("regular", "regular_sign")
     return even if sign > 0 else odd
+
+
+def image_words(name: str, partner: str, sign: int) -> str:
+    """How a coordinate transforms, in words: "sign", "regular with 'Right_Hip_Yaw'"."""
+    kind = kind_of_coordinate(partner == name, sign)
+    return kind if partner == name else f"{kind} with '{partner}'"

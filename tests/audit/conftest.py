@@ -12,11 +12,12 @@ import numpy as np
 import pytest
 
 from kickbench.audit.checks import judge
-from kickbench.audit.model import derive_scene, equal_sided, model_rows
-from kickbench.audit.record import Recording, record, reflection_of
+from kickbench.audit.model import derive_scene, model_rows
+from kickbench.audit.record import Recording, record
 from kickbench.audit.report import Row
 from kickbench.envs.compiled_task import CompiledTask
-from kickbench.sim.layout import RIGHT
+from kickbench.sim.layout import RIGHT, joint_ranges
+from kickbench.sim.sensors import ROBOT
 from kickbench.symmetry.derive import Derivation
 from kickbench.symmetry.mirror import Image
 from kickbench.trials.trial import Symmetry, Trial, load_trial
@@ -50,9 +51,7 @@ def audited(
     chosen = load_trial(ROOT / "tasks" / f"{task}.yaml", ROOT / "methods" / f"{method}.yaml", overrides)
     chosen = replace(chosen, task=change(chosen.task))
     derivation = derive_scene(chosen.task)
-    equal = equal_sided(chosen.task, derivation)
-    recording = record(equal, reflection_of(equal, derivation), states, threads=1)
-    return Audited(chosen, derivation, recording)
+    return Audited(chosen, derivation, record(chosen.task, derivation, states, threads=1))
 
 
 def unequal_sides(task: CompiledTask, seed: int = 0) -> CompiledTask:
@@ -76,7 +75,9 @@ def unequal_sides(task: CompiledTask, seed: int = 0) -> CompiledTask:
             size = np.exp(draws.uniform(np.log(1e-4), np.log(0.05), array[places].shape))
             array[places] *= 1.0 + size * draws.choice((-1.0, 1.0), size.shape)
     mujoco.mj_setConst(model, mujoco.MjData(model))
-    return replace(task, scene=replace(task.scene, model=model, layout=_unequal_pose(task)))
+    limits = joint_ranges(model, [model.joint(ROBOT + name).id for name in layout.joint_names])
+    unequal = replace(_unequal_pose(task), joint_range=limits)
+    return replace(task, scene=replace(task.scene, model=model, layout=unequal))
 
 
 def _unequal_pose(task: CompiledTask):

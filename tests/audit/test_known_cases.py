@@ -7,17 +7,19 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
 from kickbench.audit.checks import judge
 from kickbench.audit.model import derive_scene, model_rows
-from kickbench.audit.record import record, reflection_of
+from kickbench.audit.record import mirrored_layout, record
 from kickbench.audit.report import Report
 from kickbench.cli import main
 from kickbench.config.load import load
 from kickbench.config.method import RepresentationSpec
 from kickbench.errors import KickbenchError
+from kickbench.sim.mirror_image import mirror_image
 from kickbench.trials.trial import load_trial, symmetry_of
 
 ROOT = Path(__file__).parents[2]
@@ -40,7 +42,7 @@ def report(audited, rows) -> Report:
 def test_the_k1_passes_and_every_row_is_proven(k1):
     rows = k1.rows()
     assert {row.verdict for row in rows} == {"ok"}, [row for row in rows if row.verdict != "ok"]
-    assert {row.check for row in rows} == {"tables", "model", "dynamics", "observations", "terms", "sampling"}
+    assert {row.check for row in rows} == {"tables", "model", "dynamics", "observations", "terms"}
     assert report(k1, rows).verdicts == {"table": "right", "robot": "symmetric"}
     assert len(rows) > 80
 
@@ -95,25 +97,30 @@ def test_on_a_robot_with_unequal_sides_the_right_table_passes(unequal_k1):
         r"range -?[\d.]+ against -?[\d.]+ degrees", failed["Left_Hip_Yaw, Right_Hip_Yaw"].detail
     ), "the joint and its body have one name"
     knee = failed["servo Left_Knee_Pitch, Right_Knee_Pitch"].detail
-    assert re.search(r"gain [\d.]+ against [\d.]+", knee)
+    assert re.search(r"gainprm [\d.]+ against [\d.]+", knee)
 
 
-def test_the_copy_with_equal_sides_is_symmetric_in_every_figure(unequal_k1):
-    task = unequal_k1.recording.task
-    rows = [row for row in model_rows(task, derive_scene(task)) if row.verdict != "ok"]
-    assert rows == []
-    default = task.scene.layout.default_target
-    left, right = (task.scene.layout.joint_names.index(f"{side}_Knee_Pitch") for side in ("Left", "Right"))
-    assert default[left] == default[right] == 0.4
+def test_the_mirror_image_of_the_mirror_image_is_the_robot_itself(unequal_k1):
+    model, derivation = unequal_k1.trial.task.scene.model, unequal_k1.derivation
+    image = mirror_image(model, derivation)
+    back = mirror_image(image, derivation)
+    names = [name for name in dir(model) if name.startswith(("body_", "jnt_", "dof_", "geom_", "actuator_"))]
+    arrays = {name: getattr(model, name) for name in names}
+    changed = [name for name, array in arrays.items() if not np.array_equal(array, getattr(image, name))]
+    assert len(changed) > 15, "every figure of the right side differs from that of the left one"
+    for name, array in arrays.items():
+        np.testing.assert_allclose(getattr(back, name), array, rtol=1e-9, atol=1e-12, err_msg=name)
 
 
-def test_the_home_field_is_asymmetric_by_design_and_no_failure(mini):
-    rows = [row for row in mini.rows() if row.check == "sampling"]
-    assert {row.name: row.verdict for row in rows} == {"ball y": "by design", "target angle": "by design"}
-    assert [row.detail for row in rows] == [
-        "[0, 0.3] m; mirror image: [-0.3, 0] m",
-        "[0, 0.8] rad; mirror image: [-0.8, 0] rad",
-    ]
+def test_the_mirror_image_has_the_default_pose_of_the_other_side(unequal_k1):
+    task, reflection = unequal_k1.trial.task, unequal_k1.recording.reflection
+    image = mirrored_layout(task, reflection).scene.layout
+    left, right = (image.joint_names.index(f"{side}_Knee_Pitch") for side in ("Left", "Right"))
+    assert (image.default_target[left], image.default_target[right]) == pytest.approx((0.43, 0.4))
+    assert image.default_qpos[image.joint_qpos[left]] == pytest.approx(0.43)
+
+
+def test_a_home_field_whose_regions_lie_on_one_side_is_no_failure(mini):
     assert not failures(mini.rows())
 
 
@@ -133,7 +140,7 @@ def test_a_field_that_never_moves_has_a_verdict_of_its_own(mini):
         ROOT / "methods/mini/equivariant.yaml",
         ["observations.critic.ball_touched.clip=[-1.0, 0.0]"],
     )
-    recording = record(chosen.task, mini.recording.reflection, 64, threads=1)
+    recording = record(chosen.task, mini.derivation, 64, threads=1)
     rows = judge(recording, mini.derivation, chosen.symmetry, mini.trial.task.robot.spec.symmetry.image())
     row = next(row for row in rows if row.name == "ball_touched")
     assert (row.verdict, row.detail) == ("never excited", "zero in every state")
@@ -146,7 +153,7 @@ def test_a_clip_that_is_not_symmetric_is_found():
         ["observations.actor.ball_position.clip=[0.0, 1.0]"],
     )
     derivation = derive_scene(chosen.task)
-    recording = record(chosen.task, reflection_of(chosen.task, derivation), 256, threads=1)
+    recording = record(chosen.task, derivation, 256, threads=1)
     declared = chosen.task.robot.spec.symmetry.image()
     rows = list(judge(recording, derivation, chosen.symmetry, declared))
     assert failures(rows) == ["ball_position (actor)"], "the critic's is not clipped"
@@ -156,7 +163,7 @@ def test_a_clip_that_is_not_symmetric_is_found():
 def test_a_reward_of_one_side_only_is_found(k1):
     override = "rewards.arm_posture.joints=[Left_Shoulder_Roll]"
     chosen = load_trial(K1_FAST, ROOT / "methods/equivariant.yaml", [override])
-    recording = record(chosen.task, k1.recording.reflection, 256, threads=1)
+    recording = record(chosen.task, k1.derivation, 256, threads=1)
     declared = chosen.task.robot.spec.symmetry.image()
     rows = list(judge(recording, k1.derivation, chosen.symmetry, declared))
     assert failures(rows) == ["reward arm_posture"]
@@ -167,10 +174,10 @@ def test_a_reward_of_one_side_only_is_found(k1):
 @pytest.mark.parametrize(
     ("key", "value", "row", "words"),
     [
-        ("kp", 19.0, "servo left_hip_pitch, right_hip_pitch", "gain 20 against 19"),
-        ("effort", 4.0, "servo left_hip_pitch, right_hip_pitch", "force range"),
+        ("kp", 19.0, "servo left_hip_pitch, right_hip_pitch", "gainprm 20 against 19"),
+        ("effort", 4.0, "servo left_hip_pitch, right_hip_pitch", "forcerange"),
         ("scale", 1.0, "servo left_hip_pitch, right_hip_pitch", "action scale"),
-        ("limits", (-1.0, 1.4), "servo left_hip_pitch, right_hip_pitch", "control range"),
+        ("limits", (-1.0, 1.4), "servo left_hip_pitch, right_hip_pitch", "ctrlrange"),
     ],
 )
 def test_a_servo_that_differs_from_its_partner_is_named(key, value, row, words, tmp_path):
@@ -252,7 +259,6 @@ def test_a_policy_is_measured_and_only_an_equivariant_one_must_be_equivariant(me
     }
     assert rows["mean action"]["verdict"] == verdict
     assert (rows["mean action"]["error"] < 1e-4) == (method == "equivariant")
-    assert rows["value"]["verdict"] == "not compared", "measured runs are kept without their checkpoints"
 
 
 def test_a_broken_equivariant_policy_fails(mini):
@@ -264,23 +270,11 @@ def test_a_broken_equivariant_policy_fails(mini):
     def broken(observations):
         return loaded.policy(observations) + torch.tensor([0.0, 0.01, 0.0, 0.0, 0.0, 0.0, 0.0])
 
-    rows = list(policy_rows(mini.recording, mini.trial.symmetry, loaded.trial, broken, None))
-    assert [row.verdict for row in rows] == ["FAIL", "not compared"]
+    rows = list(policy_rows(mini.recording, mini.trial.symmetry, loaded.trial, broken))
+    assert [row.verdict for row in rows] == ["FAIL"]
     assert rows[0].error == pytest.approx(0.02, rel=0.01)
     found = report(mini, rows)
     assert (found.exit_code, found.verdicts["policy"][:14]) == (8, "NOT EQUIVARIAN")
-
-
-def test_the_value_is_measured_where_there_is_a_critic(mini):
-    from kickbench.audit.checks import policy_rows
-    from kickbench.nets.build import build_critic
-    from kickbench.training.trained import load_run
-
-    loaded = load_run(RUNS / "equivariant/seed0")
-    run = loaded.trial
-    critic = build_critic(run.method.spec, run.symmetry.groups["critic"]).eval()
-    rows = list(policy_rows(mini.recording, mini.trial.symmetry, run, loaded.policy, critic))
-    assert [(row.name, row.verdict) for row in rows] == [("mean action", "ok"), ("value", "ok")]
 
 
 def test_a_policy_of_another_robot_is_refused(k1):
@@ -293,10 +287,12 @@ def test_a_policy_of_another_robot_is_refused(k1):
 
 
 def test_a_declared_joint_table_that_geometry_contradicts_is_judged_by_geometry(k1):
-    """States are mirrored by the geometry's table, so the wrong joint and its fields fail, and nothing else does."""
+    """States are mirrored by the geometry's table, so the wrong joint fails, and nothing else does."""
     image = dict(k1.trial.task.robot.spec.symmetry.image())
     image["Left_Hip_Yaw"], image["Right_Hip_Yaw"] = ("Right_Hip_Yaw", 1), ("Left_Hip_Yaw", 1)
     rows = k1.rows(replace(k1.trial.symmetry), image)
-    assert {row.check for row in rows if row.failed} == {"tables", "dynamics"}
+    assert {row.check for row in rows if row.failed} == {"tables"}
     first = next(row for row in rows if row.failed)
-    assert first.detail == "declared regular with Right_Hip_Yaw; measured: regular_sign with Right_Hip_Yaw"
+    assert (
+        first.detail == "declared regular with 'Right_Hip_Yaw'; measured: regular_sign with 'Right_Hip_Yaw'"
+    )

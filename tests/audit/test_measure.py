@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from kickbench.audit.measure import measure, name_of
+from kickbench.audit.measure import Measurement, judge_misfits, misfits, name_of
 from kickbench.symmetry.representation import (
     REGULAR,
     REGULAR_SIGN,
@@ -39,11 +39,16 @@ def samples(representation: Representation, count: int = 50) -> tuple[np.ndarray
     return original, original @ representation.matrix().T
 
 
+def measure(original: np.ndarray, image: np.ndarray, declared: Representation) -> Measurement:
+    peak = float(np.abs(original).max(initial=0.0))
+    return judge_misfits(misfits(original, image), declared, 1e-6 * peak, peak)
+
+
 @settings(deadline=None, max_examples=40)
 @given(representations(), st.data())
 def test_the_true_representation_is_found_whatever_is_declared(truth, data):
     declared = data.draw(representations().filter(lambda r: r.dim == truth.dim))
-    found = measure(*samples(truth), declared, 1e-6)
+    found = measure(*samples(truth), declared)
     assert found.measured == truth
     assert found.proven.all()
     assert found.wrong.any() == (declared != truth)
@@ -52,7 +57,7 @@ def test_the_true_representation_is_found_whatever_is_declared(truth, data):
 def test_a_component_that_is_always_zero_proves_nothing():
     original, image = samples(VECTOR)
     original[:, 2] = image[:, 2] = 0.0
-    found = measure(original, image, VECTOR, 1e-6)
+    found = measure(original, image, VECTOR)
     assert found.measured == VECTOR
     assert found.proven.tolist() == [True, True, False]
 
@@ -61,17 +66,17 @@ def test_a_pair_that_is_always_equal_does_not_prove_the_swap():
     original, image = samples(REGULAR)
     original[:, 1] = image[:, 1] = original[:, 0]
     image[:, 0] = original[:, 0]
-    assert not measure(original, image, REGULAR, 1e-6).proven.any()
-    assert measure(original, image, REGULAR_SIGN, 1e-6).wrong.all()
+    assert not measure(original, image, REGULAR).proven.any()
+    assert measure(original, image, REGULAR_SIGN).wrong.all()
 
 
 def test_what_no_signed_permutation_describes_is_said_to_be_none():
     original, image = samples(VECTOR)
-    assert measure(original, image + 1.0, VECTOR, 1e-6).measured is None
+    assert measure(original, image + 1.0, VECTOR).measured is None
 
 
 def test_no_states_prove_nothing():
-    found = measure(np.zeros((0, 3)), np.zeros((0, 3)), VECTOR, 1e-6)
+    found = measure(np.zeros((0, 3)), np.zeros((0, 3)), VECTOR)
     assert not found.wrong.any()
     assert not found.proven.any()
 

@@ -105,10 +105,3 @@ def test_a_model_without_sensors_has_an_empty_frame_model():
     frames = FrameModel(mujoco.MjModel.from_xml_string("<mujoco/>"), 4)
     assert frames.model.nq == 0
     assert len(frames.qpos) == len(frames.qvel) == 0
-
-
-def test_frame_sensors_must_come_first():
-    contact = '<contact body1="base" num="1" data="found"/>'
-    mixed = XML.replace(contact, "").replace("<sensor>", f"<sensor>{contact}")
-    with pytest.raises(ValueError, match="frame sensors must come before"):
-        FrameSensing(mujoco.MjModel.from_xml_string(mixed), 1)

@@ -116,14 +116,6 @@ def test_a_representation_describes_itself_orbit_by_orbit():
         "left_pitch <-> right_pitch",
         "left_yaw <-> -right_yaw",
     )
-    assert representation.describe_isotypic(names) == (
-        "even: x",
-        "even: (left_pitch + right_pitch)/sqrt2",
-        "even: (left_yaw - right_yaw)/sqrt2",
-        "odd: y",
-        "odd: (left_pitch - right_pitch)/sqrt2",
-        "odd: (left_yaw + right_yaw)/sqrt2",
-    )
 
 
 def test_orbits_are_singletons_and_pairs_in_order():
