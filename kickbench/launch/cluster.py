@@ -8,11 +8,8 @@ reaches the cluster.
 
 from __future__ import annotations
 
-import io
 import os
 import platform
-import shutil
-import tarfile
 import uuid
 from collections.abc import Mapping
 from dataclasses import replace
@@ -23,14 +20,15 @@ from typing import Any
 from kickbench.errors import KickbenchError, require
 from kickbench.launch.plan import PlannedRun
 from kickbench.launch.work import perform
-from kickbench.results.identity import identity_of, read_identity
 from kickbench.results.provenance import package_versions, portable_command
-from kickbench.results.specs import write_specs
+from kickbench.results.specs import spec_differences, write_specs
 from kickbench.results.store import RunDirectory
 from kickbench.trials.trial import load_trial
 
 _COMPARED = ("kickbench", "mujoco", "torch")
-_MARK = ".kickbench-ray-"
+
+Files = dict[str, bytes]
+"""Files by their paths in a folder."""
 
 
 def require_ray() -> Any:
@@ -59,13 +57,8 @@ class RayRun:
         except self._ray.exceptions.RayError as error:
             return " ".join(str(getattr(error, "cause", error)).split())[:200]
         if files:
-            beside = self._home.beside
-            _unpack(files, beside.path)
-            if beside.metrics.is_file():
-                self._home.take_over()
-            else:
-                shutil.copytree(beside.path, self._home.path, dirs_exist_ok=True)
-                shutil.rmtree(beside.path)
+            _unpack(files, self._home.beside.path)
+            self._home.take_over(unfinished=True)
         return failure
 
     def stop(self, at_once: bool = False) -> None:
@@ -99,11 +92,9 @@ class RayExecutor:
         options = {"num_cpus": cpus, "num_gpus": gpus, "max_calls": 1}
         self._perform = self._ray.remote(**options)(_perform_there)
         self._contents: dict[str, Any] = {}
-        for mark in folder.glob(f"{_MARK}*"):
-            mark.unlink()
-        self._mark = folder.resolve() / f"{_MARK}{uuid.uuid4().hex}"
-        if is_shared:
-            self._mark.touch()
+        # Whoever finds this text at this path sees the folder, and not another of the same name.
+        self._mark, self._text = folder.resolve() / ".kickbench-ray", uuid.uuid4().hex
+        self._mark.write_text(self._text if is_shared else "")
 
     @property
     def at_a_time(self) -> int:
@@ -113,20 +104,16 @@ class RayExecutor:
 
     def start(self, run: PlannedRun) -> RayRun:
         """Gives Ray a run, with all that it reads."""
-        key, home = run.record.arm, run.directory
+        key, home, request = run.record.arm, run.directory, run.request
         if key not in self._contents:
             self._contents[key] = self._ray.put(_content(run))
-        request = replace(
-            run.request, command=portable_command(run.request.command_line), out=home.path.resolve()
-        )
-        extra = {"begun": home.path} if home.holds_a_run else {}
-        extra |= {"initial": request.init_from} if request.init_from else {}
-        files = _packed(**extra)
-        versions = {name: package_versions().get(name) for name in _COMPARED}
-        sent = replace(run, request=request)
-        return RayRun(
-            self._ray, self._perform.remote(sent, self._contents[key], files, self._mark, versions), home
-        )
+        begun = _packed(home.path, "begun") if home.holds_a_run else {}
+        initial = _packed(request.init_from, "initial") if request.init_from else {}
+        command, out = portable_command(request.command_line), home.path.resolve()
+        sent = replace(run, request=replace(request, command=command, out=out))
+        shared = (self._mark, self._text)
+        task = self._perform.remote(sent, self._contents[key], begun | initial, shared, package_versions())
+        return RayRun(self._ray, task, home)
 
     def close(self) -> None:
         """Leaves the cluster, which kills what still runs for this process."""
@@ -134,40 +121,40 @@ class RayExecutor:
         self._ray.shutdown()
 
 
-def _content(run: PlannedRun) -> bytes:
+def _content(run: PlannedRun) -> Files:
     """Task and method, and the transfer tasks, as a run's folder has them: nothing else is read."""
     request = run.request
-    with TemporaryDirectory(prefix="kickbench-") as name:
-        folders = {"own": Path(name, "own")}
-        write_specs(RunDirectory(folders["own"]), load_trial(request.task, request.method, request.overrides))
-        for task, file in run.transfer.items():
-            folders[f"transfer/{task}"] = folder = Path(name, task)
-            write_specs(RunDirectory(folder), load_trial(file, request.method))
-        return _packed(**folders)
+    trials = {"own": load_trial(request.task, request.method, request.overrides)}
+    trials |= {f"transfer/{name}": load_trial(file, request.method) for name, file in run.transfer.items()}
+    with TemporaryDirectory(prefix="kickbench-") as folder:
+        for name, trial in trials.items():
+            write_specs(RunDirectory(Path(folder, name)), trial)
+        return _packed(Path(folder))
 
 
 def _perform_there(
-    run: PlannedRun, content: bytes, files: bytes, mark: Path, versions: Mapping[str, str | None]
-) -> tuple[str, bytes]:
+    run: PlannedRun, content: Files, files: Files, mark: tuple[Path, str], versions: Mapping[str, str]
+) -> tuple[str, Files]:
     """Does a run on a node; why it failed, and its folder if the plan's is not seen from there."""
-    is_shared = mark.is_file()
+    path, text = mark
+    is_shared = path.is_file() and path.read_text() == text
     with TemporaryDirectory(prefix="kickbench-") as name:
+        _unpack(content | files, Path(name))
         try:
             _check_versions(versions)
-            root = Path(name)
-            _unpack(content, root)
-            _unpack(files, root)
-            there = _brought_here(run, root, is_shared)
+            there = _brought_here(run, Path(name), is_shared)
         except KickbenchError as error:
-            return str(error), b""
-        failure, directory = perform(there), there.directory
-        return failure, b"" if is_shared else _packed(**{".": directory.path})
+            return str(error), {}
+        failure = perform(there)
+        return failure, {} if is_shared else _packed(there.directory.path)
 
 
-def _check_versions(versions: Mapping[str, str | None]) -> None:
+def _check_versions(theirs: Mapping[str, str]) -> None:
     own = package_versions()
     unlike = [
-        f"{name} {own.get(name)}, here {there}" for name, there in versions.items() if own.get(name) != there
+        f"{name} {own.get(name)}, here {theirs.get(name)}"
+        for name in _COMPARED
+        if own.get(name) != theirs.get(name)
     ]
     if unlike:
         raise KickbenchError(
@@ -190,10 +177,10 @@ def _brought_here(run: PlannedRun, root: Path, is_shared: bool) -> PlannedRun:
         init_from=run.request.init_from and root / "initial",
         out=run.request.out if is_shared else root / "begun",
     )
-    here, sent = identity_of(load_trial(request.task, request.method)), read_identity(own)
-    if here != sent:
-        parts = ", ".join(part for part in sent.parts if sent.parts[part] != here.parts.get(part))
-        raise KickbenchError(f"the node {platform.node()} compiles another {parts} from the same files")
+    if unlike := spec_differences(own, load_trial(request.task, request.method)):
+        raise KickbenchError(
+            f"the node {platform.node()} compiles another trial from the same files: {unlike[0]}"
+        )
     transfer = {task: _named(RunDirectory(root / "transfer" / task).task_spec, task) for task in run.transfer}
     return replace(run, request=request, transfer=transfer)
 
@@ -206,15 +193,13 @@ def _named(spec: Path, name: str) -> Path:
     return file
 
 
-def _packed(**folders: Path) -> bytes:
-    buffer = io.BytesIO()
-    with tarfile.open(fileobj=buffer, mode="w") as archive:
-        for name, path in folders.items():
-            archive.add(path, name)
-    return buffer.getvalue()
+def _packed(folder: Path, name: str = "") -> Files:
+    """The files of a folder, as those of a folder of this name."""
+    files = (file for file in folder.rglob("*") if file.is_file())
+    return {str(Path(name, file.relative_to(folder))): file.read_bytes() for file in files}
 
 
-def _unpack(files: bytes, folder: Path) -> None:
-    folder.mkdir(parents=True, exist_ok=True)
-    with tarfile.open(fileobj=io.BytesIO(files)) as archive:
-        archive.extractall(folder, filter="data")
+def _unpack(files: Files, folder: Path) -> None:
+    for name, data in files.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(data)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
+from itertools import zip_longest
 from pathlib import Path
 
 from kickbench.errors import KickbenchError, Problem, SpecError, did_you_mean
@@ -126,14 +128,14 @@ def make_plan(experiment: LoadedExperiment, selection: Selection) -> Plan:
         own = {seed: _record(condition, trial, seed) for seed in dict.fromkeys((*condition.seeds, *asked))}
         records += own.values()
         columns.append([_planned(experiment, selection, condition, folder, own[seed]) for seed in asked])
-        for run in columns[-1]:
-            problems += _differences(run, trial)
+        problems += [problem for run in columns[-1] for problem in _differences(run, trial)]
     if problems:
         raise SpecError([*problems, Problem(None, (), "--out takes another folder")])
     record = PlanRecord(
         experiment=experiment.name, scale=selection.scale, overrides=selection.overrides, runs=tuple(records)
     )
-    return Plan(experiment, record, tuple(_in_turn(columns)), folder)
+    in_turn = (run for runs in zip_longest(*columns) for run in runs if run is not None)
+    return Plan(experiment, record, tuple(in_turn), folder)
 
 
 def _chosen(experiment: LoadedExperiment, selection: Selection) -> dict[str, tuple[int, ...]]:
@@ -143,21 +145,17 @@ def _chosen(experiment: LoadedExperiment, selection: Selection) -> dict[str, tup
         if not any(condition.is_meant_by(name) for condition in conditions.values()):
             what = f"{experiment.name} has no such condition; it has: {', '.join(conditions)}"
             raise SpecError.of(f"--only {name}", what, did_you_mean(name, conditions))
-    chosen: dict[str, tuple[int, ...]] = {}
-    for condition in conditions.values():
-        if not selection.only or any(condition.is_meant_by(name) for name in selection.only):
-            chosen[condition.name] = selection.seeds or condition.seeds
+    chosen = {
+        name: selection.seeds or condition.seeds
+        for name, condition in conditions.items()
+        if not selection.only or any(map(condition.is_meant_by, selection.only))
+    }
     for name in list(chosen):
         source = conditions[name].init_from
         while isinstance(source, str):
             chosen[source] = tuple(dict.fromkeys((*chosen.get(source, ()), *chosen[name])))
             source = conditions[source].init_from
     return chosen
-
-
-def _in_turn(columns: list[list[PlannedRun]]) -> Iterator[PlannedRun]:
-    for index in range(max(map(len, columns), default=0)):
-        yield from (column[index] for column in columns if index < len(column))
 
 
 def _record(condition: Condition, trial: Trial, seed: int) -> RunRecord:
@@ -217,8 +215,6 @@ def _differences(run: PlannedRun, trial: Trial) -> Iterable[Problem]:
 
 
 def _is_valid(path: Path) -> bool:
-    try:
-        load_metrics(path)
-    except KickbenchError:
-        return False
-    return True
+    with suppress(KickbenchError):
+        return bool(load_metrics(path))
+    return False

@@ -77,10 +77,6 @@ def read_state(directory: RunDirectory, total: int | None = None) -> RunState:
         directory: The run directory, which need not exist.
         total: Iterations wanted; default: what its stored method says.
     """
-    if directory.is_occupied:
-        # What runs with --force is made beside the run that it replaces.
-        made = directory.beside if directory.beside.path.is_dir() else directory
-        return _training(State.RUNNING, made, None, total)
     runs = load_runs(directory.path)
     own = runs_of(runs[runs.path == directory.path])
     return RunState(State.NEW, 0, total) if own.empty else state_of(own.iloc[0], total)
@@ -97,7 +93,9 @@ def state_of(run: pd.Series, total: int | None = None) -> RunState:
     if total is None and (stored := known(run, "iterations_planned")) is not None:
         total = int(stored)
     if run.state == "running":
-        return _training(State.RUNNING, directory, None, total)
+        # What runs with --force is made beside the run that it replaces.
+        made = directory.beside if directory.beside.path.is_dir() else directory
+        return _training(State.RUNNING, made, None, total)
     is_short = total is not None and run.iterations < total
     # What has a result, but no checkpoint to go on from, stays as long as it is.
     if run.state == "finished" and not (is_short and Checkpoints(directory.checkpoints).files()):
@@ -110,8 +108,7 @@ def state_of(run: pd.Series, total: int | None = None) -> RunState:
             evaluation_seconds=max(0.0, run.provenance.seconds - run.training_seconds),
             note=f"stopped at {int(run.iterations):,} of {total:,} iterations" if is_short else "",
         )
-    damage = find_damage(directory) if run.state == "damaged" else None
-    if damage is not None and not damage.can_be_mended:
+    if run.state == "damaged" and (damage := find_damage(directory)) and not damage.can_be_mended:
         return _training(State.DAMAGED, directory, 0, total, run.damage)
     return _unfinished(directory, total, run.damage or "")
 
@@ -159,14 +156,9 @@ def read_tail(path: Path) -> dict[str, Any]:
     }
 
 
-def run_table(title: str, runs: Sequence[tuple[str, RunState, str]], words: Sequence[str] = ()) -> str:
-    """One line a run: name, how far it is, and a remark; `words` stand for the states if they are given."""
-    rows = [
-        (name, word, *_figures(state, remark))
-        for (name, state, remark), word in zip(
-            runs, words or [s.state.value for _, s, _ in runs], strict=True
-        )
-    ]
+def run_table(title: str, runs: Sequence[tuple[str, RunState, str]]) -> str:
+    """One line a run: name, how far it is, and a remark."""
+    rows = [(name, state.state.value, *_figures(state, remark)) for name, state, remark in runs]
     return render_block(title, _HEADER, [[row] for row in rows], groups=None)
 
 

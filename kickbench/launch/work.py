@@ -23,7 +23,6 @@ from kickbench.results.integrity import write_also
 from kickbench.results.metrics import metrics_bytes
 from kickbench.training.trained import load_run
 
-_LAST_BYTES = 4_096
 _POLL_SECONDS = 0.5
 
 
@@ -66,9 +65,7 @@ def _train_and_evaluate(planned: PlannedRun) -> None:
 def last_lines(log: Path, count: int = 1) -> str:
     """The last lines of a log that are not empty."""
     try:
-        with open(log, "rb") as file:
-            file.seek(max(0, file.seek(0, os.SEEK_END) - _LAST_BYTES))
-            lines = file.read().decode("utf-8", errors="replace").split("\n")
+        lines = log.read_text(encoding="utf-8", errors="replace").split("\n")
     except OSError:
         return ""
     return "\n".join([line.strip() for line in lines if line.strip()][-count:])

@@ -7,7 +7,7 @@ import os
 import shutil
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from kickbench.errors import KickbenchError
@@ -62,6 +62,7 @@ class RunDirectory:
         self.policy = self.path / "policy.pt"
         self.tensorboard = self.path / "tensorboard"
         self.log = self.path / "run.log"
+        self._lock = self.path / ".lock"
 
     def __fspath__(self) -> str:
         return str(self.path)
@@ -91,13 +92,7 @@ class RunDirectory:
     @property
     def is_occupied(self) -> bool:
         """Whether a process runs in the folder at this moment."""
-        if not self.path.is_dir():
-            return False
-        descriptor = os.open(self.path, os.O_RDONLY)
-        try:
-            return not _locked(descriptor, fcntl.LOCK_SH)
-        finally:
-            os.close(descriptor)
+        return _is_locked(self.path) or _is_locked(self._lock)
 
     @property
     def is_finished(self) -> bool:
@@ -122,14 +117,14 @@ class RunDirectory:
             KickbenchError: another process runs in it, or it cannot be made.
         """
         self._make()
-        descriptor = os.open(self.path, os.O_RDONLY)
-        try:
-            # `is_occupied` of another process may hold the lock for a moment.
-            if not _locked(descriptor, fcntl.LOCK_EX, _PATIENCE):
-                raise KickbenchError(f"{self.path}: another process runs in it")
-            yield
-        finally:
-            os.close(descriptor)
+        # That of a folder excludes processes of this machine, that of a file also others over NFS.
+        with _locked(self.path, os.O_RDONLY), _locked(self._lock, os.O_RDWR | os.O_CREAT):
+            try:
+                yield
+            finally:
+                self._lock.unlink(missing_ok=True)
+                with suppress(OSError):  # the folder is not empty
+                    self.path.rmdir()
 
     def reopen(self) -> None:
         """Make a run ready to go on: remove its result and what a kill left half written, keep its training."""
@@ -167,15 +162,18 @@ class RunDirectory:
         integrity.seal(self.path, upcoming={self.metrics.name: data})
         atomic_write_bytes(self.metrics, data)
 
-    def take_over(self) -> None:
+    def take_over(self, unfinished: bool = False) -> None:
         """Put the finished run of `beside` in the place of the one that is here, or finish doing so.
 
         A kill in between leaves a folder without a result, and the next call goes on. Files that kickbench
         did not write stay.
+
+        Args:
+            unfinished: whether the run there may be without a result, too.
         """
         ready = self.path / _READY
         if not ready.is_dir():
-            if not self.beside.metrics.is_file():
+            if not (unfinished or self.beside.metrics.is_file()):
                 return
             self.clear()
             self.beside.path.rename(ready)
@@ -219,17 +217,42 @@ class RunDirectory:
             yield from (file for file in folder.glob(f"{TEMPORARY_PREFIX}*") if not file.is_dir())
 
 
-def _locked(descriptor: int, kind: int, patience: float = 0.0) -> bool:
-    """Takes the lock of a folder."""
-    deadline = time.monotonic() + patience
-    while True:
-        try:
-            fcntl.flock(descriptor, kind | fcntl.LOCK_NB)
-            return True
-        except BlockingIOError:
+@contextmanager
+def _locked(path: Path, flags: int) -> Iterator[None]:
+    """Holds the lock of a run's folder, or of the file in it."""
+    try:
+        descriptor = os.open(path, flags)
+    except OSError as error:
+        raise KickbenchError(f"{path}: cannot be locked: {error.strerror}") from None
+    deadline = time.monotonic() + _PATIENCE
+    try:
+        # `is_occupied` of another process may hold the lock for a moment.
+        while not _lock(descriptor, fcntl.LOCK_EX):
             if time.monotonic() > deadline:
-                return False
+                raise KickbenchError(f"{path.parent if path.is_file() else path}: another process runs in it")
             time.sleep(0.02)
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def _is_locked(path: Path) -> bool:
+    try:
+        descriptor = os.open(path, os.O_RDONLY)
+    except (FileNotFoundError, NotADirectoryError):
+        return False
+    try:
+        return not _lock(descriptor, fcntl.LOCK_SH)
+    finally:
+        os.close(descriptor)
+
+
+def _lock(descriptor: int, kind: int) -> bool:
+    try:
+        fcntl.flock(descriptor, kind | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
 
 
 def find_begun_runs(root: Path | str) -> list[RunDirectory]:

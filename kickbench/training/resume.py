@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from operator import attrgetter
 from typing import Any
@@ -50,8 +49,6 @@ def begin(directory: RunDirectory, trial: Trial, initial: Initial | None = None)
             seal(directory)
     except BaseException:
         directory.clear()
-        with suppress(OSError):  # the folder is not empty
-            directory.path.rmdir()
         raise
     return Resume(directory)
 

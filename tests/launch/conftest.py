@@ -1,4 +1,4 @@
-"""Run directories in every state, made by hand."""
+"""Run directories in every state, made by hand; an experiment of seconds."""
 
 from __future__ import annotations
 
@@ -13,9 +13,13 @@ from kickbench.results.metrics import Metrics
 from kickbench.results.progress_table import row_check
 from kickbench.results.store import RunDirectory
 from kickbench.results.summary import summarise_sides
+from kickbench.trials.experiment import LoadedExperiment, load_experiment
 
 from ..made_up import made_up_metrics, write_result
+from ..support import SMALL
 
+ROOT = Path(__file__).parents[2]
+TINY = (*SMALL, "episode.max_steps=20")
 HEADER = "iteration,steps_per_second,success_rate,collect_seconds,update_seconds"
 
 
@@ -72,3 +76,15 @@ def make_run(tmp_path):
         return directory
 
     return make
+
+
+def tiny_experiment(folder: Path, conditions: str, iterations: int, *transfer: str) -> LoadedExperiment:
+    """An experiment on the mini kicker for `--set` of `TINY`; METHODS stands for the mini methods' folder."""
+    file, tasks = folder / "tiny.yaml", f"{ROOT}/tasks"
+    also = ", ".join(f"{tasks}/{name}.yaml" for name in transfer)
+    file.write_text(
+        f"task: {tasks}/mini_home_field.yaml\nseeds: [0]\niterations: {iterations}\n"
+        f"evaluation: {{episodes: 20, transfer: [{also}]}}\n"
+        f"conditions:{conditions.replace('METHODS', f'{ROOT}/methods/mini')}"
+    )
+    return load_experiment(file)

@@ -9,44 +9,28 @@ from pathlib import Path
 import pytest
 
 from kickbench.cli import main
-from kickbench.launch.cluster import _content, _packed, _perform_there, _unpack
+from kickbench.launch.cluster import Files, _content, _packed, _perform_there, _unpack
 from kickbench.launch.plan import PlannedRun, Selection, make_plan
 from kickbench.launch.work import perform
 from kickbench.results.metrics import load_metrics
 from kickbench.results.provenance import package_versions
-from kickbench.results.store import RunDirectory
-from kickbench.trials.experiment import load_experiment
 
-from .test_reproduce import assert_same_run
+from ..support import assert_same_run
+from .conftest import TINY, tiny_experiment
 
-ROOT = Path(__file__).parents[2]
-SMALL = (
-    "algorithm.num_envs=16",
-    "algorithm.steps_per_env=8",
-    "network.actor_hidden=[16]",
-    "network.critic_hidden=[16]",
-    "episode.max_steps=20",
-)
-EXPERIMENT = f"""
-task: {ROOT}/tasks/mini_home_field.yaml
-seeds: [0]
-iterations: 2
-evaluation: {{episodes: 20, transfer: [{ROOT}/tasks/mini_general.yaml]}}
-conditions:
-  first: {{method: {ROOT}/methods/mini/baseline.yaml}}
-  second: {{method: {ROOT}/methods/mini/baseline.yaml, init_from: first, init_std: 0.3}}
+CONDITIONS = """
+  first: {method: METHODS/baseline.yaml}
+  second: {method: METHODS/baseline.yaml, init_from: first, init_std: 0.3}
 """
 
 
 @pytest.fixture(scope="module")
 def experiment(tmp_path_factory):
-    file = tmp_path_factory.mktemp("experiment") / "tiny.yaml"
-    file.write_text(EXPERIMENT)
-    return load_experiment(file)
+    return tiny_experiment(tmp_path_factory.mktemp("experiment"), CONDITIONS, 2, "mini_general")
 
 
 def runs_in(folder: Path, experiment) -> list[PlannedRun]:
-    return list(make_plan(experiment, Selection(out=folder, overrides=SMALL)).runs)
+    return list(make_plan(experiment, Selection(out=folder, overrides=TINY)).runs)
 
 
 @pytest.fixture(scope="module")
@@ -57,14 +41,14 @@ def here(tmp_path_factory, experiment) -> list[PlannedRun]:
     return runs
 
 
-def sent(run: PlannedRun, mark: Path, *, initial: Path | None = None, **versions: str) -> tuple[str, bytes]:
+def sent(run: PlannedRun, mark: Path, *, initial: Path | None = None, **versions: str) -> tuple[str, Files]:
     """Does a run as a node does that was sent it."""
-    content, files = _content(run), _packed(**({"initial": initial} if initial else {}))
+    content, files = _content(run), _packed(initial, "initial") if initial else {}
     # Nothing of the sender's files may be read.
     lost = Path("/nowhere")
     request = replace(run.request, task=lost, method=lost, init_from=initial and lost)
     away = replace(run, request=request, transfer=dict.fromkeys(run.transfer, lost))
-    return _perform_there(away, content, files, mark, {"torch": package_versions()["torch"], **versions})
+    return _perform_there(away, content, files, (mark, "text"), package_versions() | versions)
 
 
 def test_a_run_that_comes_home_from_a_node_is_that_of_this_machine(here, experiment, tmp_path):
@@ -83,9 +67,9 @@ def test_a_run_on_a_node_that_sees_the_folder_lies_there_and_begins_with_the_pol
     here, experiment, tmp_path
 ):
     mark = tmp_path / "mark"
-    mark.touch()
+    mark.write_text("text")
     run = runs_in(tmp_path, experiment)[1]
-    assert sent(run, mark, initial=here[0].directory.path) == ("", b"")
+    assert sent(run, mark, initial=here[0].directory.path) == ("", {})
     assert_same_run(run.directory.path, here[1].directory.path)
     initial = load_metrics(run.directory.metrics).provenance.initial
     assert initial is not None
@@ -97,17 +81,17 @@ def test_a_node_with_another_version_is_refused(experiment, tmp_path):
     (run, _) = runs_in(tmp_path, experiment)
     failure, files = sent(run, tmp_path / "mark", torch="1.0")
     assert f"has torch {package_versions()['torch']}, here 1.0: results would not be comparable" in failure
-    assert files == b""
+    assert files == {}
 
 
 def test_a_node_that_compiles_another_task_from_the_files_refuses_it(experiment, tmp_path):
     (run, _) = runs_in(tmp_path, experiment)
-    _unpack(_content(run), tmp_path / "content")
-    own = RunDirectory(tmp_path / "content/own")
-    own.task_spec.write_text(own.task_spec.read_text().replace("max_steps: 20", "max_steps: 21"))
-    content = _packed(own=own.path, transfer=tmp_path / "content/transfer")
-    failure, _ = _perform_there(run, content, _packed(), tmp_path / "mark", {})
-    assert "compiles another task from the same files" in failure
+    content = _content(run)
+    content["own/specs/task.yaml"] = content["own/specs/task.yaml"].replace(
+        b"max_steps: 20", b"max_steps: 21"
+    )
+    failure, _ = _perform_there(run, content, {}, (tmp_path / "mark", "text"), package_versions())
+    assert "compiles another trial from the same files: task: " in failure
 
 
 def test_without_ray_the_extra_is_named_and_nothing_is_written(tmp_path, monkeypatch, capsys):

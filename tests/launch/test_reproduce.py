@@ -6,36 +6,25 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-import torch
 
 from kickbench.cli import main
 from kickbench.launch.state import RunState, State, read_state
-from kickbench.results.metrics import load_metrics
 from kickbench.results.store import RunDirectory
 
-from ..support import untimed_rows
+from ..support import SMALL, assert_same_run, wait_for
 
 ROOT = Path(__file__).parents[2]
 ITERATIONS = 24
-SMALL = (
-    f"algorithm.iterations={ITERATIONS}",
-    "algorithm.num_envs=16",
-    "algorithm.steps_per_env=8",
-    "network.actor_hidden=[16]",
-    "network.critic_hidden=[16]",
-    "episode.max_steps=20",
-    "evaluation.episodes=20",
-)
+SETTINGS = (*SMALL, f"algorithm.iterations={ITERATIONS}", "episode.max_steps=20", "evaluation.episodes=20")
 RUNS = ("baseline/seed0", "equivariant/seed0")
 
 
 def arguments(out: Path, *extra: str) -> list[str]:
-    settings = (part for text in SMALL for part in ("--set", text))
+    settings = (part for text in SETTINGS for part in ("--set", text))
     arms = (part for run in RUNS for part in ("--only", run.partition("/")[0]))
     reported = str(ROOT / "results/reported/mini_home_field.yaml")
     return [
@@ -70,13 +59,6 @@ def start(tmp_path) -> Iterator[Callable[[Path], subprocess.Popen[bytes]]]:
         process.wait()
 
 
-def wait_for(condition: Callable[[], bool], what: str) -> None:
-    deadline = time.monotonic() + 900  # of a busy machine
-    while not condition():
-        assert time.monotonic() < deadline, f"never: {what}"
-        time.sleep(0.02)
-
-
 def state_of(out: Path, run: str) -> RunState:
     return read_state(RunDirectory(out / run), ITERATIONS)
 
@@ -92,17 +74,6 @@ def is_training(out: Path, run: str, iterations: int) -> Callable[[], bool]:
 
 def children(pid: int) -> list[int]:
     return [int(text) for text in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
-
-
-def assert_same_run(one: Path, other: Path) -> None:
-    policies = [torch.load(run / "policy.pt", weights_only=True)["actor_state_dict"] for run in (one, other)]
-    assert list(policies[0]) == list(policies[1])
-    assert all(torch.equal(policies[0][key], policies[1][key]) for key in policies[0])
-    assert untimed_rows(one / "progress.csv") == untimed_rows(other / "progress.csv")
-    assert (one / "episodes.csv").read_bytes() == (other / "episodes.csv").read_bytes()
-    clock = {"training_seconds", "provenance"}
-    ours, theirs = (load_metrics(run / "metrics.json").model_dump(exclude=clock) for run in (one, other))
-    assert ours == theirs
 
 
 @pytest.mark.slow
@@ -166,5 +137,5 @@ def test_a_run_that_fails_is_named_and_the_others_go_on(tmp_path, capfd):
 def test_two_at_once_in_one_folder_are_one_too_many(tmp_path, capsys):
     with RunDirectory(tmp_path).occupied():
         assert main(arguments(tmp_path)) == 2
+        assert [file.name for file in tmp_path.iterdir()] == [".lock"]
     assert "another process runs in it" in capsys.readouterr().err
-    assert not list(tmp_path.iterdir())

@@ -1,5 +1,6 @@
 """The run directory: atomic files, what counts as finished, and that only our own files are ever removed."""
 
+import fcntl
 from pathlib import Path
 
 import pytest
@@ -214,7 +215,21 @@ def test_a_folder_is_one_process_at_a_time(tmp_path: Path) -> None:
         RunDirectory(path).occupied().__enter__()
     with RunDirectory(path).occupied():
         pass
-    assert list(path.iterdir()) == []
+    assert not path.exists(), "a folder without a run is left to nobody"
+
+
+def test_a_folder_that_another_machine_has_locked_is_occupied(tmp_path: Path) -> None:
+    run = make_run(tmp_path)
+    # Over NFS the lock of a folder holds on one machine only, that of a file on all.
+    with open(tmp_path / ".lock", "w") as theirs:
+        fcntl.flock(theirs, fcntl.LOCK_EX)
+        assert run.is_occupied
+        with pytest.raises(KickbenchError, match="another process runs in it"):
+            run.occupied().__enter__()
+    assert not run.is_occupied, "what a kill left behind locks nothing"
+    with run.occupied():
+        assert run.is_occupied
+    assert not (tmp_path / ".lock").exists()
 
 
 def test_a_file_in_the_place_of_the_folder_is_an_error(tmp_path: Path) -> None:

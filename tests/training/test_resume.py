@@ -29,41 +29,17 @@ from kickbench.training.iteration_log import RunProgress
 from kickbench.training.trainer import Trainer
 from kickbench.trials.trial import load_trial
 
-from ..support import untimed_rows
+from ..support import SMALL, assert_same_bits, assert_same_run, untimed_rows
 from . import conftest
 
 ROOT = Path(__file__).parents[2]
 # Episodes so short that every world uses up its share of the pool of starts.
-SMALL = (
-    "algorithm.num_envs=16",
-    "algorithm.steps_per_env=8",
-    "network.actor_hidden=[16]",
-    "network.critic_hidden=[16]",
-    "episode.max_steps=4",
-)
+SHORT = (*SMALL, "episode.max_steps=4")
 
 
 def make_trainer(chosen, folder: Path, seed: int = 0) -> Trainer:
     progress = RunProgress(folder / "progress.csv", folder / "tensorboard")
     return conftest.make_trainer(chosen, folder / "checkpoints", progress, seed)
-
-
-def assert_equal(one, other) -> None:
-    """Equality to the last bit of nested dicts and lists of tensors and numbers."""
-    assert type(one) is type(other)
-    if isinstance(one, torch.Tensor):
-        assert one.dtype == other.dtype
-        assert torch.equal(one, other)
-    elif isinstance(one, dict):
-        assert list(one) == list(other)
-        for key in one:
-            assert_equal(one[key], other[key])
-    elif isinstance(one, list | tuple):
-        assert len(one) == len(other)
-        for left, right in zip(one, other, strict=True):
-            assert_equal(left, right)
-    else:
-        assert one == other
 
 
 def without_clock(state: dict) -> dict:
@@ -87,7 +63,7 @@ GROWING = (
 def test_so_many_iterations_and_so_many_more_are_those_of_one_training(
     experiment, tmp_path, method, settings
 ):
-    chosen = experiment("mini_general", method, *SMALL, *settings)
+    chosen = experiment("mini_general", method, *SHORT, *settings)
     whole = make_trainer(chosen, tmp_path / "whole")
     whole.train(10)
 
@@ -106,7 +82,7 @@ def test_so_many_iterations_and_so_many_more_are_those_of_one_training(
     result = second.train(10)
 
     assert (result.iterations, result.env_steps, result.interrupted) == (10, 10 * 16 * 8, False)
-    assert_equal(without_clock(second.state_dict()), without_clock(whole.state_dict()))
+    assert_same_bits(without_clock(second.state_dict()), without_clock(whole.state_dict()))
     assert untimed_rows(tmp_path / "parts/progress.csv") == untimed_rows(tmp_path / "whole/progress.csv")
 
 
@@ -141,9 +117,9 @@ def assert_goes_on_to_the_bit(task) -> tuple[KickEnv, KickEnv]:
     for _ in range(20):
         action = actions(one)
         (observed, *ours), (also_observed, *theirs) = one.step(action), other.step(action)
-        assert_equal(ours, theirs)
-        assert_equal(observed.to_dict(), also_observed.to_dict())
-    assert_equal(one.state_dict(), other.state_dict())
+        assert_same_bits(ours, theirs)
+        assert_same_bits(observed.to_dict(), also_observed.to_dict())
+    assert_same_bits(one.state_dict(), other.state_dict())
     return one, other
 
 
@@ -153,10 +129,10 @@ def test_a_state_is_a_copy_and_does_not_follow_the_environment(experiment):
     state, before = env.state_dict(), env.state_dict()
     for _ in range(30):
         env.step(torch.ones(8, env.num_actions))
-    assert_equal(state, before)
+    assert_same_bits(state, before)
     env.load_state_dict(state)
     env.step(torch.ones(8, env.num_actions))
-    assert_equal(state, before)
+    assert_same_bits(state, before)
 
 
 def test_a_state_of_another_size_or_task_is_refused(experiment):
@@ -170,7 +146,7 @@ def test_a_state_of_another_size_or_task_is_refused(experiment):
 
 
 def test_a_schedule_ends_where_it_was_to_end_when_the_run_is_extended(experiment, tmp_path):
-    overrides = (*SMALL, "algorithm.desired_kl=0.04", "algorithm.final_desired_kl=0.01")
+    overrides = (*SHORT, "algorithm.desired_kl=0.04", "algorithm.final_desired_kl=0.01")
     trainer = make_trainer(experiment("mini_general", "baseline", *overrides), tmp_path)
     assert trainer.train(3).horizon == 3
     seen: list[float] = []
@@ -263,7 +239,7 @@ def test_one_of_another_version_is_an_error_and_not_left_out(tmp_path):
 # Whole runs.
 
 TASK, METHOD = str(ROOT / "tasks/mini_general.yaml"), str(ROOT / "methods/mini/equivariant.yaml")
-QUICK = [f"--set={text}" for text in (*SMALL[1:], "algorithm.epochs=1", "evaluation.episodes=20")]
+QUICK = [f"--set={text}" for text in (*SHORT[1:], "algorithm.epochs=1", "evaluation.episodes=20")]
 
 
 def command(out: Path, *extra: str, iterations: int | None = 53, num_envs: int = 8) -> list[str]:
@@ -282,17 +258,6 @@ def undisturbed(tmp_path_factory) -> Path:
 def copy(undisturbed, tmp_path) -> Path:
     """A copy of the undisturbed run, to be broken."""
     return Path(shutil.copytree(undisturbed, tmp_path / "run"))
-
-
-def assert_same_run(one: Path, other: Path) -> None:
-    policies = [torch.load(run / "policy.pt", weights_only=True) for run in (one, other)]
-    assert_equal(*policies)
-    assert untimed_rows(one / "progress.csv") == untimed_rows(other / "progress.csv")
-    assert (one / "episodes.csv").read_bytes() == (other / "episodes.csv").read_bytes()
-    ours, theirs = (load_metrics(run / "metrics.json") for run in (one, other))
-    assert ours.evaluation == theirs.evaluation
-    assert (ours.iterations, ours.env_steps) == (theirs.iterations, theirs.env_steps)
-    assert ours.schedule_iterations is None
 
 
 KILLED = """
@@ -569,7 +534,7 @@ def begun(tmp_path_factory) -> tuple[Path, list[str]]:
     folder = tmp_path_factory.mktemp("begun")
     task, method = ROOT / "tasks/mini_home_field.yaml", ROOT / "methods/mini/equivariant.yaml"
     command = ["run", str(task), str(method), "--iterations", "1", "--set", "evaluation.episodes=4"]
-    for setting in SMALL:
+    for setting in SHORT:
         command += ["--set", setting]
     assert main([*command, "--out", str(folder / "first")]) == 0
     return folder, command
