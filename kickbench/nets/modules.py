@@ -40,8 +40,9 @@ class SymmetricNormalization(EmpiricalNormalization):
     @torch.jit.unused
     def update(self, x: Tensor) -> None:
         """Learn from the batch ``x [n, dim]`` and its mirror image."""
-        # Mirror images need no pass of their own: their effect on mean and variance follows from those of the
-        # samples, whose mean is off the common mean by half the distance from it to the mean of the images.
+        # Through the parent, so that averaging over processes stays rsl_rl's own. Mirror images need no pass
+        # of their own: their effect on mean and variance follows from those of the samples, whose mean is off
+        # the common mean by half the distance between it and the mean of the images.
         super().update(x)
         mirrored_mean = self.mirror(self._mean)
         mirrored_variance = self._var.index_select(-1, self.mirror.permutation)  # signs do not change it

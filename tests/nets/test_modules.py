@@ -2,6 +2,8 @@
 
 import pytest
 import torch
+import torch.distributed
+import torch.multiprocessing
 from rsl_rl.modules import EmpiricalNormalization, GaussianDistribution
 from tensordict import TensorDict
 
@@ -91,6 +93,35 @@ def test_learning_stops_after_until_samples():
     before = normalizer.mean
     normalizer.update(second)
     assert torch.equal(normalizer.mean, before)
+
+
+def _learn_on_one_rank(rank: int, address: str, queue) -> None:
+    torch.distributed.init_process_group("gloo", init_method=address, rank=rank, world_size=2)
+    normalizer = SymmetricNormalization(REPRESENTATION)
+    for x in batches(4):
+        normalizer.update(x[rank::2])
+    queue.put((normalizer.mean.tolist(), normalizer.std.tolist()))
+    torch.distributed.destroy_process_group()
+
+
+@pytest.mark.skipif(not torch.distributed.is_available(), reason="torch was built without distributed")
+def test_two_processes_learn_the_same_statistics_as_one(tmp_path):
+    context = torch.multiprocessing.get_context("fork")
+    queue = context.Queue()
+    address = f"file://{tmp_path}/rendezvous"
+    ranks = [context.Process(target=_learn_on_one_rank, args=(rank, address, queue)) for rank in range(2)]
+    for process in ranks:
+        process.start()
+    results = [queue.get(timeout=30) for _ in ranks]
+    for process in ranks:
+        process.join(timeout=30)
+    assert results[0] == results[1]
+    alone = SymmetricNormalization(REPRESENTATION)
+    for x in batches(4):
+        alone.update(x)
+    torch.testing.assert_close(
+        torch.tensor(results[0]), torch.stack((alone.mean, alone.std)), atol=1e-5, rtol=1e-5
+    )
 
 
 ACTION = TRIVIAL + SIGN + REGULAR + REGULAR_SIGN
