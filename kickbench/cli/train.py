@@ -69,6 +69,8 @@ def run(
 
     outcome = train(RunRequest(**options, command=sys.argv))
     where, training = shown(outcome.directory.path), outcome.training
+    if not outcome.is_main:
+        return 130 if training is not None and training.interrupted else 0
     if outcome.metrics is None:
         done = f"after {training.iterations} iterations" if training else ""
         print(f"interrupted {done}; the same command with --resume goes on from {where}", file=sys.stderr)

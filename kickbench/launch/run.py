@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -27,7 +28,8 @@ from kickbench.results.store import RunDirectory
 from kickbench.results.summary import summarise_sides
 from kickbench.sim.engine import check_device, usable_cores
 from kickbench.training.checkpoint import Checkpoints, save_policy
-from kickbench.training.iteration_log import RunProgress
+from kickbench.training.iteration_log import Progress, RunProgress
+from kickbench.training.ranks import Ranks, joined, read_ranks
 from kickbench.training.resume import Initial, Resume, begin, begin_from, take_up
 from kickbench.training.trained import Run, load_run
 from kickbench.training.trainer import Trainer, TrainingResult
@@ -112,12 +114,14 @@ class RunOutcome:
     Attributes:
         directory: Where it is.
         training: How its training ended; None: there was nothing left to do.
-        metrics: Its result; None: it was interrupted.
+        metrics: Its result; None: it was interrupted, or another process evaluates it.
+        is_main: Whether this process reports it.
     """
 
     directory: RunDirectory
     training: TrainingResult | None
     metrics: Metrics | None
+    is_main: bool = True
 
 
 def run(request: RunRequest) -> RunOutcome:
@@ -128,40 +132,42 @@ def run(request: RunRequest) -> RunOutcome:
         KickbenchError: A run is in the way, or cannot be gone on with, or training diverged.
     """
     check_device(request.device)
-    trial = request.load()
-    _check_feasible(request, trial)
+    ranks, trial = read_ranks(request.device), request.load()
+    _check_feasible(request, trial, ranks)
     default = Path("runs", trial.task.name, trial.method.name, f"seed{request.seed}")
     directory, initial = RunDirectory(request.out or default), None
     if request.init_from is not None:
         trial, initial = begin_from(trial, load_run(request.init_from), request.init_std)
-        if initial.critic is None:
+        if initial.critic is None and ranks.is_main:
             print(
                 f"{shown(request.init_from)}: no critic was kept that fits; a new one is trained",
                 file=sys.stderr,
             )
-    with directory.occupied():
-        taken = _open(request, directory, trial, initial)
+    with joined(ranks), directory.occupied() if ranks.is_main else nullcontext():
+        taken = _open_together(request, directory, trial, ranks, initial)
         if taken.finished:
-            return RunOutcome(directory, None, load_metrics(directory.metrics))
-        threads = request.threads or usable_cores()
-        history = _history(request, trial, threads, initial, taken)
-        trainer = _make_trainer(request, trial, taken.directory, threads, history)
+            metrics = load_metrics(directory.metrics) if ranks.is_main else None
+            return RunOutcome(directory, None, metrics, ranks.is_main)
+        threads = request.threads or max(1, usable_cores() // ranks.local_size)
+        history = _history(request, trial, ranks, threads, initial, taken)
+        trainer = _make_trainer(request, trial, taken.directory or directory, ranks, threads, history)
         _start(trainer, taken, initial)
         training = trainer.train(trial.method.spec.algorithm.iterations)
-        if training.interrupted:
-            return RunOutcome(directory, training, None)
-        metrics = _evaluate(trainer, training, taken.directory, history, threads)
+        if training.interrupted or not ranks.is_main:
+            return RunOutcome(directory, training, None, ranks.is_main)
+        metrics = _evaluate(trainer, training, taken.directory or directory, history, threads)
         directory.take_over()
         return RunOutcome(directory, training, metrics)
 
 
-def _check_feasible(request: RunRequest, trial: Trial) -> None:
+def _check_feasible(request: RunRequest, trial: Trial, ranks: Ranks) -> None:
     """Refuses what would fail later."""
     settings, document = trial.method.spec.algorithm, trial.method.document
-    if settings.num_envs * settings.steps_per_env < 2:
-        raise KickbenchError("one sample an iteration: advantages are standardised over its samples")
-    if settings.matmul == "tf32" and not request.device.startswith("cuda"):
-        what = f"tf32 needs a GPU, and the device is {request.device}"
+    if ranks.share(settings.num_envs) * settings.steps_per_env < 2:
+        what = "one sample an iteration and process: advantages are standardised in each of them"
+        raise KickbenchError(what)
+    if settings.matmul == "tf32" and ranks.device.type != "cuda":
+        what = f"tf32 needs a GPU, and the device is {ranks.device.type}"
         raise SpecError([document.problem(("algorithm", "matmul"), what, "use float32")])
     try:
         str(request.out).encode()
@@ -178,8 +184,24 @@ def _open(request: RunRequest, directory: RunDirectory, trial: Trial, initial: I
     return take_up(directory, trial, request.seed, scale=request.scale, extend=extend, initial=initial)
 
 
+def _open_together(
+    request: RunRequest, directory: RunDirectory, trial: Trial, ranks: Ranks, initial: Initial | None
+) -> Resume:
+    """Rank 0 looks into the directory, and sends the others what it has found."""
+    taken, refusal = Resume(), None
+    if ranks.is_main:
+        try:
+            taken = _open(request, directory, trial, initial)
+        except KickbenchError as error:
+            refusal = error
+    if ranks.any(refusal is not None):
+        raise refusal or SystemExit(2)  # rank 0 says why
+    found = ranks.broadcast({"state": taken.state, "finished": taken.finished})
+    return Resume(found["state"], found["finished"], taken.directory)
+
+
 def _history(
-    request: RunRequest, trial: Trial, threads: int, initial: Initial | None, taken: Resume
+    request: RunRequest, trial: Trial, ranks: Ranks, threads: int, initial: Initial | None, taken: Resume
 ) -> RunHistory:
     experiment = request.experiment
     if isinstance(experiment, Path):
@@ -191,6 +213,7 @@ def _history(
         request.seed,
         scale=request.scale,
         num_threads=threads,
+        num_processes=ranks.size,
         device=request.device,
         argv=request.command_line,
         experiment=experiment,
@@ -200,13 +223,18 @@ def _history(
 
 
 def _make_trainer(
-    request: RunRequest, trial: Trial, directory: RunDirectory, threads: int, history: RunHistory
+    request: RunRequest,
+    trial: Trial,
+    directory: RunDirectory,
+    ranks: Ranks,
+    threads: int,
+    history: RunHistory,
 ) -> Trainer:
     """Seeds everything and builds environments, networks and progress displays."""
-    task, method = trial.task, trial.method.spec
-    torch.manual_seed(request.seed)
-    engine = make_engine(task, method.algorithm.num_envs, request.device, num_threads=threads)
-    env = KickEnv(task, engine, request.seed)
+    seed, task, method = ranks.seed(request.seed), trial.task, trial.method.spec
+    torch.manual_seed(seed)
+    num_envs = ranks.share(method.algorithm.num_envs)
+    env = KickEnv(task, make_engine(task, num_envs, str(ranks.device), num_threads=threads), seed)
 
     def success(trained: MLPModel) -> dict[str, float]:
         """Success of the policy in training; changes nothing of it."""
@@ -218,11 +246,12 @@ def _make_trainer(
     return Trainer(
         trial,
         env,
-        RunProgress(directory.progress, directory.tensorboard),
+        RunProgress(directory.progress, directory.tensorboard) if ranks.is_main else Progress(),
         Checkpoints(directory.checkpoints),
         history,
         update_threads(method, threads),
         graph=not request.no_graph,
+        ranks=ranks,
         evaluate=success,
     )
 
@@ -235,8 +264,9 @@ def _start(trainer: Trainer, taken: Resume, initial: Initial | None) -> None:
             trainer.ppo.critic.load_state_dict(initial.critic.state_dict())
     if taken.state:
         trainer.load_state_dict(taken.state)
-        taken.directory.reopen()
-        update_specs(taken.directory, trainer.trial)
+        if taken.directory is not None:
+            taken.directory.reopen()
+            update_specs(taken.directory, trainer.trial)
 
 
 def _evaluate(

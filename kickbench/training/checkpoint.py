@@ -5,7 +5,6 @@ Imports torch only where a file is written or loaded: `kickbench status` does no
 
 from __future__ import annotations
 
-import hashlib
 import io
 import sys
 from collections.abc import Callable
@@ -19,7 +18,6 @@ from kickbench.results.integrity import with_digest, without_digest
 
 if TYPE_CHECKING:
     from rsl_rl.models import MLPModel
-    from torch import nn
 
 FORMAT = 4
 """Version of a checkpoint's layout."""
@@ -127,15 +125,6 @@ def _load(where: Path, policy: MLPModel, weights: Callable[[], dict[str, Any]]) 
     except (RuntimeError, LookupError, TypeError, ValueError, EOFError, OSError, UnpicklingError) as error:
         raise KickbenchError(f"{shown(where)}: this policy cannot be loaded: {error}") from None
     policy.eval()
-
-
-def fingerprint(*modules: nn.Module) -> str:
-    """SHA-256 of all parameters and buffers that are kept: equal only if every bit is."""
-    digest = hashlib.sha256()
-    for module in modules:
-        for tensor in module.state_dict().values():
-            digest.update(tensor.detach().cpu().contiguous().numpy().tobytes())
-    return digest.hexdigest()
 
 
 def iteration_of(file: Path) -> int:

@@ -23,6 +23,7 @@ from kickbench.envs.env import KickEnv
 from kickbench.errors import KickbenchError
 from kickbench.nets.build import build_actor, build_critic
 from kickbench.nets.modules import Augmentation
+from kickbench.training.ranks import ALONE, Ranks
 from kickbench.trials.trial import Symmetry as Reflection
 from kickbench.trials.trial import Trial
 
@@ -91,13 +92,16 @@ class _AugmentationOnly(Symmetry):
         return torch.zeros((), device=batch.actions.device) if batch.actions is not None else torch.zeros(())
 
 
-def build_ppo(trial: Trial, observations: TensorDict, device: torch.device) -> BoundedPPO:
+def build_ppo(
+    trial: Trial, observations: TensorDict, device: torch.device, ranks: Ranks = ALONE
+) -> BoundedPPO:
     """Builds networks, storage and PPO of a trial.
 
     Args:
         trial: The trial.
         observations: Example observations {group: [B, width]}.
         device: Where to train.
+        ranks: The processes that train together.
     """
     method, symmetry = trial.method.spec, trial.symmetry
     settings = method.algorithm
@@ -105,7 +109,8 @@ def build_ppo(trial: Trial, observations: TensorDict, device: torch.device) -> B
     critic = build_critic(method, symmetry.groups["critic"])
     envs, actions = observations.batch_size[0], symmetry.actions.dim
     storage = GatheredRollout("rl", envs, settings.steps_per_env, observations, [actions], str(device))
-    ppo = BoundedPPO(actor, critic, storage, device=str(device), **_settings(settings))
+    shared = {"device": str(device), "multi_gpu_cfg": ranks.rsl_rl()}
+    ppo = BoundedPPO(actor, critic, storage, **shared, **_settings(settings))
     ppo.symmetry = _build_symmetry(method.symmetry, symmetry)
     return ppo
 

@@ -19,8 +19,9 @@ from kickbench.results.metrics import load_metrics
 from kickbench.results.provenance import InitialRef
 from kickbench.results.specs import spec_differences, stored_method, write_specs
 from kickbench.results.store import RunDirectory
-from kickbench.training.checkpoint import Checkpoints, fingerprint, load_critic, save_policy
+from kickbench.training.checkpoint import Checkpoints, load_critic, save_policy
 from kickbench.training.iteration_log import rows_before
+from kickbench.training.ranks import fingerprint
 from kickbench.training.trained import Run
 from kickbench.trials.trial import Trial
 
@@ -30,14 +31,14 @@ class Resume:
     """Where a run stands.
 
     Attributes:
-        directory: The run directory.
         state: Its last checkpoint, as `Trainer.state_dict` made it; None: nothing has been trained.
         finished: Whether nothing is left to do.
+        directory: The run directory; None: another process knows it.
     """
 
-    directory: RunDirectory
     state: Mapping[str, Any] | None = None
     finished: bool = False
+    directory: RunDirectory | None = None
 
 
 def begin(directory: RunDirectory, trial: Trial, initial: Initial | None = None) -> Resume:
@@ -50,7 +51,7 @@ def begin(directory: RunDirectory, trial: Trial, initial: Initial | None = None)
     except BaseException:
         directory.clear()
         raise
-    return Resume(directory)
+    return Resume(directory=directory)
 
 
 def take_up(
@@ -92,7 +93,7 @@ def take_up(
         recorded = load_metrics(directory.metrics)
         check_same(directory, trial, seed, scale, recorded.model_dump(), extend=extend)
         if recorded.iterations >= trial.method.spec.algorithm.iterations:
-            return Resume(directory, finished=True)
+            return Resume(finished=True, directory=directory)
     state = Checkpoints(directory.checkpoints).load()
     if state is None:
         if any(file.exists() for file in (directory.progress, directory.policy, directory.metrics)):
@@ -103,7 +104,7 @@ def take_up(
         return begin(directory, trial, initial)
     check_same(directory, trial, seed, scale, state["run"], extend=extend)
     rows_before(directory.progress, state["iteration"])  # before anything is removed
-    return Resume(directory, state)
+    return Resume(state, directory=directory)
 
 
 def check_same(

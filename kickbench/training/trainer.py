@@ -29,6 +29,7 @@ from kickbench.results.provenance import RunHistory
 from kickbench.training.checkpoint import Checkpoints
 from kickbench.training.iteration_log import Progress, Record
 from kickbench.training.ppo import BoundedPPO, build_ppo, check_samples, checked_update
+from kickbench.training.ranks import ALONE, Ranks, fingerprint
 from kickbench.trials.trial import Trial
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
@@ -72,6 +73,7 @@ class Trainer:
         history: RunHistory,
         update_threads: int = 1,
         graph: bool = True,
+        ranks: Ranks = ALONE,
         evaluate: Callable[[MLPModel], Mapping[str, float]] | None = None,
     ) -> None:
         """Builds the networks; seed torch before.
@@ -84,13 +86,14 @@ class Trainer:
             history: What the run is and how it was made; kept in the checkpoints.
             update_threads: Threads of torch during updates; collecting takes one.
             graph: Whether steps are recorded and replayed on devices that can.
+            ranks: The processes that train together; each has its share of the environments.
             evaluate: Success of the policy by side, for the task's evaluations during the training.
         """
         self.trial, self.env, self.progress = trial, env, progress
         self._graph, self._levels = graph, dict[str, float]()
         self._steps = fastest_steps(env, graph=graph)
-        self.ppo: BoundedPPO = build_ppo(trial, env.get_observations(), torch.device(env.device))
-        self._evaluate = evaluate
+        self.ppo: BoundedPPO = build_ppo(trial, env.get_observations(), torch.device(env.device), ranks)
+        self._ranks, self._evaluate = ranks, evaluate
         self.iteration = 0
         curriculum = trial.task.spec.curriculum
         self._growth = Growth(curriculum) if curriculum else None
@@ -99,7 +102,7 @@ class Trainer:
         self._checkpoints, self._history = checkpoints, history
         self._every = _CHECKPOINT_EVERY
         self._kept: TrainingResult | None = None
-        self._steps_per_iteration = trial.method.spec.algorithm.steps_per_env * env.num_envs
+        self._steps_per_iteration = trial.method.spec.algorithm.steps_per_env * env.num_envs * ranks.size
 
     def _grow(self) -> None:
         """Sets the curriculum's current values in the environments."""
@@ -110,6 +113,13 @@ class Trainer:
             self._levels = levels
             self.env.grow(grown(self.trial.task, levels))
             self._steps = fastest_steps(self.env, graph=self._graph)
+
+    def _grow_after(self, success: float) -> None:
+        """Gives the curriculum the success rate of exploration in an iteration, over all processes."""
+        if self._growth is not None:
+            rates = [float(part["success"]) for part in self._ranks.gather({"success": success})]
+            self._growth.note(sum(rates) / len(rates))
+            self._grow()
 
     @property
     def env_steps(self) -> int:
@@ -129,6 +139,8 @@ class Trainer:
         if self.iteration >= iterations:
             return self._result()
         interrupted, clock = False, time.perf_counter()
+        if self._ranks.size > 1:
+            self.ppo.broadcast_parameters()
         if self.iteration == 0:
             if self._growth is not None:  # the first episodes have the first values, too
                 self._grow()
@@ -137,14 +149,14 @@ class Trainer:
         self.progress.start(iterations, self.iteration)
         self.ppo.train_mode()
         try:
-            with stop_request() as stop:
+            with stop_request(patient=self._ranks.size > 1, quiet=not self._ranks.is_main) as stop:
                 while self.iteration < iterations and not interrupted:
                     self._anneal()
                     self._iterate()
                     now = time.perf_counter()
                     self._seconds, clock = self._seconds + now - clock, now
-                    interrupted = stop.is_set()
-                    if interrupted or self.iteration == iterations or self._is_due():
+                    interrupted = self._ranks.any(stop.is_set())
+                    if interrupted or self.iteration == iterations or self._ranks.any(self._is_due()):
                         self.save()
         except KeyboardInterrupt:
             interrupted = True
@@ -154,8 +166,12 @@ class Trainer:
         return replace(self._kept, interrupted=interrupted)
 
     def save(self) -> None:
-        """Writes a checkpoint."""
-        self._checkpoints.save(self.iteration, self.state_dict())
+        """Writes a checkpoint; with several processes, all of them at the same time."""
+        whole = self.state_dict()
+        if self._ranks.size > 1:
+            whole["ranks"] = self._gather_ranks(whole)
+        if self._ranks.is_main:
+            self._checkpoints.save(self.iteration, whole)
         self._kept, self._kept_at = self._result(), time.monotonic()
 
     def state_dict(self) -> dict[str, Any]:
@@ -177,6 +193,13 @@ class Trainer:
         Raises:
             KickbenchError: The state is that of another trial or of another version of kickbench.
         """
+        trained_by = len(state.get("ranks", ())) or 1
+        if trained_by != self._ranks.size:
+            what = (
+                f"was trained by {trained_by} processes and goes on with as many, not with {self._ranks.size}"
+            )
+            raise KickbenchError(f"the run {what}")
+        own = state["ranks"][self._ranks.rank] if "ranks" in state else state
         try:
             learner = dict(state["learner"])
             self.ppo.load(learner, None, strict=True)
@@ -186,11 +209,19 @@ class Trainer:
             if self._growth is not None:
                 self._growth.load_state_dict(state["curriculum"])
                 self._grow()
-            self.env.load_state_dict(state["env"])
-            _set_rng_states(state["rng"], self.env.device)
+            self.env.load_state_dict(own["env"])
+            _set_rng_states(own["rng"], self.env.device)
         except (LookupError, RuntimeError, TypeError, ValueError) as error:
             raise KickbenchError(f"the checkpoint is not one of this trial: {error}") from error
         self._kept, self._kept_at = self._result(), time.monotonic()
+
+    def _gather_ranks(self, own: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+        """What differs between the processes, by rank: envs and random numbers."""
+        weights = fingerprint(self.ppo.get_policy(), self.ppo.critic)
+        parts = self._ranks.gather({"rng": own["rng"], "env": own["env"], "weights": weights})
+        if any(part["weights"] != weights for part in parts):
+            raise KickbenchError(f"iteration {self.iteration}: the networks of the processes differ")
+        return parts
 
     def _result(self) -> TrainingResult:
         return TrainingResult(self.iteration, self.env_steps, self._seconds, self._horizon, False)
@@ -217,9 +248,7 @@ class Trainer:
         self.iteration += 1
         record = self._record(losses, collected - start, updated - collected)
         self.progress.update(record)
-        if self._growth is not None:
-            self._growth.note(record["success_rate"])
-            self._grow()
+        self._grow_after(record["success_rate"])
 
     def _now(self) -> float:
         """The time by which everything asked of the device is done, s."""
@@ -277,7 +306,7 @@ class Trainer:
         if protocol.every is None or self._evaluate is None:
             return {}
         sides = SIDES if protocol.mirrored else SIDES[:1]
-        if self.iteration % protocol.every:
+        if self.iteration % protocol.every or not self._ranks.is_main:
             return dict.fromkeys(sides, math.nan)
         return self._evaluate(self.ppo.get_policy())
 
@@ -305,17 +334,24 @@ def _set_rng_states(states: Mapping[str, Tensor], device: torch.device) -> None:
 
 
 @contextmanager
-def stop_request() -> Iterator[threading.Event]:
+def stop_request(patient: bool = False, quiet: bool = False) -> Iterator[threading.Event]:
     """Within the block, the first Ctrl-C (or SIGTERM) sets the event; the second is a `KeyboardInterrupt`.
 
     Outside of the main thread, where Python handles no signals, it is never set.
+
+    Args:
+        patient: Whether further signals change nothing. `torchrun` sends its processes the signals that they
+            already had from the terminal, and kills them itself if they take too long.
+        quiet: Whether nothing is printed.
     """
     requested = threading.Event()
 
     def heard(number: int, frame: FrameType | None) -> None:
-        if requested.is_set():
+        if requested.is_set() and not patient:
             raise KeyboardInterrupt
-        print("stopping after this iteration; once more: at once, without keeping it", file=sys.stderr)
+        if not requested.is_set() and not quiet:
+            once_more = "" if patient else "; once more: at once, without keeping it"
+            print(f"stopping after this iteration{once_more}", file=sys.stderr)
         requested.set()
 
     is_main = threading.current_thread() is threading.main_thread()
