@@ -43,8 +43,7 @@ def test_names_work_from_an_empty_folder(installed, tmp_path):
     assert f"{installed}/kickbench/_shipped/tasks/mini_home_field.yaml:" in kickbench(
         "show", "mini_home_field"
     )
-    shipped = installed / "kickbench/_shipped/tasks/mini_home_field.yaml"
-    (tmp_path / "mine.yaml").write_text(f"extends: {shipped}\n")
+    assert kickbench("new", "task", "mine", "--from", "mini_home_field") == "mine.yaml\n"
     tiny = ("--iterations", "1", "--num-envs", "16", "--set", "evaluation.episodes=8")
     kickbench("run", "mine.yaml", "equivariant", *tiny)
     run = tmp_path / "runs/mine/equivariant/seed0"

@@ -1,8 +1,9 @@
-"""Verbs for the YAML files: `list`, `show`, `validate`, `terms`, `schema` and `symmetry derive`."""
+"""Verbs for the YAML files: `list`, `new`, `show`, `validate`, `terms`, `schema` and `symmetry derive`."""
 
 from __future__ import annotations
 
 import json
+import os
 import sys
 from importlib import import_module
 from pathlib import Path
@@ -37,6 +38,32 @@ def list_files() -> None:
         width = max(map(len, texts))
         lines = (f"  {name:<{width}}  {printable(str(text))}".rstrip() for name, text in texts.items())
         print("\n".join([f"{kind}:", *lines]))
+
+
+@cli.verb("Define", "new task my_task --from mini_general")
+def new(
+    kind: Literal["task", "method"] = cli.argument("What to define.", "KIND"),
+    name: str = cli.argument("Its name; the file is NAME.yaml.", "NAME"),
+    base: Path = cli.option("What it extends: a YAML file or a name.", "--from", metavar="BASE", default=...),
+) -> None:
+    """Write a YAML file that extends another one, with every value as a comment to edit."""
+    from kickbench.config.yamlio import load_document
+    from kickbench.config.yamltree import dump_yaml
+    from kickbench.results.atomic import atomic_write_text
+
+    file, out = find(base, kind).absolute(), Path(name).with_suffix(".yaml")
+    if out.exists():
+        raise KickbenchError(f"{shown(out)}: is there already")
+    data = load_document(file).data
+    rest = {
+        key: value for key, value in data.items() if key not in ("description", "robot", "representations")
+    }
+    place = os.path.relpath(file, out.parent) if file.is_relative_to(Path.cwd()) else file
+    text = "".join(f"# {line}\n" for line in dump_yaml(rest).splitlines())
+    head = f"# A {kind} like {base}. Remove the `#` of what is to differ, and of the keys above it.\n"
+    own = dump_yaml({"extends": str(place), "description": f"{out.stem}: {data.get('description', '')}"})
+    atomic_write_text(out, f"{head}{own}\n{text}")
+    print(shown(out))
 
 
 @cli.verb("Define", "validate my_task.yaml mini/equivariant")

@@ -111,6 +111,8 @@ def play(
     task: Path | None = cli.option("Another task for the run's policy.", metavar="TASK"),
     seed: cli.TaskSeed = None,
     port: int = cli.option("Port, or the next free (default: 8080).", default=8080, min=0, max=2**16 - 1),
+    host: str = cli.option("Interface; who reaches it controls the page.", default="127.0.0.1"),
+    browser: bool | None = cli.option("Open a browser (default: if there is one).", "--browser/--no-browser"),
     trust_code: cli.Trust = False,
     overrides: cli.Set = cli.NONE,
 ) -> None:
@@ -138,7 +140,9 @@ def play(
         fitting(compiled, run) if run else None,
         f"kickbench play {shown(path)}",
         seed=compiled.spec.evaluation.seed if seed is None else seed,
+        host=host,
         port=port,
+        browser=browser,
     )
 
 

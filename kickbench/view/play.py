@@ -174,7 +174,9 @@ def play(
     title: str,
     *,
     seed: int,
+    host: str,
     port: int,
+    browser: bool | None,
 ) -> None:
     """Shows a policy on a task in a browser until Ctrl-C.
 
@@ -183,7 +185,9 @@ def play(
         policy: Deterministic policy; None: zero action.
         title: Title of page and window.
         seed: Seed of the initial states.
+        host: Interface to bind.
         port: Port; if it is taken, one of the next.
+        browser: Whether to open a browser; None: if there is one.
 
     Raises:
         KickbenchError: MuJoCo has no viewer that can be guarded, or `studio.show` fails.
@@ -197,6 +201,6 @@ def play(
     session = Session(task, policy, seed, task.spec.evaluation.episodes, title)
     try:
         with torch_threads(1):
-            show(dress(task.scene.spec, 640, 480), Player(session), title, port)
+            show(dress(task.scene.spec, 640, 480), Player(session), title, host, port, browser)
     finally:
         session.close()

@@ -1,4 +1,4 @@
-"""MuJoCo Studio's web viewer, bound to this machine and closed to the pages of other sites.
+"""MuJoCo Studio's web viewer, bound to one address and closed to the pages of other sites.
 
 Studio binds every interface and answers every Host and Origin, and has no option for either: three of its
 functions are replaced (Dear ImGui allows one viewer a process). If another version lacks one of them, nothing
@@ -13,7 +13,10 @@ import logging
 import os
 import signal
 import socket
+import sys
 import threading
+import webbrowser
+from collections.abc import Collection
 from http import HTTPStatus
 from typing import Any
 from urllib.parse import urlsplit
@@ -36,24 +39,32 @@ _PATIENCE = 30.0
 _REPLACED = ((web_server, "serve"), (web_server, "bind_public_socket"), (web_viewer, "_print_url_banner"))
 
 
-def show(model: mujoco.MjModel, player: Player, title: str, port: int) -> None:
+def show(
+    model: mujoco.MjModel, player: Player, title: str, host: str, port: int, browser: bool | None
+) -> None:
     """Serves a model to browsers until Ctrl-C; prints the address.
 
     Args:
         model: What is shown.
         player: Its state and controls.
         title: Title of the page.
+        host: Interface to bind.
         port: Port; if it is taken, one of the next.
+        browser: Whether to open a browser; None: if there is one.
 
     Raises:
-        KickbenchError: There is no port, or Studio cannot be guarded.
+        KickbenchError: There is no port, no browser though one is asked for, or Studio cannot be guarded.
     """
     for module, name in _REPLACED:
         if not hasattr(module, name):
             found = f"MuJoCo {mujoco.__version__} has no {module.__name__}.{name}"
             raise KickbenchError(f"{found}, so its viewer cannot be guarded: pip install 'mujoco==4.0.*'")
-    server = listen(port)
-    taken, serving = server.getsockname()[1], _guard(server)
+    opened = None if browser is False else _find_browser(required=bool(browser))
+    server = listen(host, port)
+    address, taken = server.getsockname()[:2]
+    own = {host.lower(), socket.gethostname().lower(), socket.getfqdn().lower()}
+    names = None if ipaddress.ip_address(address).is_loopback else own
+    serving = _guard(server, names)
     logging.getLogger("WebServer").setLevel(logging.WARNING)
     with server:
         config = viewer_protocol.ViewerConfig(title=title, gfx="web", http_port=taken)
@@ -63,7 +74,7 @@ def show(model: mujoco.MjModel, player: Player, title: str, port: int) -> None:
         try:
             if not serving.wait(_PATIENCE):
                 raise KickbenchError(f"MuJoCo {mujoco.__version__}: its web viewer does not begin to serve")
-            _announce(port, taken)
+            _announce(_url(address, taken), port, taken, names is None, opened)
             viewer_protocol.run_viewer_loop(viewer)
         except KeyboardInterrupt:
             pass
@@ -101,25 +112,27 @@ class _Plugin:
         self._player.draw(imgui)
 
 
-def listen(port: int) -> socket.socket:
-    """Opens a listening socket on a port of this machine alone, or on the next one that is free.
+def listen(host: str, port: int) -> socket.socket:
+    """Opens a listening socket on a port, or on the next one that is free.
 
     Args:
+        host: Name or address of an interface.
         port: The requested port; 0: any.
 
     Raises:
-        KickbenchError: None of 20 ports is free.
+        KickbenchError: The host is not an address of this machine, or none of 20 ports is free.
     """
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
     for candidate in range(port, min(port + _PORTS, 2**16)):
         try:
-            return socket.create_server(("127.0.0.1", candidate))
+            return socket.create_server((host, candidate), family=family)
         except OSError as error:
             if error.errno != errno.EADDRINUSE:
-                raise KickbenchError(f"--port {candidate}: {error.strerror or error}") from None
+                raise KickbenchError(f"--host {host} --port {candidate}: {error.strerror or error}") from None
     raise KickbenchError(f"--port {port}: this port and the {_PORTS - 1} after it are taken")
 
 
-def refusal(headers: Any) -> str | None:
+def refusal(headers: Any, names: Collection[str] | None) -> str | None:
     """Why a request is refused; None: it is accepted.
 
     A page of another site can make a browser send requests here: under a name of its own that it has pointed
@@ -127,30 +140,35 @@ def refusal(headers: Any) -> str | None:
 
     Args:
         headers: Headers of the request, with `get_all(name)`.
+        names: Host names that are accepted besides addresses; None: only this machine's loopback names
+            and addresses.
     """
     hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
-    if len(hosts) != 1 or not _is_own(hosts[0]):
+    if len(hosts) != 1 or not _is_own(hosts[0], names):
         return f"foreign Host: {', '.join(hosts)}"
     if any(origin.lower().partition("://")[2] != hosts[0].lower() for origin in origins):
         return f"foreign Origin: {', '.join(origins)}"
     return None
 
 
-def _is_own(host: str) -> bool:
+def _is_own(host: str, names: Collection[str] | None) -> bool:
     try:
         name = urlsplit(f"//{host}").hostname or ""
-        return name == "localhost" or ipaddress.ip_address(name).is_loopback
+        if name == "localhost" or name in (names or ()):
+            return True
+        # No name server can point an address elsewhere.
+        return ipaddress.ip_address(name).is_loopback or names is not None
     except ValueError:  # neither a name nor an address
         return False
 
 
-def _guard(server: socket.socket) -> threading.Event:
+def _guard(server: socket.socket, names: Collection[str] | None) -> threading.Event:
     """Makes Studio serve on this socket only and refuse foreign requests; the event is set once it serves."""
     serve, serving = web_server.serve, threading.Event()
 
     def guarded(handler: Any, *, process_request: Any, **options: Any) -> Any:
         def check(connection: Any, request: Any) -> Any:
-            reason = refusal(request.headers)
+            reason = refusal(request.headers, names)
             if reason is None and request.path.startswith("/drop"):
                 reason = "models are not taken"
             if reason is not None:
@@ -165,11 +183,37 @@ def _guard(server: socket.socket) -> threading.Event:
     return serving
 
 
-def _announce(requested: int, port: int) -> None:
+def _url(address: str, port: int) -> str:
+    if ipaddress.ip_address(address).is_unspecified:
+        address = socket.gethostname()
+    return f"http://[{address}]:{port}/" if ":" in address else f"http://{address}:{port}/"
+
+
+def _find_browser(*, required: bool) -> webbrowser.BaseBrowser | None:
+    """A browser with a window, or None."""
+    if sys.platform != "linux" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
+        try:
+            return webbrowser.get()
+        except webbrowser.Error:
+            pass
+    if required:
+        raise KickbenchError("--browser: no browser was found here; --no-browser serves the page without one")
+    return None
+
+
+def _announce(
+    url: str, requested: int, port: int, local: bool, browser: webbrowser.BaseBrowser | None
+) -> None:
     if requested and port != requested:
         print(f"port {requested} is taken: {port} is used")
-    print(f"http://127.0.0.1:{port}/  (Ctrl-C ends it)")
-    print(
-        f"open this address in a browser; from another machine: ssh -L {port}:127.0.0.1:{port} HOST",
-        flush=True,
-    )
+    if not local:
+        print(
+            f"warning: everyone who reaches port {port} of this machine sees this page and controls it",
+            file=sys.stderr,
+        )
+    print(f"{url}  (Ctrl-C ends it)", flush=True)
+    if browser is None:
+        far = f"; from another machine: ssh -L {port}:127.0.0.1:{port} HOST" if local else ""
+        print(f"open this address in a browser{far}", flush=True)
+    else:
+        threading.Thread(target=browser.open, args=(url,), daemon=True).start()

@@ -378,6 +378,29 @@ def test_terms_of_one_kind(printed):
     assert not {"observations", "terminations"} & set(text.splitlines())
 
 
+@pytest.mark.parametrize("folder", ["", "deep/er/"])
+@pytest.mark.parametrize(("kind", "base"), [("task", "mini_general"), ("method", "mini/equivariant")])
+def test_a_new_file_is_its_base_until_a_line_is_uncommented(
+    tmp_path, monkeypatch, printed, kind, base, folder
+):
+    monkeypatch.chdir(tmp_path)
+    assert printed("new", kind, f"{folder}mine", "--from", base) == f"{folder}mine.yaml\n"
+    file = Path(f"{folder}mine.yaml")
+    mine, theirs = load_document(file), load_document(find(base, kind))
+    assert {**mine.data, "description": ""} == {**theirs.data, "description": ""}
+    text = file.read_text()
+    key = "max_steps" if kind == "task" else "gamma"
+    (line,) = [line for line in text.splitlines() if f" {key}: " in line]
+    above = "episode" if kind == "task" else "algorithm"
+    text = text.replace(
+        line, line[2:].split(":")[0] + ": 0.5" if kind == "method" else line[2:].split(":")[0] + ": 7"
+    )
+    file.write_text(text.replace(f"# {above}:", f"{above}:"))
+    assert load_document(file).data[above] == {**theirs.data[above], key: 7 if kind == "task" else 0.5}
+    assert main(["validate", str(file)]) == 0
+    assert main(["new", kind, f"{folder}mine", "--from", base]) == 2
+
+
 def test_a_shell_completes_names(tmp_path):
     words = {"COMP_WORDS": "kickbench run mini_", "COMP_CWORD": "2", "_KICKBENCH_COMPLETE": "complete_bash"}
     environment = {**os.environ, **words, "PYTHONPATH": str(ROOT)}

@@ -186,7 +186,7 @@ def test_sliders_reach_both_sides_of_a_home_field(task):
 
 
 SERVER = """
-import mujoco
+import sys, mujoco
 from kickbench.view.studio import show
 
 class Nothing:
@@ -195,7 +195,7 @@ class Nothing:
     def draw(self, imgui): ...
 
 model = mujoco.MjModel.from_xml_string("<mujoco><worldbody><geom size='1'/></worldbody></mujoco>")
-show(model, Nothing(), "test", 0)
+show(model, Nothing(), "test", sys.argv[1], 0, False)
 """
 
 
@@ -224,7 +224,7 @@ def port_of(process: subprocess.Popen) -> int:
 
 @pytest.fixture(scope="module")
 def port():
-    with started("-c", SERVER) as process:
+    with started("-c", SERVER, "127.0.0.1") as process:
         yield port_of(process)
 
 
@@ -296,14 +296,31 @@ def test_models_are_not_taken_even_from_its_own_page(port):
         websockets.connect(f"ws://127.0.0.1:{port}/drop", origin=f"http://127.0.0.1:{port}", proxy=None)
 
 
+def test_another_interface_is_served_with_a_warning_to_addresses_and_own_names_only():
+    with started("-c", SERVER, "0.0.0.0") as process:
+        port = port_of(process)
+        for host in ("192.168.1.5", "[fe80::1]", socket.gethostname(), "localhost"):
+            assert status_of(port, "/", ("Host", f"{host}:{port}")) == 200
+        assert status_of(port, "/", ("Host", "evil.example")) == 403
+        assert process.stderr is not None
+        assert process.stderr.readline() == (
+            f"warning: everyone who reaches port {port} of this machine sees this page and controls it\n"
+        )
+
+
 def test_a_taken_port_leads_to_the_next_one(monkeypatch):
-    with studio.listen(0) as first:
+    with studio.listen("127.0.0.1", 0) as first:
         wished = first.getsockname()[1]
-        with studio.listen(wished) as second:
+        with studio.listen("127.0.0.1", wished) as second:
             assert wished < second.getsockname()[1] < wished + 20
         monkeypatch.setattr(studio, "_PORTS", 1)
         with pytest.raises(KickbenchError, match=rf"--port {wished}: .* taken"):
-            studio.listen(wished)
+            studio.listen("127.0.0.1", wished)
+
+
+def test_a_host_of_another_machine_is_refused():
+    with pytest.raises(KickbenchError, match=r"--host 192\.0\.2\.1"):
+        studio.listen("192.0.2.1", 0)
 
 
 @pytest.mark.parametrize(("module", "name"), studio._REPLACED)
@@ -311,7 +328,7 @@ def test_a_viewer_that_cannot_be_guarded_is_not_started(monkeypatch, module, nam
     monkeypatch.delattr(module, name)
     monkeypatch.setattr(studio, "listen", lambda *_: pytest.fail("it listens"))
     with pytest.raises(KickbenchError, match=rf"has no .*{name}.*pip install 'mujoco==4\.0\.\*'"):
-        studio.show(mujoco.MjModel.from_xml_string("<mujoco/>"), None, "test", 0)
+        studio.show(mujoco.MjModel.from_xml_string("<mujoco/>"), None, "test", "127.0.0.1", 0, False)
 
 
 def complaint(capsys, *arguments: object) -> str:
@@ -343,6 +360,13 @@ def test_a_folder_that_is_no_run_is_named(tmp_path, capsys):
 
 def test_a_missing_file_is_named(tmp_path, capsys):
     assert "nowhere.yaml" in complaint(capsys, tmp_path / "nowhere.yaml")
+
+
+def test_a_missing_browser_is_said_where_one_is_asked_for(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "platform", "linux")
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    assert "--no-browser serves the page" in complaint(capsys, TASK, "--browser")
 
 
 def test_a_missing_viewer_is_named(monkeypatch, capsys):
@@ -419,7 +443,7 @@ def distinct(tab: Tab) -> int:
 def test_a_browser_sees_the_robot_move_may_come_back_and_ctrl_c_ends_it(tmp_path):
     # The folder it runs in stays empty.
     (here := tmp_path / "here").mkdir()
-    command = ("-m", "kickbench", "play", str(TASK), "--port", "0")
+    command = ("-m", "kickbench", "play", str(TASK), "--no-browser", "--port", "0")
     with started(*command, cwd=here) as process:
         port = port_of(process)
         for visit in ("first", "second"):
