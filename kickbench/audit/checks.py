@@ -303,7 +303,8 @@ def policy_rows(
 
     Args:
         recording: States.
-        symmetry: The declared tables.
+        symmetry: The declared tables, without what the run's method excludes: such inputs are held at zero,
+            and such actions are left out.
         run: What the policy was trained with.
         policy: The actor.
         critic: The value function, if there is one.
@@ -311,7 +312,8 @@ def policy_rows(
     exact = run.method.spec.network.type == "equivariant"
     with torch.inference_mode():
         here, there = _outputs(recording, symmetry, "actor", policy)
-        yield _policy_row("mean action", Mirror(symmetry.actions)(here), there, exact)
+        mirror = Mirror(symmetry.actions)
+        yield _policy_row("mean action", mirror.held(mirror(here)), mirror.held(there), exact)
         if critic is None:
             yield Row("policy", "value", "not compared", detail="the run has no checkpoint with a critic")
         else:
@@ -320,9 +322,10 @@ def policy_rows(
 
 def _outputs(recording: Recording, symmetry: Symmetry, group: str, model: Policy) -> tuple[Tensor, Tensor]:
     """Outputs for the observations of every state, and for their mirror images [N, ...]."""
-    observed = recording.group(group)
-    mirrored = Mirror(symmetry.groups[group].representation)(observed)
-    here, there = (TensorDict({group: part}, batch_size=[len(part)]) for part in (observed, mirrored))
+    mirror = Mirror(symmetry.groups[group].representation)
+    observed = mirror.held(recording.group(group))
+    parts = (observed, mirror(observed))
+    here, there = (TensorDict({group: part}, batch_size=[len(part)]) for part in parts)
     return model(here), model(there)
 
 

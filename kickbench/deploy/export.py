@@ -24,6 +24,7 @@ from kickbench.results.atomic import atomic_file, atomic_write_bytes, atomic_wri
 from kickbench.results.identity import read_identity
 from kickbench.sim.layout import SceneLayout
 from kickbench.training.trained import Run, load_run
+from kickbench.trials.trial import symmetry_of
 
 OPSET = 13
 """ONNX operators of 2020: every runtime reads them."""
@@ -89,7 +90,8 @@ def contract_of(run: Run) -> Contract:
     Raises:
         KickbenchError: The run has no result or no identity.
     """
-    task, symmetry, robot = run.trial.task, run.trial.symmetry, run.specs.robot
+    task, robot, method = run.trial.task, run.specs.robot, run.specs.method
+    symmetry = symmetry_of(task, run.trial.method.representations)
     layout = task.scene.layout
     joints = layout.joint_names, _default_pose(layout), layout.joint_range.tolist()
     actions = robot.actuators.items(), layout.default_target.tolist()
@@ -108,7 +110,7 @@ def contract_of(run: Run) -> Contract:
         ),
         mirror=parts.Mirror(
             **{name: SignedPermutation(index=r.permutation, sign=r.signs) for name, r in mirror.items()},
-            equivariant=run.specs.method.network.type == "equivariant",
+            equivariant=method.network.type == "equivariant" and not method.symmetry.exclude,
         ),
         training=_training(task),
         origin=_origin(run),

@@ -271,6 +271,22 @@ def test_a_broken_equivariant_policy_fails(mini):
     assert (found.exit_code, found.verdicts["policy"][:14]) == (8, "NOT EQUIVARIAN")
 
 
+def test_a_partial_policy_is_equivariant_but_for_what_its_method_excludes(mini, experiment):
+    from kickbench.audit.checks import policy_rows
+    from kickbench.nets.build import build_actor, build_critic
+
+    run = experiment("mini_general", "equivariant", "symmetry.exclude=[ball_position, left_hip_yaw]")
+    actor = build_actor(run.method.spec, run.symmetry.groups["actor"], run.symmetry.actions).eval()
+    critic = build_critic(run.method.spec, run.symmetry.groups["critic"]).eval()
+    rows = list(policy_rows(mini.recording, run.symmetry, run, actor, critic))
+    assert [(row.name, row.verdict) for row in rows] == [("mean action", "ok"), ("value", "ok")]
+    found = replace(report(mini, rows), but_for=run.symmetry.excluded)
+    names = "ball_position, left_hip_yaw, right_hip_yaw"
+    assert found.verdicts["policy"].startswith(f"equivariant but for: {names}; measured")
+    rows = list(policy_rows(mini.recording, mini.trial.symmetry, run, actor, None))
+    assert rows[0].verdict == "FAIL", "as a whole it is not"
+
+
 def test_the_value_is_measured_where_there_is_a_critic(mini):
     from kickbench.audit.checks import policy_rows
     from kickbench.nets.build import build_critic
