@@ -226,15 +226,18 @@ def policy_rows(recording: Recording, symmetry: Symmetry, run: Trial, policy: Po
 
     Args:
         recording: States.
-        symmetry: The declared tables.
+        symmetry: The declared tables, without what the run's method excludes: such inputs are held at zero,
+            and such actions are left out.
         run: What the policy was trained with.
         policy: The actor.
     """
-    observed = recording.group("actor")
-    mirrored = Mirror(symmetry.groups["actor"].representation)(observed)
     with torch.inference_mode():
-        here, found = (policy(TensorDict({"actor": o}, batch_size=[len(o)])) for o in (observed, mirrored))
-    expected = Mirror(symmetry.actions)(here)
+        mirror = Mirror(symmetry.groups["actor"].representation)
+        observed = mirror.held(recording.group("actor"))
+        parts = (observed, mirror(observed))
+        here, found = (policy(TensorDict({"actor": o}, batch_size=[len(o)])) for o in parts)
+    actions = Mirror(symmetry.actions)
+    expected, found = actions.held(actions(here)), actions.held(found)
     off = (expected - found).abs()
     error, peak = float(off.max()), float(expected.abs().max())
     exact = run.method.spec.network.type == "equivariant"

@@ -86,6 +86,7 @@ class Report:
         coverage: What happened in them: "kicks" -> number of states, ...
         seconds: How long it took.
         rows: One a field, term, joint, ...
+        but_for: Observation fields and joints that the method excludes from the symmetry.
     """
 
     task: str
@@ -95,6 +96,7 @@ class Report:
     coverage: dict[str, int] = field(default_factory=dict)
     seconds: float = 0.0
     rows: tuple[Row, ...] = ()
+    but_for: tuple[str, ...] = ()
 
     def failures(self, question: Question) -> tuple[Row, ...]:
         """Rows that say no to a question, in order."""
@@ -114,10 +116,11 @@ class Report:
         action = next((row for row in rows["policy"]), None)
         measured = action is not None and action.verdict == "measured"
         size = f"measured: {action.error:.2g} of {action.excited}" if action is not None else ""
+        rest = f" but for: {', '.join(self.but_for)}" if self.but_for else ""
         yes: dict[Question, str] = {
             "table": f"right{open_ends}",
             "robot": "symmetric",
-            "policy": f"{'not claimed' if measured else 'equivariant'}; {size}",
+            "policy": f"{'not claimed' if measured else 'equivariant'}{rest}; {size}",
         }
         no = {"table": "WRONG", "robot": "unequal", "policy": "NOT EQUIVARIANT"}
         return {
@@ -145,6 +148,9 @@ class Report:
         """The report for people."""
         yield f"audit of {self.task}: robot {self.robot}, table {self.table}"
         happened = ", ".join(f"{count} {what}" for what, count in self.coverage.items())
+        if self.but_for:
+            excluded = ", ".join(self.but_for)
+            yield f"the method's symmetry: equivariant but for: {excluded} (zero in check 6)"
         yield f"{self.states} states in {self.seconds:.0f} s: {happened}"
         for question, verdict in self.verdicts.items():
             yield f"\n{SECTIONS[question]}"

@@ -10,7 +10,7 @@ from kickbench.audit.checks import judge, policy_rows
 from kickbench.audit.model import derive_scene, model_rows
 from kickbench.audit.record import record
 from kickbench.audit.report import Report
-from kickbench.config.load import Loaded, load, load_method, load_task
+from kickbench.config.load import Loaded, LoadedMethod, load, load_method, load_task
 from kickbench.config.method import RepresentationSpec
 from kickbench.config.shipped import find
 from kickbench.config.yamlio import load_document
@@ -49,19 +49,21 @@ def audit(
     """
     started = time.perf_counter()
     compiled = compile_task(load_task(model_of_task, task, overrides))
-    representations = _load_table(table, run)
+    representations, method = _load_table(table, run)
     symmetry = symmetry_of(compiled, representations)
     trained = None
     if run is not None:
         trained = load_run(run)
         check_run(compiled, trained.trial, run)
+        method = trained.trial.method
+    partial = symmetry_of(compiled, representations, method)
     derivation = derive_scene(compiled)
     policy = trained.policy if trained else None
     recording = record(compiled, derivation, states, seed, threads, policy)
     rows = list(judge(recording, derivation, symmetry, compiled.robot.spec.symmetry.image()))
     rows += model_rows(compiled, derivation)
     if trained is not None:
-        rows += policy_rows(recording, symmetry, trained.trial, trained.policy)
+        rows += policy_rows(recording, partial, trained.trial, trained.policy)
     return Report(
         task=compiled.name,
         robot=shown(compiled.robot.document.file),
@@ -70,19 +72,23 @@ def audit(
         coverage=recording.coverage,
         seconds=round(time.perf_counter() - started, 1),
         rows=tuple(rows),
+        but_for=partial.excluded,
     )
 
 
-def _load_table(table: Path | None, run: Path | None) -> Loaded[RepresentationSpec]:
+def _load_table(
+    table: Path | None, run: Path | None
+) -> tuple[Loaded[RepresentationSpec], LoadedMethod | None]:
+    """The table, and the method that names it."""
     if table is not None:
         document = load_document(table)
         kind = kind_of(document)
         if kind not in ("method", "representations"):
             raise document.error((), f"expected a method or a representation table, found a {kind} file")
-        is_method = kind == "method"
-        return load_method(table).representations if is_method else load(RepresentationSpec, table)
+        method = load_method(table) if kind == "method" else None
+        return method.representations if method else load(RepresentationSpec, table), method
     standard = find("standard", "representations")
-    return load(RepresentationSpec, RunDirectory(run).representations_spec if run else standard)
+    return load(RepresentationSpec, RunDirectory(run).representations_spec if run else standard), None
 
 
 def check_run(task: CompiledTask, run: Trial, path: Path) -> None:

@@ -19,11 +19,13 @@ from pydantic import AfterValidator, Field, model_validator
 from kickbench.config.base import (
     FileRef,
     Fraction,
+    NameList,
     NonNegativeFloat,
     PositiveFloat,
     PositiveInt,
     Range,
     Spec,
+    distinct,
 )
 from kickbench.errors import did_you_mean
 
@@ -140,6 +142,11 @@ class SymmetrySpec(Spec):
     """Average observation statistics over the group; always on for the equivariant networks."""
     tied_std: bool = False
     """Mirrored actions share a standard deviation; always on for the equivariant networks."""
+    exclude: Annotated[NameList, Field(min_length=1), distinct("name")] | None = None
+    """Observation fields and joints without a symmetry. Of a pair of joints either name means both, in the
+    fields of joints and of actions and in the action. Equivariant networks treat them freely, and are
+    equivariant in the rest while they are zero (`kickbench.nets.layers`); mirrored samples keep their values.
+    Default: none."""
 
 
 class MethodSpec(Spec):
@@ -157,8 +164,8 @@ class MethodSpec(Spec):
     """Path of the field representation table."""
 
 
-NAMES = ("trivial", "sign", "regular", "regular_sign", "joints", "actions", "feet")
-"""The four representations of the reflection group that occur, and the robot's own three."""
+NAMES = ("trivial", "sign", "regular", "regular_sign", "joints", "actions", "feet", "obstacles")
+"""The four representations of the reflection group that occur, the robot's own three, and the obstacles' own."""
 
 
 V = TypeVar("V")

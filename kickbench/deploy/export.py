@@ -24,6 +24,7 @@ from kickbench.results.atomic import atomic_file, atomic_write_bytes, atomic_wri
 from kickbench.results.identity import read_identity
 from kickbench.sim.layout import SceneLayout
 from kickbench.training.trained import Run, load_run
+from kickbench.trials.trial import symmetry_of
 
 OPSET = 13
 """ONNX operators of 2020: every runtime reads them."""
@@ -89,7 +90,8 @@ def contract_of(run: Run) -> Contract:
     Raises:
         KickbenchError: The run has no result or no identity.
     """
-    task, symmetry, robot = run.trial.task, run.trial.symmetry, run.specs.robot
+    task, robot, method = run.trial.task, run.specs.robot, run.specs.method
+    symmetry = symmetry_of(task, run.trial.method.representations)
     layout = task.scene.layout
     joints = layout.joint_names, _default_pose(layout), layout.joint_range.tolist()
     actions = robot.actuators.items(), layout.default_target.tolist()
@@ -108,7 +110,7 @@ def contract_of(run: Run) -> Contract:
         ),
         mirror=parts.Mirror(
             **{name: SignedPermutation(index=r.permutation, sign=r.signs) for name, r in mirror.items()},
-            equivariant=run.specs.method.network.type == "equivariant",
+            equivariant=method.network.type == "equivariant" and not method.symmetry.exclude,
         ),
         training=_training(task),
         origin=_origin(run),
@@ -123,8 +125,11 @@ def _observation(task: CompiledTask, field: Field) -> parts.Observation:
     term, layout = field.bound.term, task.scene.layout
     own = {"joints": layout.joint_names, "actions": layout.actuator_names, "feet": layout.feet}
     names = own.get(str(term.representation))
-    if str(term.representation).startswith("feet x"):
-        names = tuple(f"{foot}_{axis}" for foot in layout.feet for axis in _AXES)
+    of_each = {"feet": layout.feet, "obstacles": range(layout.obstacles.observed if layout.obstacles else 0)}
+    things, _, of_one = str(term.representation).partition(" x ")
+    if things in of_each and of_one:
+        axes = _AXES[: field.size // len(of_each[things])]
+        names = tuple(f"{thing}_{axis}" for thing in of_each[things] for axis in axes)
     return parts.Observation(
         name=field.name,
         description=" ".join(term.description.split()),
@@ -133,8 +138,7 @@ def _observation(task: CompiledTask, field: Field) -> parts.Observation:
         components=names or _COMPONENTS.get(field.size) or tuple(map(str, range(field.size))),
         offset=_default_pose(layout) if term.from_default else (0.0,) * field.size,
         scale=(1.0,) * field.size,
-        clip=field.params.clip,
-        noise=field.params.noise,
+        **{key: getattr(field.params, key) for key in ("clip", "noise", "rate", "dropout", "delay")},
     )
 
 

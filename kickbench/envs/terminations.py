@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 from torch import Tensor
 
 from kickbench.config.base import PositiveFloat
@@ -45,6 +47,19 @@ def goal(state: State, params: TerminationParams) -> Tensor:
 def double_touch(state: State, params: TerminationParams) -> Tensor:
     """The robot touches the ball after the contact window: c_t > T_window."""
     return state.ball_contact & state.contact_window_passed
+
+
+class ObstacleTouched(TerminationParams):
+    """Parameters of `obstacle_touched`."""
+
+    by: Literal["robot", "ball"] = "robot"
+    """What touches it."""
+
+
+@termination("not in the thesis", needs=("obstacle",))
+def obstacle_touched(state: State, params: ObstacleTouched) -> Tensor:
+    """The robot, or the ball, touches an obstacle."""
+    return state.obstacle_contact(params.by)
 
 
 class FellOver(TerminationParams):

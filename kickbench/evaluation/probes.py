@@ -151,8 +151,10 @@ class EquivarianceProbe:
 
     Args:
         policy: Deterministic policy.
-        observations: Representation of every observation group that the policy may read.
-        actions: Representation of the actions.
+        observations: Representation of every observation group that the policy may read. Excluded coordinates
+            are held at zero, so that the rest is what is measured.
+        actions: Representation of the actions; excluded ones are left out.
+        but_for: Names of what is excluded.
     """
 
     def __init__(
@@ -160,8 +162,9 @@ class EquivarianceProbe:
         policy: Callable[[TensorDict], Tensor],
         observations: Mapping[str, Representation],
         actions: Representation,
+        but_for: tuple[str, ...] = (),
     ) -> None:
-        self._policy = policy
+        self._policy, self._but_for = policy, but_for
         self._observations = {group: Mirror(representation) for group, representation in observations.items()}
         self._actions = Mirror(actions)
         self._states = 0
@@ -181,9 +184,10 @@ class EquivarianceProbe:
         rows = torch.nonzero(running & (steps % EVERY == 0)).squeeze(1)
         if not len(rows):
             return
-        images = {group: mirror(observations[group][rows]) for group, mirror in self._observations.items()}
-        answer = self._policy(TensorDict(images, batch_size=[len(rows)])).double()
-        expected = self._actions(actions[rows].double())
+        seen = {g: mirror.held(observations[g][rows]) for g, mirror in self._observations.items()}
+        given = self._ask(seen) if self._but_for else actions[rows]
+        answer = self._ask({group: mirror(seen[group]) for group, mirror in self._observations.items()})
+        answer, expected = (self._actions.held(a.double()) for a in (answer, self._actions(given)))
         finite = (answer.isfinite() & expected.isfinite()).all(dim=1)
         answer, expected = answer[finite], expected[finite]
         difference = (answer - expected).abs()
@@ -192,13 +196,19 @@ class EquivarianceProbe:
         self._size += float((answer.square().sum() + expected.square().sum()) / 2)
         self._largest = max([self._largest, *difference.amax(dim=1).tolist()])
 
+    def _ask(self, observations: dict[str, Tensor]) -> Tensor:
+        return self._policy(TensorDict(observations, batch_size=[len(next(iter(observations.values())))]))
+
     def result(self) -> EquivarianceError | None:
         """The error over all states so far; None if there was none."""
         if not self._states:
             return None
+        actions = self._actions.representation
+        compared = self._states * (actions.dim - len(actions.excluded))
         return EquivarianceError(
             states=self._states,
-            rms=sqrt(self._difference / (self._states * self._actions.representation.dim)),
+            rms=sqrt(self._difference / compared),
             largest=self._largest,
             relative=min(2.0, sqrt(self._difference / self._size)) if self._size else 0.0,
+            but_for=self._but_for or None,
         )

@@ -220,7 +220,7 @@ def run_sides(
     sides = _sides(task, draw_initial_states(task, episodes or protocol.episodes, seed))
     if symmetry is not None:
         groups = {name: table.representation for name, table in symmetry.groups.items()}
-        probe = EquivarianceProbe(policy, groups, symmetry.actions)
+        probe = EquivarianceProbe(policy, groups, symmetry.actions, symmetry.excluded)
     tracks = [StateTrack(task, of.qpos) for of in sides.values()]
     with Steps(EVALUATING, "episodes", sum(map(len, sides.values()))) as steps:
         options = {"num_threads": num_threads, "probe": probe, "note": steps.advance}

@@ -22,6 +22,8 @@ class SymmetricNormalization(EmpiricalNormalization):
     The statistics are those of x and :math:`\rho(s)x` together, :math:`\bar\mu = (\mu + \rho\mu)/2`, so that
     normalising and mirroring commute: a sign coordinate has mean 0, a regular pair shares mean and variance,
     a regular_sign pair shares the variance and has opposite means. ``count`` is without the mirror images.
+    An excluded coordinate is, as a sign coordinate, divided by its root mean square and not shifted: 0, at
+    which the rest is equivariant, stays 0.
 
     The state has the keys and shapes of the stock normaliser.
 
@@ -35,7 +37,8 @@ class SymmetricNormalization(EmpiricalNormalization):
 
     def __init__(self, representation: Representation, **options: Any) -> None:
         super().__init__(representation.dim, **options)
-        self.mirror = Mirror(representation)
+        signs = [-1 if i in representation.excluded else s for i, s in enumerate(representation.signs)]
+        self.mirror = Mirror(Representation(representation.permutation, tuple(signs)))
 
     @torch.jit.unused
     def update(self, x: Tensor) -> None:
@@ -63,7 +66,7 @@ class TiedGaussianDistribution(GaussianDistribution):
 
     Independent noise :math:`\varepsilon` has the same law as :math:`\rho(s)\varepsilon` exactly if mirrored
     actions share their standard deviation (a sign does not change it). One parameter per orbit makes that so
-    by construction.
+    by construction. An excluded action has one of its own.
 
     Args:
         output_dim: Number of actions.
@@ -96,6 +99,7 @@ class Augmentation:
     """Appends the mirror image of each sample: the ``data_augmentation_func`` of rsl_rl's PPO.
 
     See Mittal et al., "Symmetry Considerations for Learning Task Symmetric Robot Policies", ICRA 2024.
+    Excluded coordinates keep their value in the mirror image, since nothing is known of another one.
 
     Args:
         observations: Representation of each observation group.
@@ -104,7 +108,7 @@ class Augmentation:
 
     def __init__(self, observations: Mapping[str, Representation], actions: Representation) -> None:
         self._observations = {group: Mirror(representation) for group, representation in observations.items()}
-        self._actions = Mirror(actions)
+        self.actions = Mirror(actions)
 
     def __call__(
         self, env: Any, obs: TensorDict | None, actions: Tensor | None
@@ -122,7 +126,7 @@ class Augmentation:
         if obs is not None:
             groups = {group: _append(x, self._observations[group]) for group, x in obs.items()}
             obs = TensorDict(groups, batch_size=[2 * len(obs)], device=obs.device)
-        return obs, None if actions is None else _append(actions, self._actions)
+        return obs, None if actions is None else _append(actions, self.actions)
 
 
 def _append(x: Any, mirror: Mirror) -> Tensor:

@@ -60,12 +60,13 @@ Row = dict[str, Any]
 _TEXT = (
     *("path", "condition", "task", "method", "side", "evaluated_on", "identity", "setting", "result"),
     *("state", "damage", "deviation", "copy_of", "contradicts", "provenance", "twins"),
+    "equivariance/but_for",
 )
 _NUMBERS = (
     *("iterations", "iterations_planned", "scale", "env_steps", "training_seconds", "schedule_iterations"),
     "non_finite",
 )
-_YOUNG: Any = {"grid": True, "asymmetry": {"twins"}}
+_YOUNG: Any = {"grid": True, "asymmetry": {"twins": True, "equivariance": {"but_for"}}}
 """Figures that results of older versions lack: repeats are recognised without them."""
 _OF_THE_SETTING = ("task", "robot", "model", "terms")
 _DISTANCES = tuple(f"{name}_distance{end}" for name in ("mean", "median") for end in ("", "_low", "_high"))

@@ -19,7 +19,7 @@ def remark_lines(frame: pd.DataFrame) -> list[str]:
     """Below a table of runs: in what runs of one name differ, which runs repeat others, and which have no result."""
     finished = frame[(frame.state == "finished") & (frame.evaluated_on == frame.task)]
     lines = [*setting_lines(finished), *group_lines(finished)]
-    return [*lines, *repeat_lines(frame), *left_out_lines(frame)]
+    return [*lines, *exclusion_lines(finished), *repeat_lines(frame), *left_out_lines(frame)]
 
 
 def setting_lines(finished: pd.DataFrame) -> list[str]:
@@ -32,6 +32,13 @@ def group_lines(finished: pd.DataFrame) -> list[str]:
     """In what groups of one setting and one method's name differ."""
     methods = finished.groupby(["setting_name", "method"], sort=False)
     return [line for (_, method), rows in methods for line in _lines(str(method), rows, "group")]
+
+
+def exclusion_lines(finished: pd.DataFrame) -> list[str]:
+    """What the equivariance errors of methods leave out."""
+    column = "equivariance/but_for"
+    partial = finished[finished[column].notna()].groupby("group", sort=False)[column].first()
+    return [f"{name}: equivariant but for: {', '.join(excluded)}" for name, excluded in partial.items()]
 
 
 def _lines(name: str, rows: pd.DataFrame, column: str) -> Iterator[str]:

@@ -32,6 +32,7 @@ class Representation:
     Args:
         permutation: Index that coordinate ``i`` is read from, one for each of the ``dim`` coordinates.
         signs: +1 or -1 for each coordinate.
+        excluded: Coordinates without a symmetry, which keep their value (`excluding`).
 
     Raises:
         ValueError: If mirroring twice would not give the vector back; the message names the first wrong
@@ -40,6 +41,7 @@ class Representation:
 
     permutation: tuple[int, ...]
     signs: tuple[int, ...]
+    excluded: frozenset[int] = frozenset()
 
     def __post_init__(self) -> None:
         places = range(len(self.permutation))
@@ -56,7 +58,15 @@ class Representation:
     def __add__(self, other: Representation) -> Representation:
         """Direct sum: the coordinates of ``self`` followed by those of ``other``."""
         shifted = tuple(self.dim + index for index in other.permutation)
-        return Representation(self.permutation + shifted, self.signs + other.signs)
+        excluded = self.excluded.union(self.dim + index for index in other.excluded)
+        return Representation(self.permutation + shifted, self.signs + other.signs, excluded)
+
+    def excluding(self, coordinates: Iterable[int]) -> Representation:
+        """The same with more coordinates excluded, each together with its partner; they keep their value."""
+        found = self.excluded.union(*((i, self.permutation[i]) for i in coordinates))
+        table = list(enumerate(zip(self.permutation, self.signs, strict=True)))
+        kept = [(i, 1) if i in found else image for i, image in table]
+        return Representation(tuple(i for i, _ in kept), tuple(sign for _, sign in kept), found)
 
     def matrix(self) -> np.ndarray:
         """Matrix rho(s), ``[dim, dim]`` of -1, 0, +1."""
@@ -82,13 +92,20 @@ class Representation:
         c\,e_j)/\sqrt2` (odd); a fixed coordinate is even or odd by its sign. Columns follow the order of
         :meth:`orbits`.
 
+        An excluded coordinate counts as the first of a pair whose second is always zero and is left out here:
+        it spans :math:`e_i/\sqrt2` in either subspace, so that a map from or to it has no constraint.
+
         Returns:
             ``[dim, n_even]`` and ``[dim, n_odd]``; together their columns are an orthonormal basis of the
-            space.
+            space, if nothing is excluded.
         """
-        first = [orbit[0] for orbit in self.orbits()]
+        first, excluded = [orbit[0] for orbit in self.orbits()], sorted(self.excluded)
         identity, mirror = np.eye(self.dim)[:, first], self.matrix()[:, first]
-        return _normalised(identity + mirror), _normalised(identity - mirror)
+        mirror[excluded] = 0.0
+        bases = _normalised(identity + mirror), _normalised(identity - mirror)
+        for basis in bases:
+            basis[excluded] *= np.sqrt(0.5)
+        return bases
 
     def describe(self, names: Sequence[str]) -> tuple[str, ...]:
         """One line an orbit: ``x -> x``, ``y -> -y``, ``left <-> right``, ``left <-> -right``.
@@ -98,13 +115,21 @@ class Representation:
         """
         arrows = {1: "->", 2: "<->"}
         return tuple(
-            f"{names[orbit[0]]} {arrows[len(orbit)]} " + "-" * (self.signs[orbit[0]] < 0) + names[orbit[-1]]
+            f"{names[orbit[0]]} excluded"
+            if orbit[0] in self.excluded
+            else f"{names[orbit[0]]} {arrows[len(orbit)]} "
+            + "-" * (self.signs[orbit[0]] < 0)
+            + names[orbit[-1]]
             for orbit in self.orbits()
         )
 
     def __str__(self) -> str:
-        kinds = [kind_of_coordinate(len(orbit) == 1, self.signs[orbit[0]]) for orbit in self.orbits()]
-        return " + ".join(f"{kinds.count(name)} {name}" for name in BY_NAME if name in kinds) or "0"
+        kinds = [
+            "excluded" if i in self.excluded else kind_of_coordinate(not others, self.signs[i])
+            for i, *others in self.orbits()
+        ]
+        names = (*BY_NAME, "excluded")
+        return " + ".join(f"{kinds.count(name)} {name}" for name in names if name in kinds) or "0"
 
 
 def _normalised(vectors: np.ndarray) -> np.ndarray:
@@ -124,7 +149,10 @@ def tensor(a: Representation, b: Representation) -> Representation:
     ``tensor(REGULAR, TRIVIAL + SIGN + TRIVIAL)`` is a left and a right vector, laid out left xyz, right xyz.
     """
     permutation = tuple(i * b.dim + j for i in a.permutation for j in b.permutation)
-    return Representation(permutation, tuple(s * t for s in a.signs for t in b.signs))
+    signs = tuple(s * t for s in a.signs for t in b.signs)
+    pairs = [(i, j) for i in range(a.dim) for j in range(b.dim)]
+    excluded = [i * b.dim + j for i, j in pairs if i in a.excluded or j in b.excluded]
+    return Representation(permutation, signs).excluding(excluded)
 
 
 def regular(n: int) -> Representation:

@@ -85,6 +85,17 @@ class GatheredRollout(RolloutStorage):
             yield from map(copy.copy, batches)
 
 
+class _MirrorLoss(Symmetry):
+    """rsl_rl's symmetry extension, whose mirror loss leaves excluded actions out."""
+
+    def compute_loss(self, actor: MLPModel, batch: RolloutStorage.Batch, original_batch_size: int) -> Tensor:
+        def kept_actions(seen: TensorDict) -> Tensor:
+            actions = actor(seen)
+            return self.data_augmentation_func.actions.to(actions.device).held(actions)
+
+        return super().compute_loss(kept_actions, batch, original_batch_size)  # type: ignore[arg-type]
+
+
 class _AugmentationOnly(Symmetry):
     """rsl_rl's symmetry extension without the forward pass for a mirror loss."""
 
@@ -120,7 +131,7 @@ def _build_symmetry(spec: SymmetrySpec, reflection: Reflection) -> Symmetry | No
     if not spec.augmentation and not spec.mirror_loss_coefficient:
         return None
     tables = {name: table.representation for name, table in reflection.groups.items()}
-    extension = Symmetry if spec.mirror_loss_coefficient else _AugmentationOnly
+    extension = _MirrorLoss if spec.mirror_loss_coefficient else _AugmentationOnly
     return extension(
         None,  # type: ignore[arg-type]
         Augmentation(tables, reflection.actions),

@@ -223,6 +223,7 @@ def _misfits(ours: Trial, theirs: Trial) -> list[str]:
 def _of_network(trial: Trial, role: str) -> dict[str, Any]:
     """What actor or critic must share with another one to take its weights."""
     keys = [f"network.{key}" for key in ("type", f"{role}_hidden", "activation", "normalize_observations")]
-    keys += ["network.std_type", "symmetry.symmetric_normalization", "symmetry.tied_std"]
+    keys += ["network.std_type"]
+    keys += [f"symmetry.{key}" for key in ("symmetric_normalization", "tied_std", "exclude")]
     observed = [(field.name, field.size) for field in trial.task.groups[role]]
     return {f"{role} observations": observed, **{key: attrgetter(key)(trial.method.spec) for key in keys}}

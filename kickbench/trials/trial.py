@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -11,7 +11,7 @@ from kickbench.config.method import RepresentationSpec
 from kickbench.config.task import TaskSpec
 from kickbench.envs.catalog import model_of_task
 from kickbench.envs.compiled_task import CompiledTask, compile_task, own_representations
-from kickbench.errors import Problem, SpecError, collected
+from kickbench.errors import Problem, SpecError, collected, did_you_mean
 from kickbench.symmetry.field_table import FieldTable, completed, field_table, resolve_expression
 from kickbench.symmetry.mirror import mirror_qpos, mirror_qvel
 from kickbench.symmetry.representation import Representation
@@ -29,12 +29,14 @@ class Symmetry:
         qvel: On generalised velocities [nv].
         groups: Field table of every observation group.
         actions: On the action vector.
+        excluded: Names of what a method excludes from it, which `groups` and `actions` then leave as it is.
     """
 
     qpos: Representation
     qvel: Representation
     groups: Mapping[str, FieldTable]
     actions: Representation
+    excluded: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -81,7 +83,7 @@ def load_trial(
     compiled = compile_task(loaded_task)
     table = completed_table(compiled, loaded_method.representations)
     loaded_method = replace(loaded_method, representations=table)
-    return Trial(loaded_task, loaded_method, compiled, symmetry_of(compiled, table))
+    return Trial(loaded_task, loaded_method, compiled, symmetry_of(compiled, table, loaded_method))
 
 
 def load_both(
@@ -111,11 +113,18 @@ def completed_table(
     return replace(representations, spec=completed(representations.spec, stated))
 
 
-def symmetry_of(task: CompiledTask, representations: Loaded[RepresentationSpec]) -> Symmetry:
+def symmetry_of(
+    task: CompiledTask, representations: Loaded[RepresentationSpec], method: LoadedMethod | None = None
+) -> Symmetry:
     """Builds the reflection of a task from the robot's joint table, a representation table and what the terms state.
 
+    Args:
+        task: The task.
+        representations: The representation table.
+        method: The method whose `symmetry.exclude` is left out; None: nothing is.
+
     Raises:
-        SpecError: A field has no representation, or one of another dimension.
+        SpecError: A field has no representation, or one of another dimension; an excluded name is unknown.
     """
     robot, document = task.robot.spec, representations.document
     table = completed_table(task, representations).spec
@@ -132,7 +141,50 @@ def symmetry_of(task: CompiledTask, representations: Loaded[RepresentationSpec])
     if problems:
         raise SpecError(problems)
     qpos, qvel = state_symmetry(task)
-    return Symmetry(qpos=qpos, qvel=qvel, groups=groups, actions=actions)
+    symmetry = Symmetry(qpos=qpos, qvel=qvel, groups=groups, actions=actions)
+    return (
+        symmetry if method is None or not method.spec.symmetry.exclude else _partial(symmetry, task, method)
+    )
+
+
+def _partial(symmetry: Symmetry, task: CompiledTask, method: LoadedMethod) -> Symmetry:
+    """The reflection without what a method excludes."""
+    robot, exclude = task.robot.spec, method.spec.symmetry.exclude or ()
+    driven = [str(spec.joint) for spec in robot.actuators.values()]
+    joints = {"joints": task.scene.layout.joint_names, "actions": driven}
+
+    def without(representation: Representation, stated: str | int, field: str = "") -> Representation:
+        named = [i for i, joint in enumerate(joints.get(str(stated), ())) if joint in exclude]
+        return representation.excluding(range(representation.dim) if field in exclude else named)
+
+    groups = {
+        group: FieldTable(tuple((f.name, without(table[f.name], f.representation, f.name)) for f in fields))
+        for group, fields in task.groups.items()
+        if (table := symmetry.groups[group])
+    }
+    actions, names = without(symmetry.actions, "actions"), [f.name for f in task.groups["critic"]]
+    names += [f.name for f in task.groups["actor"] if f.name not in names]
+    if problems := list(_exclusion_problems(method, [*names, *joints["joints"], *driven], actions)):
+        raise SpecError(problems)
+    image = robot.symmetry.image()
+    both = dict.fromkeys(part for name in exclude for part in (name, image.get(name, (name, 1))[0]))
+    return replace(symmetry, groups=groups, actions=actions, excluded=tuple(both))
+
+
+def _exclusion_problems(
+    method: LoadedMethod, known: Sequence[str], actions: Representation
+) -> Iterator[Problem]:
+    """Names that are excluded and do not exist, and exclusions from no symmetry or from all of it."""
+    spec, document, path = method.spec, method.document, ("symmetry", "exclude")
+    for index, name in enumerate(spec.symmetry.exclude or ()):
+        if name not in known:
+            what = f"the task has no observation field '{name}', and the robot no such joint"
+            yield document.problem((*path, index), what, did_you_mean(name, known))
+    uses = spec.symmetry.model_dump(exclude={"exclude"}).values()
+    if spec.network.type == "mlp" and not any(uses):
+        yield document.problem(path, "the method uses no symmetry that something could be excluded from")
+    if len(actions.excluded) == actions.dim:
+        yield document.problem(path, "no action is left that would mirror")
 
 
 def state_symmetry(task: CompiledTask) -> tuple[Representation, Representation]:

@@ -91,7 +91,7 @@ def check_files(files: Sequence[Path], overrides: Sequence[str] = ()) -> Iterato
     for method in methods if len(tasks) == 1 else ():
         report = Report(f"{tasks[0].name} with {method.name}", "task and method")
         with collected(report.problems):
-            symmetry_of(tasks[0], method.representations)
+            symmetry_of(tasks[0], method.representations, method)
             report.notes += _table_notes(tasks[0], method.representations)
         yield report
 
@@ -161,5 +161,5 @@ def _robots_of_experiment(path: Path, overrides: Sequence[str], report: Report) 
         with collected(report.problems):
             if file not in compiled:
                 compiled[file] = compile_task(task)
-            symmetry_of(compiled[file], method.representations)
+            symmetry_of(compiled[file], method.representations, method)
     return list({task.robot.document.file: task.robot for task in compiled.values()}.values())

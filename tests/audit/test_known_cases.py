@@ -277,6 +277,21 @@ def test_a_broken_equivariant_policy_fails(mini):
     assert (found.exit_code, found.verdicts["policy"][:14]) == (8, "NOT EQUIVARIAN")
 
 
+def test_a_partial_policy_is_equivariant_but_for_what_its_method_excludes(mini, experiment):
+    from kickbench.audit.checks import policy_rows
+    from kickbench.nets.build import build_actor
+
+    run = experiment("mini_general", "equivariant", "symmetry.exclude=[ball_position, left_hip_yaw]")
+    actor = build_actor(run.method.spec, run.symmetry.groups["actor"], run.symmetry.actions).eval()
+    rows = list(policy_rows(mini.recording, run.symmetry, run, actor))
+    assert [(row.name, row.verdict) for row in rows] == [("mean action", "ok")]
+    found = replace(report(mini, rows), but_for=run.symmetry.excluded)
+    names = "ball_position, left_hip_yaw, right_hip_yaw"
+    assert found.verdicts["policy"].startswith(f"equivariant but for: {names}; measured")
+    rows = list(policy_rows(mini.recording, mini.trial.symmetry, run, actor))
+    assert rows[0].verdict == "FAIL", "as a whole it is not"
+
+
 def test_a_policy_of_another_robot_is_refused(k1):
     from kickbench.audit.run import check_run
     from kickbench.training.trained import load_run

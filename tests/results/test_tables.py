@@ -16,7 +16,7 @@ from kickbench.results.metrics import (
 from kickbench.results.statistics import Interval
 from kickbench.results.tables import render_table as render_frame
 
-from .conftest import make_metrics, make_side
+from .conftest import make_asymmetry, make_metrics, make_side
 
 
 def asymmetry(left: float = 0.75, p: float = 0.0321, error: float | None = 0.1234) -> Asymmetry:
@@ -228,3 +228,16 @@ def test_the_asymmetry_is_ascii_of_at_most_110_columns(method: str) -> None:
     text = render_table([run(method, seed, certain) for seed in range(3)])
     assert text.isascii()
     assert max(map(len, text.splitlines())) <= 112
+
+
+def test_a_partial_symmetry_is_named_below_the_table():
+    asymmetry = make_asymmetry(1e-9)
+    assert asymmetry.equivariance is not None
+    partial = asymmetry.equivariance.model_copy(update={"but_for": ("ball_position",)})
+    runs = [
+        make_metrics(make_side(0.5), method="baseline", asymmetry=asymmetry),
+        make_metrics(
+            make_side(0.5), method="partial", asymmetry=asymmetry.model_copy(update={"equivariance": partial})
+        ),
+    ]
+    assert render_frame(frame_of(runs)).splitlines()[-1] == "partial: equivariant but for: ball_position"
