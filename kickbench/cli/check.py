@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 from kickbench.cli import app as cli
 from kickbench.config.shipped import find, find_method, names
-from kickbench.errors import KickbenchError
+from kickbench.errors import KickbenchError, shown
 
 if TYPE_CHECKING:
     from kickbench.trials.trial import Trial
@@ -64,12 +64,20 @@ def bench(
     rounds: int = cli.count("Interleaved repetitions (default: 10).", default=10),
     json: Path | None = cli.option("Write the figures as JSON, too.", metavar="FILE"),
     profile: bool = cli.flag("Print where the time goes, for the first number of envs.", "--profile"),
+    proof: bool = cli.flag(
+        "Prove a GPU: tests, parity, speed, training; results/gpu/<card>.json.", "--proof"
+    ),
     overrides: cli.Set = cli.NONE,
     device: cli.Device = "cpu",
     threads: cli.Threads = None,
-) -> None:
-    """Measure speed, as ratios within one run."""
+) -> int:
+    """Measure speed, as ratios within one run.
+
+    Exit code: 0; with `--proof` 1 if anything failed or could not be tried; 2: nothing was measured.
+    """
     file = find(task, "task")
+    if proof and (device == "cpu" or json or profile):
+        raise KickbenchError("--proof needs --device cuda, and neither --json nor --profile")
     cli.refuse_contradiction(overrides, _NUM_ENVS, "--num-envs", num_envs)
     from kickbench.bench.measure import measure, profile_iteration
     from kickbench.bench.report import print_report
@@ -82,6 +90,12 @@ def bench(
     sizes = [[f"{_NUM_ENVS}={number}"] for number in num_envs or default] or [[]]
     # All of them first: a wrong file is an error before anything is measured.
     chosen = [_trials(file, methods, [*overrides, *size]) for size in sizes]
+    if proof:
+        from kickbench.bench.proof import prove
+
+        proved, written = prove(chosen[0], device, threads, rounds)
+        print(f"{proved.card}: {shown(written)}")
+        return 0 if proved.passed else 1
     if json:
         check_writable(json)
     report = measure(chosen, device, threads, rounds)
@@ -90,6 +104,7 @@ def bench(
     print_report(report)
     for name, trial in chosen[0].items() if profile else ():
         print(f"\none iteration of {name}:\n{profile_iteration(trial, device, threads)}")
+    return 0
 
 
 def _trials(task: Path, folder: Path | None, overrides: list[str]) -> dict[str, Trial]:
@@ -110,6 +125,7 @@ def doctor() -> int:
         **{package: partial(_version, package) for package in _NEEDED},
         "processor": _processor,
         "CUDA": _cuda,
+        "proof": _proved,
         "pictures": _drawing,
     }
     broken = set()
@@ -150,6 +166,17 @@ def _cuda() -> str:
     cards = ", ".join(torch.cuda.get_device_name(number) for number in range(torch.cuda.device_count()))
     obstacle = graph_obstacle(torch.device("cuda"))
     return f"{cards}, " + (f"WITHOUT GRAPHS, several times slower: {obstacle}" if obstacle else "with graphs")
+
+
+def _proved() -> str:
+    """On which cards everything has been tried."""
+    from kickbench.bench.proof import proved_cards
+
+    cards = [
+        f"{'proved' if proof.passed else 'FAILED'} on {proof.card}, {proof.provenance.finished[:10]}"
+        for proof in proved_cards()
+    ]
+    return "; ".join(cards) or "untested: kickbench bench --device cuda --proof"
 
 
 def _drawing() -> str:
