@@ -105,6 +105,7 @@ def _dynamics_rows(recording: Recording, declared: Image, actions: Representatio
     exact = np.abs(_apply(truth, original) - image).max(axis=1) <= _EXACT * scale
     yield from _free_rows(recording, scale)
     yield from _joint_rows(recording, declared, exact, scale)
+    yield from _speed_rows(recording)
     yield from _contact_rows(recording, exact)
     yield from _actuator_rows(recording, actions)
 
@@ -126,7 +127,6 @@ def _free_rows(recording: Recording, scale: float) -> Iterator[Row]:
 def _joint_rows(recording: Recording, declared: Image, exact: np.ndarray, scale: float) -> Iterator[Row]:
     scene = recording.task.scene
     joints = {c.name: c.qvel for c in scene.layout.coordinates if not c.free}
-    kinds = dict(zip((c.name for c in scene.layout.coordinates), scene.model.jnt_type, strict=True))
     names, places = list(joints), list(joints.values())
     table = mirror_joints(names, {**declared, **scene.layout.scene_image})
     mine, theirs = recording.velocity.original[:, places], recording.velocity.image[:, places]
@@ -134,7 +134,7 @@ def _joint_rows(recording: Recording, declared: Image, exact: np.ndarray, scale:
     found = measure(mine[exact], theirs[exact], table, _EXACT, _EXACT) if exact.any() else None
     for orbit in table.orbits():
         columns, name = list(orbit), ", ".join(names[i] for i in orbit)
-        unit = "m/s" if kinds[names[orbit[0]]] == _SLIDE else "rad/s"
+        unit = _speed_unit(recording, places[orbit[0]])
         row = _motion_row(name, off[:, columns], scale, unit, mine[:, columns])
         if row.failed and found is not None and found.measured is not None and found.wrong[columns].any():
             wrong = next(i for i in orbit if found.wrong[i])
@@ -153,6 +153,22 @@ def _motion_row(name: str, errors: np.ndarray, scale: float, unit: str, moved: n
     if typical > _EXACT * scale:
         error, tolerance, verdict, detail = typical, _EXACT * scale, "FAIL", f"only {detail}"
     return Row("dynamics", name, verdict, error, tolerance, unit, f"peak {peak:.2g} {unit}", detail)
+
+
+def _speed_rows(recording: Recording) -> Iterator[Row]:
+    """Joints that states take beyond their velocity limit; a fall may, and a policy should not."""
+    for joint, (place, limit) in recording.task.velocity_limits.items():
+        speed = np.abs(recording.velocity.original[:, place])
+        if share := float((speed > limit).mean()):
+            detail = f"beyond its velocity limit in {100.0 * share:.2g} % of the states"
+            unit, usual = _speed_unit(recording, place), float(np.quantile(speed, _MOST))
+            excited = f"peak {speed.max():.2g} {unit}"
+            yield Row("dynamics", f"speed {joint}", "measured", usual, limit, unit, excited, detail)
+
+
+def _speed_unit(recording: Recording, place: int) -> str:
+    model = recording.task.scene.model
+    return "m/s" if model.jnt_type[model.dof_jntid[place]] == _SLIDE else "rad/s"
 
 
 def _contact_rows(recording: Recording, exact: np.ndarray) -> Iterator[Row]:

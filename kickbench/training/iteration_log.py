@@ -15,6 +15,7 @@ episodes that ended in the iteration, NaN where none has.
 | `collect_seconds`, `update_seconds` | wall-clock time, s |
 | `resets_nonfinite` | envs reset because their state had NaN or infinite numbers |
 | `residual_share/<network>` | share of the asymmetric residual in the norm of a relaxed network's weights |
+| `speeding_share` | share of the control steps that end with a joint beyond its velocity limit |
 | `load/<name>` | most contacts per env and constraint rows in a substep; share of steps short of room (GPU) |
 | `curriculum/<key>` | level of every value that the curriculum moves, from 0 to 1 for the task's own |
 | `evaluation/<side>` | success of the policy in evaluations during the training; NaN without one |
@@ -41,6 +42,8 @@ from kickbench.results.progress_table import CHECK, checked_rows, row_check
 
 Record = Mapping[str, float]
 
+_SPEEDING = 0.01
+"""Share of control steps with a joint beyond its velocity limit from which on the console reports it."""
 _START_AGAIN = "the table of the training cannot be completed; --force starts the run again"
 
 
@@ -114,6 +117,8 @@ def describe(record: Record) -> str:
         parts.append(f"NON-FINITE ENVS RESET: {record['resets_nonfinite']}")
     if short := record.get("load/short_share"):
         parts.append(f"STEPS SHORT OF ROOM FOR CONTACTS: {short:.3%}")
+    if (speeding := record.get("speeding_share", 0.0)) > _SPEEDING:
+        parts.append(f"JOINTS BEYOND THEIR VELOCITY LIMIT: {speeding:.0%} of the steps")
     return "  ".join(part for part in parts if part)
 
 
@@ -128,7 +133,8 @@ class CsvProgress(Progress):
     """`progress.csv`: a header from the first record, then a row per iteration, written to disk at once.
 
     On a resume the rows of iterations that will be run again, and a row that a kill cut short, are dropped.
-    None is missing, since a checkpoint is written after the rows of its iterations.
+    None is missing, since a checkpoint is written after the rows of its iterations. Figures that an older
+    version did not report are empty in its rows.
 
     Args:
         path: The file.
@@ -137,7 +143,8 @@ class CsvProgress(Progress):
     def __init__(self, path: Path) -> None:
         self._path = Path(path)
         self._file: IO[str] | None = None
-        self._columns: list[str] | None = None
+        self._columns: list[str] = []
+        self._kept: list[list[str]] | None = None
 
     def start(self, total_iterations: int, first_iteration: int) -> None:
         """Keeps the rows before `first_iteration`, and opens the file to append to them.
@@ -145,20 +152,27 @@ class CsvProgress(Progress):
         Raises:
             KickbenchError: They are not one row of each iteration, in order.
         """
-        kept = rows_before(self._path, first_iteration)
-        self._columns = kept[0] if kept else None
-        atomic_write_text(self._path, _to_csv(kept[0], kept[1:], with_header=True) if kept else "")
+        header, *self._kept = rows_before(self._path, first_iteration) or [[]]
+        self._begin(header)
+
+    def _begin(self, columns: list[str]) -> None:
+        """Writes the header and the kept rows, and opens the file to append to them."""
+        self.close()
+        self._columns = columns
+        rows = [[*row, *[""] * (len(columns) - len(row))] for row in self._kept or ()]
+        atomic_write_text(self._path, _to_csv(columns, rows, with_header=True) if columns else "")
         self._file = open(self._path, "a", encoding="utf-8", newline="")  # noqa: SIM115 (open until close())
 
     def update(self, record: Record) -> None:
-        """Appends a row. A name that the header lacks is an error: columns would lose their meaning."""
-        assert self._file is not None, "start() comes before update()"
-        is_first = self._columns is None
-        self._columns = self._columns or list(record)
+        """Appends a row. The first one since the start makes columns, a later one with a new name is an error."""
         if unknown := [name for name in record if name not in self._columns]:
-            raise KickbenchError(f"{self._path}: no column for {', '.join(unknown)}")
+            if self._kept is None:
+                raise KickbenchError(f"{self._path}: no column for {', '.join(unknown)}")
+            self._begin([*self._columns, *unknown])
+        assert self._file is not None, "start() comes before update()"
+        self._kept = None
         row = [_format(record.get(name)) for name in self._columns]
-        self._file.write(_to_csv(self._columns, [row], with_header=is_first))
+        self._file.write(_to_csv(self._columns, [row], with_header=False))
         self._file.flush()
         os.fsync(self._file.fileno())
 

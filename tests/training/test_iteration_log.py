@@ -125,7 +125,9 @@ def test_a_record_is_one_line_with_speed_return_success_and_terminations():
 
 
 def test_envs_that_diverged_and_missing_room_are_shouted_about():
-    text = describe(record(0, resets_nonfinite=3, **{"load/short_share": 0.01}))
+    text = describe(record(0, resets_nonfinite=3, speeding_share=0.034, **{"load/short_share": 0.01}))
+    assert "JOINTS BEYOND THEIR VELOCITY LIMIT: 3% of the steps" in text
+    assert "BEYOND" not in describe(record(0, speeding_share=0.001))
     assert "NON-FINITE ENVS RESET: 3" in text
     assert "STEPS SHORT OF ROOM FOR CONTACTS: 1.000%" in text
 
@@ -179,6 +181,16 @@ def test_a_resumed_table_is_the_table_of_a_run_that_was_never_stopped(tmp_path):
         file.write("7,98304,20")  # a kill in the middle of a row
     write_rows(tmp_path / "resumed.csv", range(4, 10), first=4)
     assert (tmp_path / "resumed.csv").read_bytes() == (tmp_path / "whole.csv").read_bytes()
+
+
+def test_figures_that_an_older_version_did_not_report_are_empty_in_its_rows(tmp_path):
+    write_rows(tmp_path / "progress.csv", range(3))
+    progress = CsvProgress(tmp_path / "progress.csv")
+    progress.start(10, 2)
+    progress.update(record(2, speeding_share=0.25))
+    progress.close()
+    assert [row["speeding_share"] for row in rows_of(tmp_path / "progress.csv")] == ["", "", "0.25"]
+    assert [row[-1] for row in checked_rows(tmp_path / "progress.csv")] == ["speeding_share", "", "", "0.25"]
 
 
 def test_a_run_that_starts_anew_drops_the_old_rows(tmp_path):
