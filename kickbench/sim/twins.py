@@ -15,6 +15,7 @@ from kickbench.config.load import load
 from kickbench.config.robot import RobotSpec
 from kickbench.errors import KickbenchError
 from kickbench.sim.build import robot_alone
+from kickbench.sim.engine import silent
 from kickbench.sim.read_parts import compile_model, read_parts
 from kickbench.sim.symmetrise import symmetrised
 from kickbench.symmetry.derive import Derivation, derive
@@ -105,6 +106,7 @@ class Twins:
             self._set(image, _apply(self.qpos, qpos), _apply(self.qvel, qvel), mirrored, time + half_period)
             yield original, image
 
+    @silent()
     def motion_error(self, original: mujoco.MjData, image: mujoco.MjData) -> float:
         """Relative error of the velocities some steps after a state and its mirror image."""
         for data in (original, image):
@@ -112,6 +114,7 @@ class Twins:
         off = np.abs(_apply(self.qvel, original.qvel) - image.qvel).max(initial=0.0)
         return float(off / max(1.0, np.abs(image.qvel).max(initial=0.0)))
 
+    @silent()
     def _set(
         self, data: mujoco.MjData, qpos: np.ndarray, qvel: np.ndarray, action: np.ndarray, time: float
     ) -> None:
@@ -120,6 +123,7 @@ class Twins:
         data.ctrl[:] = self.command.default + self.command.scale * action
         mujoco.mj_forward(self.model, data)
 
+    @silent()
     def _random_state(
         self, draws: np.random.Generator, data: mujoco.MjData, action: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
