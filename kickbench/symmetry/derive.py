@@ -1,9 +1,9 @@
 """Finds by geometry which part of a model mirrors into which, and with what sign its coordinate returns.
 
-A body is paired with the child of its parent's partner that lies where its reflection lies and weighs about
-the same. The axis of a hinge is an axial vector, that of a slide a polar one: the reflected axis of a joint
-is its partner's, or the opposite one, and that is the sign. Names play no part. `symmetry_block` writes it
-all for a robot file.
+A body is paired with the child of its parent's partner whose centre of mass lies where its reflection lies
+and that weighs about the same. The axis of a hinge is an axial vector, that of a slide a polar one: the
+reflected axis of a joint is its partner's, or the opposite one, and that is the sign. Names play no part.
+`symmetry_block` writes it all for a robot file.
 """
 
 from __future__ import annotations
@@ -150,12 +150,11 @@ class _Finder:
 
     def _body_cost(self, body: Body, other: Body) -> float:
         mass, other_mass = float(body.get("mass")), float(other.get("mass"))
-        costs = [self._far(body, other, "place")]
-        if max(mass, other_mass) > 0.0:
-            costs.append(self._far(body, other, "centre of mass"))
-            costs.append(abs(mass - other_mass) / max(mass, other_mass) / _MASS)
-            costs.append(self._unequal(body, other, "inertia"))
-        return max(costs)
+        if max(mass, other_mass) == 0.0:
+            return self._far(body, other, "place")
+        # Where the frame of a body with mass lies is a matter of drawing.
+        apart, heavier = self._far(body, other, "centre of mass"), max(mass, other_mass)
+        return max(apart, abs(mass - other_mass) / heavier / _MASS, self._unequal(body, other, "inertia"))
 
     # Parts of a body
 
@@ -222,8 +221,11 @@ class _Finder:
 
     def _origin(self, part: Element) -> np.ndarray:
         """Where the body of a part is; of a body, its parent. Errors then do not add up along a limb."""
-        body = part.parent if isinstance(part, Body) else part.body
-        return self.parts.bodies[body].get("place") if body >= 0 else np.zeros(3)
+        index = part.parent if isinstance(part, Body) else part.body
+        if index < 0:
+            return np.zeros(3)
+        body = self.parts.bodies[index]
+        return body.get("centre of mass" if body.get("mass") > 0.0 else "place")
 
     def _unequal(self, element: Element, other: Element, name: str) -> float:
         mine, theirs = element.get(name), other.mirrored(name, self.reflection)
