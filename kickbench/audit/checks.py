@@ -91,6 +91,7 @@ def _dynamics_rows(recording: Recording) -> Iterator[Row]:
     scale = max(1.0, float(np.abs(original).max(initial=0.0)))
     for name, columns, unit in _moving_parts(recording):
         yield _motion_row(name, off[:, columns], scale, unit, original[:, columns])
+    yield from _speed_rows(recording)
     yield from _contact_rows(recording, off.max(axis=1) <= _EXACT * scale)
 
 
@@ -120,6 +121,22 @@ def _motion_row(name: str, errors: np.ndarray, scale: float, unit: str, moved: n
     if typical > _EXACT * scale:
         error, tolerance, verdict, detail = typical, _EXACT * scale, "FAIL", f"only {detail}"
     return Row("dynamics", name, verdict, error, tolerance, unit, f"peak {peak:.2g} {unit}", detail)
+
+
+def _speed_rows(recording: Recording) -> Iterator[Row]:
+    """Joints that states take beyond their velocity limit; a fall may, and a policy should not."""
+    for joint, (place, limit) in recording.task.velocity_limits.items():
+        speed = np.abs(recording.velocity.original[:, place])
+        if share := float((speed > limit).mean()):
+            detail = f"beyond its velocity limit in {100.0 * share:.2g} % of the states"
+            unit, usual = _speed_unit(recording, place), float(np.quantile(speed, _MOST))
+            excited = f"peak {speed.max():.2g} {unit}"
+            yield Row("dynamics", f"speed {joint}", "measured", usual, limit, unit, excited, detail)
+
+
+def _speed_unit(recording: Recording, place: int) -> str:
+    model = recording.task.scene.model
+    return "m/s" if model.jnt_type[model.dof_jntid[place]] == _SLIDE else "rad/s"
 
 
 def _contact_rows(recording: Recording, exact: np.ndarray) -> Iterator[Row]:

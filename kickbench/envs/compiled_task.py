@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -62,6 +63,13 @@ class CompiledTask:
     def width(self, group: str) -> int:
         """Length of an observation group's vector."""
         return sum(field.size for field in self.groups[group])
+
+    @cached_property
+    def velocity_limits(self) -> Mapping[str, tuple[int, float]]:
+        """Joints whose servos have a velocity limit: place in qvel, and the limit, rad/s or m/s."""
+        places = {coordinate.name: coordinate.qvel for coordinate in self.scene.layout.coordinates}
+        servos = self.robot.spec.actuators.values()
+        return {s.joint: (places[s.joint], s.velocity_limit) for s in servos if s.joint and s.velocity_limit}
 
 
 def read_task(task: Path | str, overrides: Sequence[str] = ()) -> CompiledTask:

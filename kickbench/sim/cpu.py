@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 
 # pyright: reportAttributeAccessIssue=false
 import mujoco
@@ -13,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from kickbench.sim.engine import HUGE, INERTIAL_FIELDS, Engine, ModelField, usable_cores
+from kickbench.sim.engine import HUGE, INERTIAL_FIELDS, Engine, ModelField, silent, usable_cores
 from kickbench.sim.frames import FrameSensing, runs
 
 _FULL = mujoco.mjtState.mjSTATE_FULLPHYSICS
@@ -92,7 +91,7 @@ class CpuEngine(Engine):
         of_substeps = targets if targets.dim() == 3 else targets.unsqueeze(1)
         self._control[:, :, : self.model.nu] = of_substeps.numpy()
         self._state[:, 0] = 0.0
-        with _silence():
+        with silent():
             self._pool.rollout(
                 self._models, self._data, self._state, self._control, control_spec=self._spec,
                 skip_checks=True, nstep=self.decimation, state=self._trajectory, sensordata=self._sensed,
@@ -185,17 +184,6 @@ class CpuEngine(Engine):
         """See `Engine.close`: ends the threads."""
         self._pool.close()
         self._sense_frames.close()
-
-
-@contextmanager
-def _silence() -> Iterator[None]:
-    """Keeps MuJoCo from writing a log file about unstable envs, which `Engine.failed` reports."""
-    before = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(lambda message: None)
-    try:
-        yield
-    finally:
-        mujoco.set_mju_user_warning(before)
 
 
 def _without_frame_sensors(model: mujoco.MjModel) -> mujoco.MjModel:

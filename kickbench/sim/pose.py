@@ -10,11 +10,13 @@ import numpy as np
 
 from kickbench.config.base import Vector3
 from kickbench.config.robot import ActuatorSpec
+from kickbench.sim.engine import silent
 
 _FREE = mujoco.mjtJoint.mjJNT_FREE
 _Geom = mujoco.mjtGeom
 
 
+@silent()
 def posed(model: mujoco.MjModel, position: Vector3 | None, joints: Mapping[str, float]) -> mujoco.MjData:
     """The default pose of a robot's own model, with the places of all bodies and the joint-space inertia."""
     data = mujoco.MjData(model)

@@ -23,7 +23,7 @@ import warp as wp
 from mujoco_warp import Data, OverflowType
 
 from kickbench.errors import KickbenchError
-from kickbench.sim.engine import EngineLoad, frame_size
+from kickbench.sim.engine import EngineLoad, frame_size, silent
 
 HEADROOM = 1.5
 """Room over the measured 95th percentile."""
@@ -50,6 +50,7 @@ class Capacity:
     allowed_share: float = 1e-3
 
 
+@silent()
 def measure_capacity(
     model: mujoco.MjModel, qpos: np.ndarray, targets: Sequence[np.ndarray], decimation: int
 ) -> Capacity:

@@ -1,9 +1,9 @@
 """Finds by geometry which part of a model mirrors into which, and with what sign its coordinate returns.
 
-A body is paired with the child of its parent's partner that lies where its reflection lies and weighs about
-the same. The axis of a hinge is an axial vector, that of a slide a polar one: the reflected axis of a joint
-is its partner's, or the opposite one, and that is the sign. Names play no part. `symmetry_block` writes it
-all for a robot file.
+A body is paired with the child of its parent's partner whose centre of mass lies where its reflection lies
+and that weighs about the same. The axis of a hinge is an axial vector, that of a slide a polar one: the
+reflected axis of a joint is its partner's, or the opposite one, and that is the sign. Names play no part.
+`symmetry_block` writes it all for a robot file.
 """
 
 from __future__ import annotations
@@ -144,12 +144,12 @@ class _Finder:
 
     def _body_cost(self, body: Body, other: Body) -> float:
         largest = max(body.mass, other.mass)
-        costs = [self.far(body, other)]
-        if largest > 0.0:
-            costs.append(float(np.linalg.norm(self._apart(body, other, "centre"))) / self._near)
-            costs.append(abs(body.mass - other.mass) / largest / _MASS)
-            costs.append(_unequal(body.inertia, other.inertia))
-        return max(costs)
+        if largest == 0.0:
+            return self.far(body, other)
+        # Where the frame of a body with mass lies is a matter of drawing.
+        apart = float(np.linalg.norm(self._apart(body, other, "centre"))) / self._near
+        unequal = _unequal(body.inertia, other.inertia)
+        return max(apart, abs(body.mass - other.mass) / largest / _MASS, unequal)
 
     # Parts of a body
 
@@ -216,8 +216,11 @@ class _Finder:
 
     def _origin(self, part: Element) -> np.ndarray:
         """Where the body of a part is; of a body, its parent. Errors then do not add up along a limb."""
-        body = part.parent if isinstance(part, Body) else part.body
-        return self.parts.bodies[body].place if body >= 0 else np.zeros(3)
+        index = part.parent if isinstance(part, Body) else part.body
+        if index < 0:
+            return np.zeros(3)
+        body = self.parts.bodies[index]
+        return body.centre if body.mass > 0.0 else body.place
 
     def _best(
         self,

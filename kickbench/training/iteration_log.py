@@ -15,6 +15,7 @@ episodes that ended in the iteration, NaN where none has.
 | `collect_seconds`, `update_seconds` | wall-clock time, s |
 | `resets_nonfinite` | envs reset because their state had NaN or infinite numbers |
 | `residual_share/<network>` | share of the asymmetric residual in the norm of a relaxed network's weights |
+| `speeding_share` | share of the control steps that end with a joint beyond its velocity limit |
 | `load/<name>` | most contacts per env and constraint rows in a substep; share of steps short of room (GPU) |
 | `curriculum/<key>` | level of every value that the curriculum moves, from 0 to 1 for the task's own |
 | `evaluation/<side>` | success of the policy in evaluations during the training; NaN without one |
@@ -37,6 +38,9 @@ from kickbench.results.atomic import atomic_write_text
 from kickbench.results.progress_table import CHECK, checked_rows, row_check
 
 Record = Mapping[str, float]
+
+_SPEEDING = 0.01
+"""Share of control steps with a joint beyond its velocity limit from which on the console reports it."""
 
 
 class Progress:
@@ -147,6 +151,8 @@ def describe(record: Record) -> str:
         parts.append(f"NON-FINITE ENVS RESET: {record['resets_nonfinite']}")
     if short := record.get("load/short_share"):
         parts.append(f"STEPS SHORT OF ROOM FOR CONTACTS: {short:.3%}")
+    if (speeding := record.get("speeding_share", 0.0)) > _SPEEDING:
+        parts.append(f"JOINTS BEYOND THEIR VELOCITY LIMIT: {speeding:.0%} of the steps")
     return "  ".join(part for part in parts if part)
 
 

@@ -295,6 +295,7 @@ class Trainer:
             **means("reward_raw", rewards, finished.raw_rewards),
             **{f"loss/{name}": loss for name, loss in losses.items()},
             **self._residual_shares(),
+            **self._speeding(),
             **self._load(),
             **{f"curriculum/{key}": level for key, level in self._levels.items()},
             **{f"evaluation/{side}": rate for side, rate in self._evaluation().items()},
@@ -309,6 +310,11 @@ class Trainer:
         if self.iteration % protocol.every or not self._ranks.is_main:
             return dict.fromkeys(sides, math.nan)
         return self._evaluate(self.ppo.get_policy())
+
+    def _speeding(self) -> dict[str, float]:
+        speeding = self.env.take_speeding()
+        steps = self.trial.method.spec.algorithm.steps_per_env * self.env.num_envs
+        return {} if speeding is None else {"speeding_share": speeding / steps}
 
     def _load(self) -> dict[str, float]:
         load = self.env.engine.take_load()

@@ -183,6 +183,22 @@ def test_totals_count_every_ended_episode_once(experiment):
     assert env.totals.take().episodes == 0, "reading sets them back"
 
 
+def test_steps_that_end_with_a_joint_beyond_its_velocity_limit_are_counted(experiment, tmp_path):
+    mini = experiment().task.robot.document.file
+    limited = f"extends: {mini}\nactuators: {{left_hip_pitch: {{velocity_limit: 1.0}}}}\n"
+    (tmp_path / "robot.yaml").write_text(limited)
+    task = experiment("mini_general", "baseline", f"robot={tmp_path / 'robot.yaml'}").task
+    env, expected = make_env(task, 64), 0
+    place, _ = env.task.velocity_limits["left_hip_pitch"]
+    for k in range(10):
+        state = env.advance(random_actions(env, k))
+        expected += int((env.engine.qvel[:, place].abs() > 1.0).sum())
+        env.finish(state)
+    assert env.take_speeding() == expected > 0
+    assert env.take_speeding() == 0.0, "reading sets it back"
+    assert make_env(experiment().task).take_speeding() is None, "no servo has a limit"
+
+
 def test_observation_noise_is_uniform_of_the_width_in_yaml_and_can_be_switched_off(experiment):
     task = experiment("mini_general", "baseline", "observations.actor.ball_position={noise: 0.03}").task
     noisy, exact = make_env(task, 4096), make_env(task, 4096, noise=False)

@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import importlib.util
+from pathlib import Path
 
+import mujoco
+import numpy as np
 import pytest
 import torch
 
 from kickbench.errors import KickbenchError
 from kickbench.sim.engine import check_device
+from kickbench.sim.twins import read_twins
+
+ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture
@@ -18,6 +24,16 @@ def cuda(monkeypatch):
     monkeypatch.setattr(torch.version, "cuda", "13.0")
     monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
     return monkeypatch
+
+
+def test_no_log_is_left_of_states_that_are_no_numbers(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    twins = read_twins(ROOT / "assets/mini_kicker/robot.yaml")
+    data = [mujoco.MjData(twins.model) for _ in range(2)]
+    for state in data:
+        state.qpos[0] = np.nan
+    twins.motion_error(*data)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_the_cpu_can_always_be_had():

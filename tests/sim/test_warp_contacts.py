@@ -31,6 +31,13 @@ def test_room_is_no_less_than_the_most_that_was_seen():
     assert (capacity.contacts, capacity.constraints) == (8, 16)
 
 
+def test_a_rehearsal_that_becomes_unstable_leaves_no_log(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    model = mujoco.MjModel.from_xml_string(RESTING)
+    measure_capacity(model, np.full((1, model.nq), np.nan), [np.zeros((1, 0))], 1)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_rehearsal_starts_where_the_task_does_and_moves_every_actuator(experiment):
     task = experiment("mini_general").task
     starts, targets = rehearsal(task)

@@ -138,6 +138,17 @@ def test_the_derived_map_mirrors_the_motion_of_the_quadruped():
         assert there.joint(name).qpos == pytest.approx(sign * here.joint(partner).qpos, abs=1e-9), name
 
 
+def test_a_frame_beside_the_mirror_plane_does_not_make_a_central_body_one_of_a_side():
+    xml = """
+    <mujoco><worldbody><body name="torso"><freejoint/><geom size="0.1"/>
+      <body name="head" pos="0 0.03 0.2"><joint name="tilt" axis="0 -1 0"/>
+        <geom name="skull" pos="0 -0.03 0.05" size="0.05"/></body>
+    </body></worldbody></mujoco>"""
+    found = derived(xml)
+    assert found.image == {"tilt": ("tilt", 1)}
+    assert [match.partner for match in found.shapes][-1] == "skull"
+
+
 # Other frames
 
 

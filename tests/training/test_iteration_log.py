@@ -129,7 +129,9 @@ def test_a_record_is_one_line_with_speed_return_success_and_terminations():
 
 
 def test_envs_that_diverged_and_missing_room_are_shouted_about():
-    text = describe(record(0, resets_nonfinite=3, **{"load/short_share": 0.01}))
+    text = describe(record(0, resets_nonfinite=3, speeding_share=0.034, **{"load/short_share": 0.01}))
+    assert "JOINTS BEYOND THEIR VELOCITY LIMIT: 3% of the steps" in text
+    assert "BEYOND" not in describe(record(0, speeding_share=0.001))
     assert "NON-FINITE ENVS RESET: 3" in text
     assert "STEPS SHORT OF ROOM FOR CONTACTS: 1.000%" in text
 
