@@ -83,7 +83,7 @@ class WarpEngine(Engine):
                     view.opt.deterministic = int(mjw.DeterminismType.ALL)
             self._data = mjw.make_data(model, num_envs, nconmax=capacity.contacts, njmax=capacity.constraints)
             self._latch = ContactLatch(model, num_envs, decimation, contact_forces)
-            self._watch = LoadWatch(capacity, num_envs)
+            self._watch = LoadWatch(capacity, self._data)
             self._allocate()
         everywhere = torch.ones(num_envs, dtype=torch.bool, device=self.device)
         self.reset(everywhere, self.qpos.clone(), torch.zeros_like(self.qvel))
@@ -97,8 +97,7 @@ class WarpEngine(Engine):
         controls = wp.zeros((self.decimation, envs, model.nu), dtype=wp.float32)
         self._controls = wp.to_torch(controls)
         self._control_of = [controls[substep] for substep in range(self.decimation)]
-        self._sensor_array = wp.zeros((envs, model.nsensordata), dtype=wp.float32)
-        self.sensors = wp.to_torch(self._sensor_array)
+        self.sensors = torch.zeros(envs, model.nsensordata, device=self.device)
         self.failed = torch.zeros(envs, dtype=torch.bool, device=self.device)
         self._frames = slice(0, frame_size(model))
 
@@ -142,9 +141,9 @@ class WarpEngine(Engine):
                 data.ctrl = control
                 mjw.step(self._model.substep, data)
                 self._latch.sense(data, substep)
-                self._watch.note(data)
-            self._watch.count(data)
-            self._latch.latch(self._sensor_array)
+                self._watch.note()
+            self._watch.count()
+            self._latch.latch(self.sensors)
             self._sense_frames()
         squares = self.qpos.square().sum(dim=1) + self.qvel.square().sum(dim=1)
         # NaN and overflow compare false as well.

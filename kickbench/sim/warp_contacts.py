@@ -19,6 +19,7 @@ from dataclasses import dataclass
 # pyright: reportOperatorIssue=false, reportAssignmentType=false, reportGeneralTypeIssues=false
 import mujoco
 import numpy as np
+import torch
 import warp as wp
 from mujoco_warp import Data, OverflowType
 
@@ -83,62 +84,28 @@ def _size(seen: np.ndarray) -> int:
     return _STEP_OF_SIZES * math.ceil(wanted / _STEP_OF_SIZES)
 
 
-@wp.kernel(enable_backward=False)
-def _note(
-    nacon: wp.array(dtype=wp.int32),
-    nefc: wp.array(dtype=wp.int32),
-    most_contacts: wp.array(dtype=wp.int32),
-    most_constraints: wp.array(dtype=wp.int32),
-):
-    world = wp.tid()
-    most_constraints[world] = wp.max(most_constraints[world], nefc[world])
-    if world == 0:
-        most_contacts[0] = wp.max(most_contacts[0], nacon[0])
-
-
-@wp.kernel(enable_backward=False)
-def _count(
-    bits: int,
-    overflow: wp.array(dtype=wp.int32),
-    short_steps: wp.array(dtype=wp.int32),
-    steps: wp.array(dtype=wp.int32),
-):
-    world = wp.tid()
-    if overflow[world] & bits:
-        short_steps[world] += 1
-    overflow[world] = 0
-    if world == 0:
-        steps[0] += 1
-
-
 class LoadWatch:
     """Watches on the device how much room the envs use; the host looks at it once in a while."""
 
-    def __init__(self, capacity: Capacity, num_envs: int) -> None:
-        """Allocates the counters on warp's current device."""
+    def __init__(self, capacity: Capacity, data: Data) -> None:
+        """Allocates the counters beside the engine's data."""
         self.capacity = capacity
-        self._num_envs = num_envs
-        self._contacts, self._steps = wp.zeros(1, dtype=wp.int32), wp.zeros(1, dtype=wp.int32)
-        self._constraints = wp.zeros(num_envs, dtype=wp.int32)
-        self._short_steps = wp.zeros(num_envs, dtype=wp.int32)
+        self._used = wp.to_torch(data.nacon), wp.to_torch(data.nefc)
+        self._most = tuple(torch.zeros_like(used) for used in self._used)
+        self._overflow = wp.to_torch(data.overflow)
+        self._short_steps = torch.zeros_like(self._overflow)
+        self._steps = torch.zeros_like(self._used[0])
 
-    def note(self, data: Data) -> None:
+    def note(self) -> None:
         """Records what a substep has used."""
-        wp.launch(
-            _note,
-            dim=self._num_envs,
-            inputs=[data.nacon, data.nefc],
-            outputs=[self._contacts, self._constraints],
-        )
+        for most, used in zip(self._most, self._used, strict=True):
+            torch.maximum(most, used, out=most)
 
-    def count(self, data: Data) -> None:
+    def count(self) -> None:
         """Counts the envs that ran short in a control step, and clears mujoco_warp's overflow bits."""
-        wp.launch(
-            _count,
-            dim=self._num_envs,
-            inputs=[_SHORT],
-            outputs=[data.overflow, self._short_steps, self._steps],
-        )
+        self._short_steps += (self._overflow & _SHORT) != 0
+        self._overflow.zero_()
+        self._steps += 1
 
     def take(self) -> EngineLoad:
         """What has been seen since the last call; waits for the device.
@@ -147,13 +114,13 @@ class LoadWatch:
             KickbenchError: Something did not fit too often; the message names the figure to raise.
         """
         load = EngineLoad(
-            contacts=float(self._contacts.numpy()[0]) / self._num_envs,
-            constraints=int(self._constraints.numpy().max()),
+            contacts=float(self._most[0]) / len(self._overflow),
+            constraints=int(self._most[1].max()),
             contact_room=self.capacity.contacts,
             constraint_room=self.capacity.constraints,
-            short_share=float(self._short_steps.numpy().mean() / max(self._steps.numpy()[0], 1)),
+            short_share=float(self._short_steps.float().mean()) / max(int(self._steps), 1),
         )
-        for counter in (self._contacts, self._constraints, self._steps, self._short_steps):
+        for counter in (*self._most, self._steps, self._short_steps):
             counter.zero_()
         allowed = self.capacity.allowed_share
         if load.short_share > allowed:
@@ -233,26 +200,8 @@ def _sense(
             wp.atomic_add(sensed, world, place + 1 + k, in_world[k])
 
 
-@wp.kernel(enable_backward=False)
-def _latch(
-    first: int, is_force: wp.array(dtype=wp.bool), sensed: wp.array3d(dtype=wp.float32),
-    sensors: wp.array2d(dtype=wp.float32),
-):  # fmt: skip
-    """Counts keep their largest value over the substeps, forces their mean."""
-    world, place = wp.tid()
-    largest, total = float(0.0), float(0.0)  # noqa: UP018 (warp: a literal would be a constant)
-    for substep in range(sensed.shape[0]):
-        value = sensed[substep, world, place]
-        largest = wp.max(largest, value)
-        total += value
-    if is_force[place]:
-        sensors[world, first + place] = total / float(sensed.shape[0])
-    else:
-        sensors[world, first + place] = largest
-
-
 class ContactLatch:
-    """Senses the contacts of every substep of a control step and latches them, without allocations."""
+    """Senses the contacts of every substep of a control step and latches them."""
 
     def __init__(
         self, model: mujoco.MjModel, num_envs: int, decimation: int, contact_forces: Sequence[int]
@@ -271,12 +220,12 @@ class ContactLatch:
         self._elliptic = model.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC
         self._ngeom = model.ngeom
         self._make_table(model)
-        averaged = np.zeros(width, dtype=bool)
-        averaged[np.asarray(contact_forces, dtype=int) - self._first] = True
-        self._is_force = wp.array(averaged, dtype=wp.bool)
-        self._sensed = wp.zeros((decimation, num_envs, max(width, 1)), dtype=wp.float32)
-        self._of_substep = [self._sensed[substep] for substep in range(decimation)]
-        self._shape = (num_envs, width)
+        sensed = wp.zeros((decimation, num_envs, max(width, 1)), dtype=wp.float32)
+        self._of_substep = [sensed[substep] for substep in range(decimation)]
+        self._sensed = wp.to_torch(sensed)[:, :, :width]
+        self._is_force = torch.zeros(width, dtype=torch.bool)
+        self._is_force[[place - self._first for place in contact_forces]] = True
+        self._is_force = self._is_force.to(self._sensed.device)
 
     def _make_table(self, model: mujoco.MjModel) -> None:
         entries = [
@@ -309,11 +258,13 @@ class ContactLatch:
             outputs=[self._of_substep[substep]],
         )  # fmt: skip
 
-    def latch(self, sensors: wp.array) -> None:
-        """Writes the contact sensors of the control step into sensor data [B, ns], after its last substep."""
-        wp.launch(
-            _latch, dim=self._shape, inputs=[self._first, self._is_force, self._sensed], outputs=[sensors]
-        )
+    def latch(self, sensors: torch.Tensor) -> None:
+        """Writes the contact sensors of the control step into sensor data [B, ns], after its last substep.
+
+        Counts keep their largest value over the substeps, forces their mean.
+        """
+        largest, mean = self._sensed.amax(dim=0), self._sensed.mean(dim=0)
+        sensors[:, self._first :] = torch.where(self._is_force, mean, largest)
 
 
 def _pairs(model: mujoco.MjModel, sensor: int) -> Iterator[tuple[int, float]]:

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import mujoco
 import numpy as np
 import pytest
+import torch
 
 pytest.importorskip("mujoco_warp", reason="the gpu extra is not installed")
 
+import warp as wp
+from mujoco_warp import OverflowType
+
 from kickbench.envs.engines import rehearsal
-from kickbench.sim.warp_contacts import measure_capacity
+from kickbench.sim.warp_contacts import Capacity, ContactLatch, LoadWatch, measure_capacity
 
 RESTING = """<mujoco><option cone="elliptic"/><worldbody><geom type="plane" size="0 0 1"/>
   <body pos="0 0 0.0499"><freejoint/><geom type="box" size=".05 .05 .05"/></body></worldbody></mujoco>"""
@@ -46,3 +52,33 @@ def test_a_rehearsal_starts_where_the_task_does_and_moves_every_actuator(experim
     default = np.asarray(task.scene.layout.default_target)
     spread = np.std([target.numpy() - default for target in targets], axis=(0, 1))
     np.testing.assert_allclose(spread, task.scene.layout.action_scale, rtol=0.1)
+
+
+def test_the_most_that_was_used_is_kept_and_envs_that_ran_short_are_counted():
+    data = SimpleNamespace(
+        nacon=wp.zeros(1, dtype=int), nefc=wp.zeros(2, dtype=int), overflow=wp.zeros(2, dtype=int)
+    )
+    watch = LoadWatch(Capacity(8, 24, allowed_share=0.6), data)
+    for contacts, rows, overflow in ((3, [9, 12], [0, 0]), (5, [6, 30], [0, int(OverflowType.NEFC)])):
+        data.nacon.fill_(contacts)
+        data.nefc.assign(rows)
+        data.overflow.assign(overflow)
+        watch.note()
+        watch.count()
+    load = watch.take()
+    assert (load.contacts, load.constraints, load.short_share) == (2.5, 30, 0.25)
+    assert not data.overflow.numpy().any()
+    assert watch.take().constraints == 0, "every look begins anew"
+
+
+LATCHED = """<mujoco><worldbody><geom name="floor" type="plane" size="0 0 1"/><body name="b"><freejoint/>
+  <geom name="g" size=".1"/></body></worldbody><sensor><framepos objtype="xbody" objname="b"/>
+  <contact geom1="g" geom2="floor" num="1" data="found force" reduce="netforce"/></sensor></mujoco>"""
+
+
+def test_counts_keep_their_largest_value_over_the_substeps_and_forces_their_mean():
+    latch = ContactLatch(mujoco.MjModel.from_xml_string(LATCHED), 2, 3, contact_forces=[4, 5, 6])
+    latch._sensed[:, 1] = torch.tensor([[0.0, 0, 0, 3], [2, 0, 6, 0], [1, 9, 0, 0]])
+    sensors = torch.full((2, 7), -1.0)
+    latch.latch(sensors)
+    assert sensors.tolist() == [[-1] * 3 + [0] * 4, [-1, -1, -1, 2, 3, 2, 1]]
