@@ -20,8 +20,8 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from kickbench.config.experiment import KINDS, AnyClaim, NearReported, Operand, Ratio
-from kickbench.results.quantities import Figure, check_rows, figure_of, pair_correlation, row_of
+from kickbench.config.experiment import AnyClaim, NearReported, Operand, Ratio
+from kickbench.results.quantities import Figure, figure_of, pair_correlation, row_of
 from kickbench.results.statistics import Interval, student, welch
 
 
@@ -80,7 +80,6 @@ _RANGES = {
     "near_reported": _WITHIN,
 }
 """Of every kind of claim the range, around 0 or what was reported, that its contrast is to lie in."""
-check_rows(_RANGES, KINDS, "kind of claim")
 
 
 def contrast_of(claim: AnyClaim, reported: float | None = None) -> Contrast:
