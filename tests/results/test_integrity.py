@@ -119,7 +119,8 @@ def test_a_damaged_run_is_not_gone_on_with(run, capsys):
     command = ["run", TASK, METHOD, "--out", str(run), *QUICK, "--resume"]
     for name in ("policy.pt", "progress.csv", "identity.json", "specs/robot.yaml", "SHA256SUMS"):
         whole = (run / name).read_bytes()
-        flip(run / name, random.Random(0))
+        old, new = (b"  ", b" ") if name == "SHA256SUMS" else (whole[:1], b"#")
+        (run / name).write_bytes(whole.replace(old, new, 1))
         before = {file: file.read_bytes() for file in files_of(run)}
         assert main(command) == 2
         assert f"{name}: " in (error := capsys.readouterr().err)
