@@ -5,8 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from kickbench.results.atomic import atomic_write_bytes
 from kickbench.results.identity import Identity, _digest, write_identity
-from kickbench.results.metrics import Evaluation, Metrics
+from kickbench.results.metrics import Evaluation, Metrics, metrics_bytes
 from kickbench.results.store import RunDirectory
 
 
@@ -45,6 +46,11 @@ def made_up_metrics(
         **(provenance or {}),
     }
     return Metrics.model_validate({**known, "evaluation": evaluation, "provenance": source})
+
+
+def write_metrics(path: Path, metrics: Metrics) -> None:
+    """Writes a `metrics.json`."""
+    atomic_write_bytes(path, metrics_bytes(metrics))
 
 
 def write_result(path: Path, metrics: Metrics, identity: Identity | None = None) -> None:

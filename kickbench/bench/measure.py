@@ -27,7 +27,7 @@ from kickbench.envs.env import KickEnv
 from kickbench.envs.graph import fastest_steps
 from kickbench.evaluation.progress_bar import tracked
 from kickbench.nets.build import torch_threads, update_threads
-from kickbench.results.provenance import Moment, RunHistory, collect_provenance
+from kickbench.results.provenance import RunHistory, collect_provenance
 from kickbench.training.checkpoint import Checkpoints
 from kickbench.training.iteration_log import Progress, Record
 from kickbench.training.trainer import Trainer
@@ -124,7 +124,7 @@ class Stopwatch:
 
 def measure(chosen: Sequence[Mapping[str, Trial]], device: str, threads: int, rounds: int) -> BenchReport:
     """Measures everything with several numbers of envs; the arguments are those of `measure_size`."""
-    started = Moment.now()
+    started = time.monotonic()
     sizes = [measure_size(trials, device, threads, rounds) for trials in chosen]
     origin = collect_provenance(
         seed=0, env_steps=0, started=started, num_threads=threads, device=device, argv=sys.argv

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
@@ -18,7 +19,7 @@ from kickbench.bench.report import SizeFigures
 from kickbench.config.shipped import find, find_method, root
 from kickbench.envs.engines import make_engine, make_warp_engine, rehearsal
 from kickbench.results.atomic import Record, atomic_write_text, check_writable
-from kickbench.results.provenance import Moment, Provenance, collect_provenance, device_name
+from kickbench.results.provenance import Provenance, collect_provenance, device_name
 from kickbench.trials.trial import Trial, load_trial
 
 _QPOS, _QVEL = 5e-5, 5e-3
@@ -79,7 +80,7 @@ def prove(trials: dict[str, Trial], device: str, threads: int, rounds: int) -> t
     Raises:
         KickbenchError: The file cannot be written; nothing was tried.
     """
-    started, card = Moment.now(), device_name(device)
+    started, card = time.monotonic(), device_name(device)
     file = folder() / f"{re.sub(r'[^a-z0-9]+', '-', card.lower()).strip('-')}.json"
     check_writable(file)
     parts: dict[str, Callable[[], Check]] = {

@@ -31,13 +31,10 @@ def table(
 
 @cli.verb("Look at results", "compare runs")
 def compare(roots: cli.Roots) -> None:
-    """Compare methods over their seeds and on the same initial states."""
+    """Compare methods over their seeds."""
     from kickbench.results.compare import render_comparison
-    from kickbench.results.notes import refuse_contradictions
 
-    runs = _runs(roots)
-    refuse_contradictions(runs, shown)
-    print(render_comparison(runs))
+    print(render_comparison(_runs(roots)))
 
 
 @cli.verb("Look at results", "claims mini_home_field runs/mini_home_field")
@@ -45,29 +42,23 @@ def claims(
     experiment: cli.Experiment,
     folder: Path | None = cli.argument("Folder of its runs (default: the shipped).", "DIR", default=None),
     strict: bool = cli.flag("Exit code 1 unless every claim is met.", "--strict"),
-    power: bool = cli.flag("Simulate how often claims are met, rightly and wrongly, instead.", "--power"),
     json: cli.Json = False,
 ) -> int:
     """Judge the claims of an experiment by its measured runs."""
     file = find(experiment, "reported")
     from kickbench.results.frame import load_runs
-    from kickbench.results.notes import refuse_contradictions, unplanned_lines
-    from kickbench.results.power import rates_table
+    from kickbench.results.tables import unplanned_lines
     from kickbench.results.verdicts import judge, verdict_lines, verdicts_json
     from kickbench.trials.experiment import load_experiment
 
     loaded = load_experiment(file)
-    if power:
-        print(rates_table(loaded))
-        return 0
     # A missing default folder means that nothing is measured yet; a folder that the user names must exist.
     if folder and not folder.is_dir():
         raise KickbenchError(f"{folder}: no such folder")
     measured = load_runs(folder or loaded.document.file.parent.parent / "measured" / loaded.name, loaded)
-    refuse_contradictions(measured, shown)
     verdicts = judge(loaded, measured)
     print(verdicts_json(verdicts) if json else "\n".join(verdict_lines(loaded, verdicts)))
-    for line in [*_when_fixed(loaded, measured), *unplanned_lines(measured, shown)]:
+    for line in [*_when_fixed(loaded, measured), *unplanned_lines(measured)]:
         print(line, file=sys.stderr if json else sys.stdout)
     return int(strict and any(verdict.outcome != "met" for verdict in verdicts))
 
@@ -120,7 +111,7 @@ def _runs(roots: list[Path]) -> pd.DataFrame:
         KickbenchError: A folder has no finished run: its name may be misspelt. Says what is there instead.
     """
     from kickbench.results.frame import load_runs
-    from kickbench.results.notes import left_out_lines
+    from kickbench.results.tables import left_out_lines
 
     runs = load_runs(roots)
     finished = [path.resolve() for path in runs.path[runs.state == "finished"]]
@@ -130,6 +121,6 @@ def _runs(roots: list[Path]) -> pd.DataFrame:
         if not any(path.is_relative_to(root.resolve()) for path in finished)
     ]
     if empty:
-        lines = [*left_out_lines(runs, shown), f"no finished run in {', '.join(empty)}"]
+        lines = [*left_out_lines(runs), f"no finished run in {', '.join(empty)}"]
         raise KickbenchError("\n".join(lines))
     return runs

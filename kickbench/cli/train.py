@@ -302,10 +302,10 @@ def _states(root: Path, record: PlanRecord | None) -> Iterator[tuple[str, RunSta
 
 def _remarks(frame: pd.DataFrame, path: Path) -> list[str]:
     """Damaged results on transfer tasks, episodes with NaN or infinity, and which run this one repeats."""
-    from kickbench.results.notes import repeat_lines
     from kickbench.results.quantities import non_finite_note
+    from kickbench.results.tables import repeat_lines
 
     rows = frame[frame.path == path]
     damage = rows[(rows.state == "damaged") & (rows.evaluated_on != rows.task)].damage
     notes = [non_finite_note(rows.non_finite.max()).strip(" ()")] if rows.non_finite.max() > 0 else []
-    return [*damage, *notes, *repeat_lines(rows, shown)]
+    return [*damage, *notes, *repeat_lines(rows)]

@@ -52,7 +52,7 @@ def evaluate_grid(
     states = grid_states(task, grid, episodes, seed)
     with Steps(EVALUATING, "episodes", len(states)) as steps:
         table = run_episodes(task, policy, states, seed, num_threads=num_threads, note=steps.advance)
-    figures = summarise(table, protocol.success_radius, task.spec.simulation.control_interval)
+    figures = summarise(table, task.spec.simulation.control_interval)
     return Evaluation(in_distribution=figures, grid=_cells(table, grid))
 
 
@@ -117,5 +117,5 @@ def grid_states(task: CompiledTask, grid: GridSpec, episodes: int, seed: int) ->
 
 def _cells(table: EpisodeTable, grid: GridSpec) -> tuple[GridCell, ...]:
     targets = list(product(grid.distance or (), grid.angle or ()))
-    rows = np.arange(len(table)).reshape(len(targets), -1)
-    return tuple(grid_cell(table, own, *target) for own, target in zip(rows, targets, strict=True))
+    each = len(table) // len(targets)
+    return tuple(grid_cell(table[i * each : (i + 1) * each], *target) for i, target in enumerate(targets))

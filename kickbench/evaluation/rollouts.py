@@ -24,7 +24,7 @@ from kickbench.envs.initial_states import InitialStates, InitialStateSampler
 from kickbench.evaluation.probes import EquivarianceProbe, KickRecord, StateTrack, twin_distances
 from kickbench.evaluation.progress_bar import EVALUATING, Steps
 from kickbench.nets.build import torch_threads
-from kickbench.results.episode_table import NON_FINITE, EpisodeSides, EpisodeTable
+from kickbench.results.episode_table import NON_FINITE, EpisodeSides, EpisodeTable, episode_table
 from kickbench.results.frame import SIDES
 from kickbench.results.metrics import EquivarianceError, TwinDistance
 from kickbench.symmetry.torch_ops import Mirror
@@ -302,7 +302,7 @@ def _table(
     }
     # In double precision; of a goal it is that to the nearest point of its line.
     to_point = np.linalg.norm(final - target, axis=1)
-    return EpisodeTable(
+    return episode_table(
         start_ball_x=start_ball[:, 0],
         start_ball_y=start_ball[:, 1],
         target_x=target[:, 0],

@@ -296,8 +296,7 @@ def _evaluate(
 
 
 def _summary(task: CompiledTask, sides: EpisodeSides, symmetry: PolicySymmetry) -> Evaluation:
-    radius, interval = task.spec.evaluation.success_radius, task.spec.simulation.control_interval
-    return summarise_sides(sides, radius, interval, *symmetry)
+    return summarise_sides(sides, task.spec.simulation.control_interval, *symmetry)
 
 
 def train(

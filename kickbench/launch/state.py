@@ -13,7 +13,6 @@ import pandas as pd
 
 from kickbench.evaluation.progress_bar import EVALUATING, duration, percent
 from kickbench.results.frame import known, load_runs, runs_of
-from kickbench.results.integrity import find_damage
 from kickbench.results.progress_table import last_rows
 from kickbench.results.store import RunDirectory
 from kickbench.results.tables import NOTHING, Row, render_block
@@ -108,9 +107,9 @@ def state_of(run: pd.Series, total: int | None = None) -> RunState:
             evaluation_seconds=max(0.0, run.provenance.seconds - run.training_seconds),
             note=f"stopped at {int(run.iterations):,} of {total:,} iterations" if is_short else "",
         )
-    if run.state == "damaged" and (damage := find_damage(directory)) and not damage.can_be_mended:
+    if run.state == "damaged":
         return _training(State.DAMAGED, directory, 0, total, run.damage)
-    return _unfinished(directory, total, run.damage or "")
+    return _unfinished(directory, total)
 
 
 def _training(
@@ -125,18 +124,18 @@ def _training(
     return RunState(state, total=total, note=note, **figures)
 
 
-def _unfinished(directory: RunDirectory, total: int | None, note: str) -> RunState:
+def _unfinished(directory: RunDirectory, total: int | None) -> RunState:
     """A run that is where its last checkpoint is that is whole."""
-    files = Checkpoints(directory.checkpoints).files()[::-1]
+    files, note = Checkpoints(directory.checkpoints).files()[::-1], ""
     for file in filter(is_whole, files):
         done = iteration_of(file)
         if file != files[0]:
             note = f"the newest checkpoint is damaged: {files[0].name}"
-        elif not note and done == total:
+        elif done == total:
             note = "trained, not evaluated"
         return _training(State.INTERRUPTED, directory, done, total, note)
     if files or any(file.exists() for file in (directory.progress, directory.policy, directory.metrics)):
-        reason = note or (f"every checkpoint is damaged: {files[0].name}" if files else "no checkpoint")
+        reason = f"every checkpoint is damaged: {files[0].name}" if files else "no checkpoint"
         return _training(State.DAMAGED, directory, 0, total, reason)
     return RunState(State.NEW, 0, total)
 

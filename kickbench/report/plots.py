@@ -8,11 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike
 
-from kickbench.report.style import INK, LEFT_FOOT, MUTED, OTHER, RIGHT_FOOT, Look, subplots
+from kickbench.report.style import INK, MUTED, OTHER, Look, subplots
 from kickbench.results.quantities import Quantity
-from kickbench.results.statistics import wilson
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -23,11 +21,8 @@ Looks = Mapping[Any, Look]
 SPLIT = 300
 """Iteration at which the thesis splits its curves in two panels (4.3.1)."""
 _LEAST_WINDOW, _POINTS = 9, 150
-LEAST_EPISODES = 20
-"""A bin with fewer says nothing and is left out."""
 _OUTSIDE = 0.002
 """Share of the balls, at each edge of the pitch, that may be left out so that the others are seen."""
-FEET = {"left foot": LEFT_FOOT, "no foot": OTHER, "right foot": RIGHT_FOOT}
 QUANTITIES = {
     "mean_return": "Return of an episode",
     "evaluation/in_distribution": "Success in evaluation",
@@ -221,56 +216,6 @@ def _panels(count: int, columns: int, width: float, height: float) -> tuple[Figu
     return figure, panels
 
 
-def success_by_target(episodes: pd.DataFrame, looks: Looks) -> Figure:
-    """Success by distance and by angle of the target; bands are 95 % intervals.
-
-    Args:
-        episodes: Rows of `Study.episodes`.
-        looks: The look of each condition.
-    """
-    figure, (panels,) = subplots(760, 280, 1, 2, sharey=True)
-    distance = np.hypot(episodes.target_x, episodes.target_y)
-    angle = np.degrees(np.arctan2(episodes.target_y, episodes.target_x))
-    for axes, values, count in zip(panels, (distance, angle), (8, 12), strict=True):
-        for (condition, side), bins in binned(episodes, values, count).groupby(
-            ["condition", "side"], sort=False
-        ):
-            look, hollow = looks[condition], side == "mirrored"
-            line, face = ("--", "white") if hollow else ("-", look.colour)
-            label = f"{condition}, mirrored" if hollow else condition
-            axes.fill_between(bins.middle, bins.low, bins.high, color=look.colour, alpha=0.15, linewidth=0)
-            axes.plot(
-                bins.middle, bins.rate, line, color=look.colour, marker=look.marker, mfc=face, label=label
-            )
-    panels[0].set(ylabel="success, %", ylim=(-2, 102), xlabel="distance of the target, m")
-    panels[1].set(xlabel="angle of the target, ° (left is positive)")
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside right upper")
-    return figure
-
-
-def binned(episodes: pd.DataFrame, values: ArrayLike, count: int) -> pd.DataFrame:
-    """Success of every condition and side, seeds pooled, in bins that all of them share.
-
-    Args:
-        episodes: Rows of `Study.episodes`.
-        values: What the bins are of [episodes].
-        count: Number of bins.
-
-    Returns:
-        Columns condition, side, middle, episodes; rate, low and high (Wilson's 95 % interval) in percent.
-    """
-    values = np.asarray(values, float)
-    edges = np.linspace(values.min(), values.max(), count + 1)
-    bins = np.digitize(values, edges[1:-1], right=True)
-    middle = pd.Series(edges[bins] + (edges[1] - edges[0]) / 2, name="middle")
-    groups = episodes.groupby(["condition", "side", middle], sort=False).success
-    found = groups.agg(episodes="count", hits="sum").reset_index()
-    found = found[found.episodes >= LEAST_EPISODES].sort_values("middle", kind="stable")
-    ends = [wilson(int(hits), int(n)) for hits, n in zip(found.hits, found.episodes, strict=True)]
-    found[["low", "high"]] = 100 * np.reshape(ends, (-1, 2))
-    return found.assign(rate=100 * found.hits / found.episodes)
-
-
 def kicking_feet(kicks: pd.DataFrame) -> Figure:
     """Which foot kicks by where the ball lay, a panel per run, since seeds may prefer different legs.
 
@@ -292,27 +237,6 @@ def kicking_feet(kicks: pd.DataFrame) -> Figure:
     figure.supxlabel("ball y, m (left)")
     figure.supylabel("ball x, m (forward)")
     figure.colorbar(mesh, ax=panels, location="top", shrink=0.5, label="% with the left foot")
-    return figure
-
-
-def first_touches(counts: pd.DataFrame, width: float) -> Figure:
-    """Which foot kicks, in shares of the balls that were touched; a column per side of the ball.
-
-    Args:
-        counts: What `tables.first_touches` returns.
-        width: CSS pixels.
-    """
-    figure, (panels,) = subplots(width, 70 + 22 * len(counts), 1, 2, sharey=True)
-    for axes, ball in zip(panels, ("left", "right"), strict=True):
-        touched = sum(counts[f"ball {ball}, {foot}"] for foot in FEET)
-        edge = pd.Series(0.0, counts.index)
-        for foot, colour in FEET.items():
-            share = 100 * counts[f"ball {ball}, {foot}"] / touched
-            axes.barh(range(len(counts)), share, 0.7, edge, color=colour, label=foot)
-            edge = edge + share
-        axes.set_title(f"ball on the {ball}: % of first touches")
-        _name_rows(axes, counts.index)
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
     return figure
 
 

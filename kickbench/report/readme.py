@@ -15,9 +15,9 @@ import pandas as pd
 
 from kickbench.errors import KickbenchError
 from kickbench.report import plots, tables
-from kickbench.report.remarks import evidence, verdict_words, warnings
 from kickbench.report.study import Study, studies
 from kickbench.report.style import Picture, looks_of, style
+from kickbench.report.tables import evidence, verdict_words, warnings
 from kickbench.results.atomic import atomic_write_text
 from kickbench.results.frame import HOME, SIDES
 from kickbench.results.quantities import DISTANCE, SUCCESS, Quantity
@@ -67,8 +67,6 @@ def measured_results(root: Path) -> list[Study]:
         spec = root / "results/reported" / f"{folder.name}.yaml"
         experiment = load_experiment(spec) if spec.is_file() else None
         found += [replace(study, name=folder.name) for study in studies(folder, experiment)]
-        if found[-1].unjudged:
-            raise KickbenchError(found[-1].unjudged)
     return found
 
 
@@ -89,7 +87,7 @@ def replaced(file: Path, body: str) -> str:
 
 
 def pictures(results: Sequence[Study]) -> dict[str, Picture]:
-    """The pictures by name: what conditions lose on the mirrored side, success, and which foot kicked."""
+    """The pictures by name: what conditions lose on the mirrored side, and success."""
     looks = looks_of(name for study in results for name in study.conditions)
     runs = pd.concat([study.measured for study in results])
     estimates = pd.concat([study.estimates(SUCCESS) for study in results])
@@ -98,7 +96,6 @@ def pictures(results: Sequence[Study]) -> dict[str, Picture]:
     planned = plots.both_sides(
         estimates[estimates.study.isin([study.name for study in results if study.plans])]
     )
-    counts = tables.first_touches(runs)
     return {
         "home-field": Picture(
             "Success in distribution (left end) and from the mirror images of the same starts (right end)",
@@ -108,13 +105,12 @@ def pictures(results: Sequence[Study]) -> dict[str, Picture]:
         "success": Picture(
             SUCCESS.title, plots.dots({SUCCESS: estimates}, runs, looks, _WIDTH), _means(estimates, SUCCESS)
         ),
-        "feet": Picture("Which foot kicks", plots.first_touches(counts, _WIDTH), tables.words(counts)),
     }
 
 
 def _means(estimates: pd.DataFrame, quantity: Quantity) -> str:
-    texts = [quantity.of_seeds(row) for _, row in estimates.iterrows()]
-    return tables.words(pd.DataFrame({quantity.heading: texts}, estimates.label))
+    rows = (row for _, row in estimates.iterrows())
+    return "; ".join(f"{row.label}: {quantity.heading} {quantity.of_seeds(row)}" for row in rows)
 
 
 def summary(results: Sequence[Study], drawn: dict[str, Picture]) -> str:
@@ -137,8 +133,7 @@ def summary(results: Sequence[Study], drawn: dict[str, Picture]) -> str:
 
 def section(results: Sequence[Study], drawn: dict[str, Picture]) -> str:
     """The text between the marks of `results/README.md`: tables, verdicts, and what does not count."""
-    images = [_image(name, drawn, "pictures") for name in ("success", "feet")]
-    return "\n\n".join([*map(_study_text, results), *images])
+    return "\n\n".join([*map(_study_text, results), _image("success", drawn, "pictures")])
 
 
 def _image(name: str, drawn: dict[str, Picture], folder: str) -> str:

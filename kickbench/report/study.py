@@ -11,20 +11,13 @@ from typing import Any
 import pandas as pd
 
 from kickbench.config.experiment import Side
-from kickbench.errors import KickbenchError
+from kickbench.errors import KickbenchError, shown
 from kickbench.results.episode_table import read_episodes
 from kickbench.results.frame import SIDES, load_runs, runs_of
-from kickbench.results.notes import (
-    group_lines,
-    left_out_lines,
-    refuse_contradictions,
-    repeat_lines,
-    setting_lines,
-    unplanned_lines,
-)
 from kickbench.results.progress_table import read_progress
 from kickbench.results.quantities import Quantity, over_seeds
 from kickbench.results.store import RunDirectory
+from kickbench.results.tables import difference_lines, unplanned_lines
 from kickbench.results.verdicts import Verdict, judge
 from kickbench.trials.experiment import Condition, LoadedExperiment
 
@@ -44,7 +37,6 @@ class Study:
         episodes: A row per episode of the evaluations, with condition, seed, path and side.
         experiment: The experiment, if it is one.
         verdicts: The verdicts on its claims.
-        unjudged: Why the claims cannot be judged; empty if they can.
     """
 
     name: str
@@ -55,7 +47,6 @@ class Study:
     episodes: pd.DataFrame
     experiment: LoadedExperiment | None = None
     verdicts: tuple[Verdict, ...] = ()
-    unjudged: str = ""
 
     @property
     def plans(self) -> Mapping[str, Condition]:
@@ -113,7 +104,7 @@ def studies(root: Path, experiment: LoadedExperiment | None = None) -> list[Stud
         experiment: What should be there.
 
     Raises:
-        KickbenchError: There is no such folder, or no run in it.
+        KickbenchError: There is no such folder, or no run in it, or its claims cannot be judged.
     """
     if not root.is_dir():
         raise KickbenchError(f"{root}: no such folder")
@@ -126,33 +117,26 @@ def studies(root: Path, experiment: LoadedExperiment | None = None) -> list[Stud
     settings, finished, found = frame.setting_name.fillna(frame.task), frame[frame.state == "finished"], []
     for name in dict.fromkeys(settings):
         own, rows = finished[finished.setting_name == name], frame[settings == name]
-        problems = [*setting_lines(finished[finished.task.isin(own.task)]), *group_lines(own)]
+        problems = difference_lines(finished[finished.task.isin(own.task)])
         found.append(_study(root, name, rows.sort_values("seed", kind="stable"), problems))
     return found
 
 
 def _planned_study(root: Path, frame: pd.DataFrame, experiment: LoadedExperiment) -> Study:
-    unplanned = unplanned_lines(frame, lambda path: _place(root, path))
-    study = _study(root, experiment.name, frame[frame.condition.notna()], unplanned, experiment)
-    try:
-        refuse_contradictions(frame, str)
-        return replace(study, verdicts=judge(experiment, frame))
-    except KickbenchError as error:
-        return replace(study, unjudged=f"The claims cannot be judged: {error}".replace(f"{root}/", ""))
+    rows = frame[frame.condition.notna()]
+    study = _study(root, experiment.name, rows, unplanned_lines(frame), experiment)
+    return replace(study, verdicts=judge(experiment, frame))
 
 
 def _study(
     root: Path,
     name: str,
     rows: pd.DataFrame,
-    problems: Iterable[str],
+    problems: list[str],
     experiment: LoadedExperiment | None = None,
 ) -> Study:
-    def place(path: Path) -> str:
-        return _place(root, path)
-
-    lines = [*problems, *repeat_lines(rows, place), *left_out_lines(rows[rows.state == "damaged"], place)]
     notes = _notes(root, rows.path.unique())
+    lines = (line.replace(f"{shown(root)}/", "") for line in problems)
     return Study(name, rows, tuple(lines), notes, *_files(runs_of(rows)), experiment)
 
 
@@ -172,7 +156,7 @@ def _files(runs: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
         sides = read_episodes(directory.episodes) if directory.episodes.exists() else ()
         for side, table in zip(SIDES, sides, strict=False):
             if table is not None:
-                episodes.append(pd.DataFrame({**own, "side": side, **table.columns()}))
+                episodes.append(table.assign(**own, side=side))
     return _joined(curves), _joined(episodes)
 
 

@@ -20,7 +20,7 @@ _POINTS = 72.0
 _FONT = 11.0
 
 INK, MUTED, RULE = "#24292f", "#5f6872", "#dde1e6"
-LEFT_FOOT, RIGHT_FOOT, OTHER = "#6a51a3", "#e08214", "#9aa2ab"
+OTHER = "#9aa2ab"
 STYLE = {
     "svg.fonttype": "none",
     "svg.hashsalt": "kickbench",

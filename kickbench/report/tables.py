@@ -1,14 +1,19 @@
-"""The tables of a page, as frames of text: the page and the READMEs print the same cells."""
+"""What a page says: its tables, as frames of text, and what a reader must know before believing them, in sentences.
+
+The page and the READMEs print the same cells.
+"""
 
 from __future__ import annotations
 
+from typing import Any, get_args
+
 import pandas as pd
 
-from kickbench.report.remarks import remarks
 from kickbench.report.study import SIDE_WORDS, Study
-from kickbench.results.frame import HOME, known
+from kickbench.results.frame import HOME, known, size_differences, unfinished_words
 from kickbench.results.provenance import Provenance
-from kickbench.results.quantities import DISTANCE, SUCCESS, Quantity
+from kickbench.results.quantities import DISTANCE, SUCCESS, Quantity, non_finite_note
+from kickbench.results.verdicts import Outcome, Verdict
 
 
 def comparison(study: Study) -> pd.DataFrame:
@@ -130,22 +135,83 @@ def commit_text(provenance: Provenance) -> str:
     return (provenance.commit or "unknown")[:10] + (" + changes" if provenance.dirty else "")
 
 
-def first_touches(runs: pd.DataFrame) -> pd.DataFrame:
-    """Numbers of first touches by side of the ball and foot, both sides of each evaluation together."""
-    names = runs.study + ": " + runs.condition + ", seed " + runs.seed.astype(str)
-    feet = {"left foot": "left_foot", "no foot": "other", "right foot": "right_foot", "never": "none"}
-    touches = {
-        f"ball {side}, {name}": runs[f"kicks/ball_{side}/{column}"]
-        for side in ("left", "right")
-        for name, column in feet.items()
-    }
-    return pd.DataFrame(touches).groupby(names, sort=False).sum().astype(int)
+def outcome(study: Study) -> list[str]:
+    """How many claims are met, and the success of every condition."""
+    words = {"not enough data": "without enough data to say"}
+    counts = {word: sum(verdict.outcome == word for verdict in study.verdicts) for word in get_args(Outcome)}
+    said = ", ".join(f"{count} {words.get(word, word)}" for word, count in counts.items() if count)
+    found = [f"Of {len(study.verdicts)} claims: {said}."] if study.verdicts else []
+    estimates = study.estimates(SUCCESS)
+    for condition, sides in estimates[estimates.seeds > 0].groupby("condition", sort=False):
+        rates = (f"{SUCCESS.of_seeds(row)} {SIDE_WORDS[row.side]}" for _, row in sides.iterrows())
+        found.append(f"{condition}: success in % {', '.join(rates)}.")
+    return found
 
 
-def words(table: pd.DataFrame) -> str:
-    """A table in a line: `baseline: in distribution 48.4, mirrored 20.2; ...`, the index first."""
-    rows = (
-        f"{name}: {', '.join(f'{column} {value}' for column, value in row.items())}"
-        for name, row in table.iterrows()
+def verdict_words(verdict: Verdict) -> str:
+    """The verdict, and whether the experiment could have decided it."""
+    return verdict.words if verdict.claim.decidable else f"{verdict.words} (three seeds cannot decide it)"
+
+
+def evidence(verdict: Verdict) -> str:
+    """`measured 28.2 [15.3, 41.2] points (5 seeds); reported 30.1 points`."""
+    unit, figure = verdict.unit, "not measured"
+    if verdict.figure is not None:
+        figure = f"measured {unit.write(verdict.figure, verdict.interval)} ({verdict.basis})"
+    return figure if verdict.reported is None else f"{figure}; reported {unit.write(verdict.reported)}"
+
+
+def warnings(study: Study, commit: str | None = None) -> list[str]:
+    """What is unfinished, smaller, other than planned or of other code: each remark once, with its runs."""
+    finished = int((study.runs.state == "finished").sum())
+    found = [] if finished == len(study.runs) else [f"{finished} of {len(study.runs)} runs are finished."]
+    about: dict[str, list[Any]] = {}
+    for index, run in study.runs.iterrows():
+        for remark in remarks(study, run, commit):
+            about.setdefault(remark, []).append(index)
+    said = (f"{remark[0].upper()}{remark[1:]}: {listed(study.runs.loc[of])}." for remark, of in about.items())
+    return [*found, *said]
+
+
+def remarks(study: Study, run: pd.Series, commit: str | None = None) -> list[str]:
+    """In which respects a run is unfinished, smaller or other than planned, or by other code.
+
+    Args:
+        study: The study.
+        run: The row of the run.
+        commit: Commit of the present code; None: do not compare.
+    """
+    if run.state == "missing":
+        return ["not run"]
+    if run.state == "damaged":
+        return [f"damaged, and not shown ({run.damage})"]
+    if run.state != "finished":
+        return [f"{unfinished_words(run)}, not evaluated", *filter(None, [run.deviation])]
+    planned, ran = known(run, "iterations_planned"), known(run, "schedule_iterations")
+    smaller = [] if study.plans else size_differences(run, iterations=planned)
+    made_by = run.provenance.commit or "unknown"
+    found = [
+        (run.deviation is not None, str(run.deviation)),
+        (run.repeats is not None, "of the same identity and seed as another run, counted once"),
+        (not run.counted and run.repeats is None, "not counted"),
+        (commit not in (None, made_by), f"run by other code than this page's, commit {made_by[:10]}"),
+        (run.provenance.dirty, "run by code with uncommitted changes"),
+        (ran is not None, f"its schedules ran over {ran or 0:,.0f} iterations"),
+    ]
+    rows = study.rows[(study.rows.path == run.path) & (study.rows.evaluated_on == run.task)]
+    lost = (
+        f"episodes {SIDE_WORDS[of.side]}:{non_finite_note(of.non_finite)}"
+        for _, of in rows[rows.non_finite > 0].iterrows()
     )
-    return "; ".join(rows)
+    return [*smaller, *(words for holds, words in found if holds), *lost]
+
+
+def listed(runs: pd.DataFrame) -> str:
+    """Runs by condition and seed: `baseline seeds 0 and 1, equivariant seed 0`."""
+    parts = []
+    for condition, of in runs.groupby("condition", sort=False):
+        *most, last = ("?" if seed is pd.NA else str(seed) for seed in of.seed)
+        parts.append(
+            f"{condition} seeds {', '.join(most)} and {last}" if most else f"{condition} seed {last}"
+        )
+    return ", ".join(parts)

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 from kickbench import __version__
 from kickbench.errors import printable, require
 from kickbench.report import plots, tables
-from kickbench.report.remarks import evidence, listed, outcome, verdict_words, warnings
 from kickbench.report.study import Study, studies
 from kickbench.report.style import Picture, looks_of, style
+from kickbench.report.tables import evidence, listed, outcome, verdict_words, warnings
 from kickbench.results.atomic import atomic_write_text
 from kickbench.results.provenance import code_state
 from kickbench.results.quantities import ASYMMETRY, DISTANCE, KICK, SUCCESS
@@ -82,7 +82,6 @@ def _figures(study: Study) -> dict[str, Figure]:
         drawn["curves"] = plots.learning_curves(study.curves, looks)
     if len(episodes):
         drawn["pitch"] = plots.resting_places(episodes, looks)
-        drawn["targets"] = plots.success_by_target(episodes, looks)
         if len(kicks := episodes[episodes.kick_foot.isin(["left", "right"])]):
             drawn["feet"] = plots.kicking_feet(kicks)
     if len(known := runs[(runs.side == "in_distribution") & runs["equivariance/relative"].notna()]):

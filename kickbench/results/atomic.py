@@ -53,7 +53,6 @@ def atomic_file(path: Path) -> Iterator[IO[bytes]]:
     """
     path = Path(path)
     with _refusals(path):
-        _make_parents(path)
         # Not `with_name`, which refuses a path like `.`.
         temporary = path.parent / f"{TEMPORARY_PREFIX}{path.name}-{secrets.token_hex(6)}"
         try:
@@ -77,38 +76,19 @@ def check_writable(path: Path) -> None:
         KickbenchError: the file cannot be written.
     """
     with _refusals(path):
-        _make_parents(path)
         tempfile.TemporaryFile(dir=path.parent).close()
 
 
 @contextmanager
 def _refusals(path: Path) -> Iterator[None]:
-    """Words what the system refuses."""
+    """Makes the parents of a file that is to be written, and words what the system refuses."""
     try:
+        if path.is_dir():
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+        path.parent.mkdir(parents=True, exist_ok=True)
         yield
     except OSError as error:
         raise KickbenchError(f"{path}: cannot be written: {error.strerror or error}") from error
-
-
-def _make_parents(path: Path) -> None:
-    if path.is_dir():
-        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except FileExistsError:  # of a file that stands where the folder should
-        raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR)) from None
-
-
-def read_regular(path: Path) -> bytes:
-    """Reads a file, and no pipe or device: that would wait for someone to write.
-
-    Raises:
-        OSError: It cannot be read.
-    """
-    path = Path(path)
-    if path.exists() and not path.is_file():
-        raise OSError(errno.EINVAL, "expected a regular file")
-    return path.read_bytes()
 
 
 def plain_or_packed(path: Path) -> Path:
@@ -118,13 +98,13 @@ def plain_or_packed(path: Path) -> Path:
 
 
 def read_text(path: Path) -> str:
-    """Reads a regular file in UTF-8, a compressed one (`.gz`) as well.
+    """Reads a file in UTF-8, a compressed one (`.gz`) as well.
 
     Raises:
         OSError: It cannot be read, or not be decompressed.
         UnicodeDecodeError: It is not UTF-8.
     """
-    data = read_regular(path)
+    data = path.read_bytes()
     try:
         return (gzip.decompress(data) if path.suffix == ".gz" else data).decode("utf-8")
     except (EOFError, zlib.error) as error:

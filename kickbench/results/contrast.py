@@ -11,17 +11,16 @@ nothing is known of other trainings: the interval is then that of the episodes (
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import inf, sqrt
-from operator import neg, pos
 from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 
-from kickbench.config.experiment import KINDS, AnyClaim, NearReported, Operand, Ratio
-from kickbench.results.quantities import Figure, check_rows, figure_of, pair_correlation, row_of
+from kickbench.config.experiment import AnyClaim, Compared, NearReported, Operand, Ratio
+from kickbench.results.quantities import Figure, figure_of, pair_correlation, row_of
 from kickbench.results.statistics import Interval, student, welch
 
 
@@ -58,29 +57,10 @@ class Contrast:
         return min(value - self.low, self.high - value)
 
 
-class _Range(NamedTuple):
-    """Where a figure is claimed to lie, given the bound; the ends of an open range do not belong to it."""
-
-    low: Callable[[float], float] = lambda _: -inf
-    high: Callable[[float], float] = lambda _: inf
-    open: bool = False
-
-
-_AT_LEAST, _AT_MOST, _WITHIN = _Range(low=pos), _Range(high=pos), _Range(low=neg, high=pos)
-_RANGES = {
-    "at_least": _AT_LEAST,
-    "at_most": _AT_MOST,
-    "greater_than": _Range(low=pos, open=True),
-    "less_than": _Range(high=pos, open=True),
-    "difference_at_least": _AT_LEAST,
-    "difference_at_most": _AT_MOST,
-    "difference_within": _WITHIN,
-    "ratio_at_least": _AT_LEAST,
-    "ratio_at_most": _AT_MOST,
-    "near_reported": _WITHIN,
-}
-"""Of every kind of claim the range, around 0 or what was reported, that its contrast is to lie in."""
-check_rows(_RANGES, KINDS, "kind of claim")
+_AT_LEAST = ("at_least", "greater_than", "difference_at_least", "ratio_at_least")
+_AT_MOST = ("at_most", "less_than", "difference_at_most", "ratio_at_most")
+_WITHIN = ("difference_within", "near_reported")
+"""Kinds of claims by the range, from or up to the bound or around 0 or what was reported, of their contrast."""
 
 
 def contrast_of(claim: AnyClaim, reported: float | None = None) -> Contrast:
@@ -93,9 +73,12 @@ def contrast_of(claim: AnyClaim, reported: float | None = None) -> Contrast:
     value, *others = claim.operands().values()
     bound = getattr(claim, "bound", 0.0)
     weight, end = (-bound, 0.0) if isinstance(claim, Ratio) else (-1.0, bound)
-    middle = reported or 0.0 if isinstance(claim, NearReported) else 0.0
-    terms, of = ((1.0, value), *((weight, other) for other in others)), _RANGES[claim.kind]
-    return Contrast(terms, middle + of.low(end), middle + of.high(end), of.open)
+    terms = ((1.0, value), *((weight, other) for other in others))
+    if claim.kind in _WITHIN:
+        middle = reported or 0.0 if isinstance(claim, NearReported) else 0.0
+        return Contrast(terms, middle - end, middle + end)
+    low, high = end if claim.kind in _AT_LEAST else -inf, end if claim.kind in _AT_MOST else inf
+    return Contrast(terms, low, high, open=isinstance(claim, Compared))
 
 
 class Term(NamedTuple):

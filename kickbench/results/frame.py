@@ -11,7 +11,7 @@ transfer task.
 | `identity`, `setting` | fingerprints of the run, and of its task, robot and model alone; None where unknown |
 | `iterations`, `iterations_planned`, `scale` | training iterations done and wanted |
 | `state`, `damage`, `deviation` | finished, unfinished, running, missing or damaged; sentences or None |
-| `copy_of`, `contradicts` | path of another run of the same identity and seed, with the same or another result |
+| `repeats` | path of another run of the same identity and seed, which is the one that counts |
 | `setting_name`, `group` | what a finished run is compared within, and averaged within |
 | `counted` | whether the row belongs in a mean |
 | `success_rate`, `success_low`, ... | the figures of `EvaluationMetrics`; an interval is `_low` and `_high` |
@@ -58,16 +58,13 @@ HOME: Side = "in_distribution"
 Row = dict[str, Any]
 
 _TEXT = (
-    *("path", "condition", "task", "method", "side", "evaluated_on", "identity", "setting", "result"),
-    *("state", "damage", "deviation", "copy_of", "contradicts", "provenance", "twins"),
-    "equivariance/but_for",
+    *("path", "condition", "task", "method", "side", "evaluated_on", "identity", "setting"),
+    *("state", "damage", "deviation", "repeats", "provenance", "twins", "equivariance/but_for"),
 )
 _NUMBERS = (
     *("iterations", "iterations_planned", "scale", "env_steps", "training_seconds", "schedule_iterations"),
     "non_finite",
 )
-_YOUNG: Any = {"grid": True, "asymmetry": {"twins": True, "equivariance": {"but_for"}}}
-"""Figures that results of older versions lack: repeats are recognised without them."""
 _OF_THE_SETTING = ("task", "robot", "model", "terms")
 _DISTANCES = tuple(f"{name}_distance{end}" for name in ("mean", "median") for end in ("", "_low", "_high"))
 
@@ -127,6 +124,16 @@ def known(row: pd.Series, name: str) -> Any:
     )
 
 
+def unfinished_words(row: pd.Series) -> str:
+    """How far a run without a result is, or why its result does not count."""
+    if row.state == "damaged":
+        return str(row.damage)
+    done, planned = known(row, "iterations"), known(row, "iterations_planned")
+    if row.state == "missing" or done is None:
+        return str(row.state)
+    return f"{row.state}: {done:,.0f}{'' if planned is None else f' of {planned:,.0f}'} iterations"
+
+
 def _table(rows: Sequence[Row]) -> pd.DataFrame:
     """Rows as a table with every column, None in texts and NaN in numbers where there is nothing."""
     own = [*_TEXT, "seed", "counted", *_NUMBERS, *_columns(EvaluationMetrics), *_columns(Asymmetry)]
@@ -173,7 +180,6 @@ def _result_rows(metrics: Metrics) -> list[Row]:
         **(_flat(evaluation.asymmetry.model_dump(exclude_none=True)) if evaluation.asymmetry else {}),
         "evaluated_on": metrics.task,
         "provenance": metrics.provenance,
-        "result": hashlib.sha256(evaluation.model_dump_json(exclude=_YOUNG).encode()).hexdigest(),
         "state": "finished",
         "counted": True,
     }
@@ -288,11 +294,11 @@ class _Planned:
     @cached_property
     def specs(self) -> Specs:
         """Its specs and its identity."""
-        from kickbench.results.specs import planned_specs
+        from kickbench.results.specs import specs_of
         from kickbench.trials.trial import load_trial
 
         task, method = self._condition.task.document.file, self._condition.method.document.file
-        return planned_specs(load_trial(task, method, self._condition.overrides))
+        return specs_of(load_trial(task, method, self._condition.overrides))
 
     def is_of(self, row: Row) -> bool:
         """Whether a run has the planned identity, and began with the policy of the planned run."""
@@ -344,18 +350,14 @@ def size_differences(run: Mapping[str, Any] | pd.Series, **planned: float | None
 
 
 def _with_repeats(frame: pd.DataFrame) -> pd.DataFrame:
-    """Marks runs of an identity and seed that an earlier row has: as copies, or as contradictions."""
+    """Marks runs of an identity and seed that an earlier row has: of both, that one counts."""
     runs = runs_of(frame)
     runs = runs[(runs.state == "finished") & (runs.condition.isna() | runs.counted)]
-    first: dict[tuple[Any, ...], pd.Series] = {}
-    repeats: dict[str, dict[Path, Path]] = {"copy_of": {}, "contradicts": {}}
-    for _, row in runs.iterrows():
-        earlier = first.setdefault((row.identity, row.iterations, known(row, "scale"), row.seed), row)
-        if earlier.path != row.path:
-            repeats["copy_of" if earlier.result == row.result else "contradicts"][row.path] = earlier.path
-    for column, others in repeats.items():
-        frame[column] = pd.Series([others.get(path) for path in frame.path], frame.index, dtype=object)
-        frame["counted"] &= frame[column].isna()
+    same = runs.groupby(["identity", "iterations", "scale", "seed"], dropna=False, sort=False)
+    first = dict(zip(runs.path, same.path.transform("first"), strict=True))
+    earlier = [first[path] if first.get(path, path) != path else None for path in frame.path]
+    frame["repeats"] = pd.Series(earlier, frame.index, dtype=object)
+    frame["counted"] &= frame.repeats.isna()
     return frame
 
 

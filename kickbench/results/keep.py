@@ -2,26 +2,20 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import shutil
 import sys
-from dataclasses import replace
+from itertools import groupby
 from pathlib import Path
 
 from kickbench.errors import KickbenchError
 from kickbench.results import integrity
-from kickbench.results.atomic import atomic_write_text, plain_or_packed, read_text
-from kickbench.results.episode_table import EpisodeSides, EpisodeTable, read_episodes, write_episodes
-from kickbench.results.progress_table import checked_rows
+from kickbench.results.atomic import atomic_write_text, read_text
 from kickbench.results.store import RunDirectory, find_begun_runs
 
 EPISODES = 200
 """Episodes of a side, about, that are kept; all figures of all episodes are in `metrics.json`."""
 EVERY = 5
 """Of so many training iterations one is kept."""
-_DECIMALS = 4
-"""Of metres and metres a second: what is below a tenth of a millimetre says nothing of a kick."""
 
 
 def keep(runs: Path | str, place: Path | str, every: int = EVERY) -> list[Path]:
@@ -57,39 +51,25 @@ def _keep(run: RunDirectory, place: Path, every: int) -> Path:
         if (run.path / name).is_file():
             (place / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy(run.path / name, place / name)
-    for name in ("episodes.csv", "progress.csv"):
-        (file := plain_or_packed(place / name)).unlink(missing_ok=True)
-        source = run.path / file.name
-        if source.is_file() and name == "progress.csv":
-            atomic_write_text(place / f"{name}.gz", _thinned_progress(source, every))
-        elif source.is_file():
-            _thin_episodes(source, place / f"{name}.gz")
+    for file in filter(Path.is_file, (run.episodes, run.progress)):
+        header, *rows = read_text(file).splitlines(keepends=True)
+        kept = _thinned(rows, every) if file == run.progress else _thinned_sides(rows)
+        (place / file.name).unlink()
+        atomic_write_text(place / f"{file.name.removesuffix('.gz')}.gz", "".join([header, *kept]))
     integrity.seal(place)
     return place
 
 
-def _thinned_progress(source: Path, every: int) -> str:
-    """Rows of a progress table, their cells as they were written."""
-    header, *rows = checked_rows(source)
-    last = rows[-1:] if (len(rows) - 1) % every else []
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows([header, *rows[::every], *last])
-    return text.getvalue()
+def _thinned(rows: list[str], every: int) -> list[str]:
+    """Every k-th row, and the last."""
+    return [*rows[::every], *(rows[-1:] if (len(rows) - 1) % every else [])]
 
 
-def _thin_episodes(source: Path, target: Path) -> None:
-    sides = read_episodes(source)
-    every = max(1, len(sides.in_distribution) // EPISODES)
-    if every == 1:
-        atomic_write_text(target, read_text(source))
-    else:
-        home, mirrored = sides
-        kept = EpisodeSides(_every(home, every), None if mirrored is None else _every(mirrored, every))
-        write_episodes(target, kept, _DECIMALS)
-
-
-def _every(table: EpisodeTable, every: int) -> EpisodeTable:
-    return replace(table, **{name: column[::every] for name, column in table.columns().items()})
+def _thinned_sides(rows: list[str]) -> list[str]:
+    """Of each side every k-th episode."""
+    sides = [list(own) for _, own in groupby(rows, lambda row: row.partition(",")[0])]
+    every = max(1, len(sides[0]) // EPISODES)
+    return [row for own in sides for row in own[::every]]
 
 
 if __name__ == "__main__":

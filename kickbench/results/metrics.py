@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt, ValidationError
 
 from kickbench.errors import KickbenchError
-from kickbench.results.atomic import Fraction, Record, atomic_write_bytes, problems_of, read_regular
+from kickbench.results.atomic import Fraction, Record, problems_of
 from kickbench.results.provenance import Provenance
 from kickbench.results.statistics import Interval
 
@@ -261,18 +261,13 @@ def load_metrics(path: Path) -> Metrics:
         KickbenchError: the file is missing or not valid; the message names the file and every wrong key.
     """
     try:
-        return Metrics.model_validate_json(read_regular(path))
+        return Metrics.model_validate_json(Path(path).read_bytes())
     except OSError as error:
         raise KickbenchError(f"{path}: cannot read metrics: {error.strerror}") from error
     except ValidationError as error:
         raise KickbenchError(f"{path}: no valid metrics: {problems_of(error)}") from error
 
 
-def write_metrics(path: Path, metrics: Metrics) -> None:
-    """Write a `metrics.json`, atomically. It is the last file of a run: with it the run is finished."""
-    atomic_write_bytes(path, metrics_bytes(metrics))
-
-
 def metrics_bytes(metrics: Metrics) -> bytes:
-    """The content of a `metrics.json`."""
+    """The content of a `metrics.json`, the last file of a run: with it the run is finished."""
     return (metrics.model_dump_json(indent=2) + "\n").encode()

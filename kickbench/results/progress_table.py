@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import csv
 import zlib
+from collections import deque
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 
 from kickbench.errors import KickbenchError
@@ -14,7 +14,6 @@ from kickbench.results.atomic import read_text
 
 CHECK = "crc32"
 """Last column of a table: the CRC-32 of the header and the other cells of the row, as they are written."""
-_TAIL_BYTES = 65_536
 
 
 def row_check(header: str, row: str) -> str:
@@ -55,49 +54,27 @@ def read_progress(path: Path) -> pd.DataFrame:
         known yet. A compressed table may have been thinned (`kickbench.results.keep`); any other has every row.
 
     Raises:
-        KickbenchError: The file cannot be read or is no such table; the message names file and line.
+        KickbenchError: The file cannot be read or is no such table.
     """
     names, *rows = checked_rows(path) or [[]]
     if names[:1] != ["iteration"]:
         raise KickbenchError(f"{path}:1: expected a progress table whose first column is iteration")
-    numbers = [_numbers(path, line, row, len(names)) for line, row in enumerate(rows, start=2)]
-    table = pd.DataFrame(numbers, columns=names, dtype=float).astype({"iteration": int})
-    steps = np.diff(table.iteration, prepend=-1)
-    is_packed = path.suffix == ".gz"
-    wrong = np.flatnonzero(steps < 1 if is_packed else steps != 1)
-    if wrong.size:
-        expected = f"{wrong[0]} or later" if is_packed else wrong[0]
-        raise KickbenchError(f"{path}:{wrong[0] + 2}: expected the row of iteration {expected}")
-    return table
-
-
-def _numbers(path: Path, line: int, row: list[str], width: int) -> list[float]:
-    """The figures of one row; an empty cell is a figure that was not there."""
-    if len(row) != width:
-        raise KickbenchError(f"{path}:{line}: expected {width} values, found {len(row)}")
     try:
-        return [float(cell) if cell else float("nan") for cell in row]
+        return pd.DataFrame(rows, columns=names).replace("", "nan").astype(float).astype({"iteration": int})
     except ValueError as error:
-        raise KickbenchError(f"{path}:{line}: {error}") from error
+        raise KickbenchError(f"{path}: {error}") from error
 
 
 def last_rows(path: Path, count: int) -> list[dict[str, str]]:
     """The last whole rows of a table of training iterations by column, at most `count`; none if it has none."""
-    if not path.is_file():  # missing, or a pipe that would be waited for
-        return []
     try:
-        with open(path, "rb") as file:
-            header = file.readline().decode("utf-8", errors="replace")
-            start = file.tell()
-            begin = max(start, path.stat().st_size - _TAIL_BYTES)
-            file.seek(begin)
-            body = file.read().decode("utf-8", errors="replace")
-        # A read from the middle of the file begins in the middle of a row.
-        lines = body[: body.rfind("\n") + 1].splitlines()[begin > start :]
-        rows = list(csv.DictReader([header, *lines]))
+        with open(path, encoding="utf-8", errors="replace") as file:
+            header, last = file.readline(), deque(file, maxlen=count + 1)
+        whole = [line for line in last if line.endswith("\n")][-count:]
+        rows = list(csv.DictReader([header, *whole]))
     except (OSError, csv.Error):
         return []
-    return [row for row in rows if None not in row and None not in row.values()][-count:]
+    return [row for row in rows if None not in row and None not in row.values()]
 
 
 def read_done(path: Path) -> int | None:

@@ -7,17 +7,18 @@ import re
 import subprocess
 import time
 from collections.abc import Mapping, Sequence
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from functools import partial
 from importlib import metadata
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from pydantic import NonNegativeFloat, NonNegativeInt, PositiveInt
 
 from kickbench.errors import printable
 from kickbench.results.atomic import Record
 
+_HERE = Path(__file__).resolve()
 # Distribution names; the ones that are not installed are left out of a record.
 _PACKAGES = (
     *("kickbench", "torch", "mujoco", "mujoco-warp", "warp-lang"),
@@ -90,26 +91,9 @@ class Provenance(Record):
     everything else describes the last one."""
 
 
-class Moment(NamedTuple):
-    """A point in time.
-
-    Attributes:
-        utc: By the wall clock, which may be set; must know its time zone.
-        seconds: By a clock that never goes back: durations are differences of it, s.
-    """
-
-    utc: datetime
-    seconds: float
-
-    @staticmethod
-    def now() -> Moment:
-        """This moment."""
-        return Moment(datetime.now(UTC), time.monotonic())
-
-
 def collect_provenance(
     *,
-    started: Moment,
+    started: float,
     device: str = "cpu",
     argv: Sequence[str] = (),
     code: tuple[str | None, bool | None] | None = None,
@@ -118,13 +102,13 @@ def collect_provenance(
     """Looks at this process and its machine as of now.
 
     Args:
-        started: start of the run.
+        started: start of the run, by `time.monotonic`.
         device: torch device, `cpu` or `cuda[:k]`.
         argv: the command as `sys.argv` has it, program first.
         code: what `code_state` returned when the code was loaded; now if left out.
         fields: the other fields of `Provenance`: seed, env_steps, num_threads, ...
     """
-    finished = Moment.now()
+    finished, seconds = datetime.now(UTC), time.monotonic() - started
     commit, dirty = code or code_state()
     return Provenance(
         versions=package_versions(),
@@ -132,9 +116,9 @@ def collect_provenance(
         platform=f"{platform.system()} {platform.release()} {platform.machine()}",
         commit=commit,
         dirty=dirty,
-        started=started.utc.astimezone(UTC).isoformat(timespec="seconds"),
-        finished=finished.utc.astimezone(UTC).isoformat(timespec="seconds"),
-        seconds=round(finished.seconds - started.seconds, 3),
+        started=(finished - timedelta(seconds=seconds)).isoformat(timespec="seconds"),
+        finished=finished.isoformat(timespec="seconds"),
+        seconds=round(seconds, 3),
         command=portable_command(argv),
         **fields,
     )
@@ -169,7 +153,7 @@ class RunHistory:
         self.labels: dict[str, Any] = {"task": task, "method": method, "seed": seed, "scale": scale}
         self._earlier = tuple(earlier)
         self._collect = partial(
-            collect_provenance, seed=seed, started=Moment.now(), code=code_state(), **origin
+            collect_provenance, seed=seed, started=time.monotonic(), code=code_state(), **origin
         )
 
     def provenance(self, env_steps: int) -> Provenance:
@@ -205,11 +189,6 @@ def earlier_parts(state: Mapping[str, Any]) -> tuple[Provenance, ...]:
     return tuple(Provenance.model_validate(part) for part in state["parts"])
 
 
-def code_state() -> tuple[str | None, bool | None]:
-    """Commit of kickbench's checkout and whether it has uncommitted changes; ask when a run starts."""
-    return git_state(Path(__file__).resolve())
-
-
 def package_versions() -> dict[str, str]:
     """Version of python and of every package in question that is installed, from its metadata (no import)."""
     versions = {"python": platform.python_version()}
@@ -237,19 +216,16 @@ def cpu_name(cpuinfo: Path = Path("/proc/cpuinfo")) -> str:
     return found[1] if found else platform.processor() or platform.machine() or "unknown"
 
 
-def git_state(file: Path) -> tuple[str | None, bool | None]:
-    """Commit of the checkout that `file` is tracked in, and whether the checkout differs from it.
+def code_state(file: Path = _HERE) -> tuple[str | None, bool | None]:
+    """Commit of kickbench's checkout and whether it has uncommitted changes; ask when a run starts.
 
     A file that git does not track (kickbench installed in a virtual environment that happens to lie in
     someone else's checkout) has no commit: (None, None).
     """
     if _git(file.parent, "ls-files", "--error-unmatch", "--", file.name) is None:
         return None, None
-    commit = _git(file.parent, "rev-parse", "HEAD")
-    status = _git(file.parent, "status", "--porcelain")
-    if commit is None or status is None:
-        return None, None
-    return commit.strip(), bool(status.strip())
+    commit, status = _git(file.parent, "rev-parse", "HEAD"), _git(file.parent, "status", "--porcelain")
+    return (None, None) if commit is None or status is None else (commit.strip(), bool(status.strip()))
 
 
 def portable_command(argv: Sequence[str]) -> list[str]:

@@ -9,7 +9,7 @@ training.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from math import inf, pi
 from typing import NamedTuple
@@ -19,11 +19,9 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy import stats
 
-from kickbench.config import experiment as config
 from kickbench.config.experiment import AnyClaim, Metric, Operand, Ratio
 from kickbench.errors import KickbenchError
-from kickbench.results.frame import known
-from kickbench.results.notes import unfinished_words
+from kickbench.results.frame import known, unfinished_words
 from kickbench.results.progress_table import read_progress
 from kickbench.results.statistics import Interval, wilson
 from kickbench.results.store import RunDirectory
@@ -293,16 +291,6 @@ def return_trough(returns: Curve, _: Curve) -> float | None:
     return float((np.maximum.accumulate(curve) - curve).max()) / spread if spread else None
 
 
-def check_rows(table: Iterable[str], names: Iterable[str], what: str) -> None:
-    """Checks that a table has a row for each name and no other: as its module is imported, not as it is used.
-
-    Raises:
-        TypeError: It has not.
-    """
-    if unequal := set(table) ^ set(names):
-        raise TypeError(f"{what} {', '.join(sorted(unequal))}: no row, or a row of no such name")
-
-
 METRICS: Mapping[Metric, tuple[Measure, Unit]] = {
     "success_rate": (_column("success_rate", "success"), PERCENT),
     "mean_distance": (_column("mean_distance", "mean_distance"), METRES),
@@ -327,7 +315,6 @@ METRICS: Mapping[Metric, tuple[Measure, Unit]] = {
     "return_trough": (_of_curves(return_trough, "mean_return", "env_steps"), Unit("", 1.0, 2)),
 }
 """Of each metric, how it follows from a run, and its unit."""
-check_rows(METRICS, config.METRICS, "metric")
 _POINTS, _RATIO = Unit("points", 100.0, 1), Unit("", 1.0, 2)
 
 

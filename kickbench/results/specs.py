@@ -12,8 +12,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from pydantic import BaseModel
+from pydantic_core import to_jsonable_python
 
-from kickbench.config.load import LoadedMethod, LoadedTask, load_method, load_task
+from kickbench.config.load import load_method, load_task
 from kickbench.config.terms import TermParams, TermTable
 from kickbench.config.yamlio import Document
 from kickbench.config.yamltree import dump_yaml, flow_yaml
@@ -110,15 +111,6 @@ def model_files(experiment: Trial) -> list[Path]:
     return files
 
 
-def stored_method(directory: RunDirectory) -> LoadedMethod:
-    """The method as `write_specs` has left it.
-
-    Raises:
-        SpecError: A file is missing or not valid.
-    """
-    return load_method(directory.method_spec)
-
-
 def stored_experiment(directory: RunDirectory) -> Trial:
     """The experiment as `write_specs` has left it.
 
@@ -161,21 +153,20 @@ def spec_differences(directory: RunDirectory, experiment: Trial) -> list[Problem
         SpecError: A stored file is missing or not valid.
         KickbenchError: The run has no identity.
     """
-    ours, theirs = identity_of(experiment), read_identity(directory)
-    changed = [part for part in ours.parts | theirs.parts if ours.parts.get(part) != theirs.parts.get(part)]
+    task, ours, theirs = experiment.loaded_task, specs_of(experiment), read_identity(directory)
+    parts = ours.identity.parts
+    changed = [part for part in parts | theirs.parts if parts.get(part) != theirs.parts.get(part)]
     if not changed:
         return []
-    task, method = experiment.loaded_task, experiment.method
-    both = [_specs(task, method, ours).values, stored_specs(directory).values]
+    loaded = loaded_specs(task, experiment.method)
     problems = [
-        loaded.document.problem(path, _unlike(new, old))
-        for name, loaded in loaded_specs(task, method).items()
-        for path, (new, old) in _differing([values[name] for values in both])
+        loaded[name].document.problem(path, _unlike(new, old))
+        for name, path, (new, old) in _unequal([ours, stored_specs(directory)])
     ]
     if "model" in changed:
-        names = ", ".join(sorted(dict(ours.model_arrays.items() ^ theirs.model_arrays.items())))
-        what = f"not the model of the run: the MJCF, a file it reads or the scene has changed {names}"
-        problems.append(task.robot.document.problem(("model",), what))
+        names = dict(ours.identity.model_arrays.items() ^ theirs.model_arrays.items())
+        what = "not the model of the run: the MJCF, a file it reads or the scene has changed"
+        problems.append(task.robot.document.problem(("model",), f"{what} {', '.join(sorted(names))}"))
     if "terms" in changed:
         problems.append(task.document.problem(("terms",), "the run's terms have other code"))
     if "initial_policy" in changed:
@@ -202,17 +193,15 @@ def stored_specs(directory: RunDirectory) -> Specs:
     Raises:
         KickbenchError: A file is missing or not valid.
     """
-    task = load_task(model_of_task, directory.task_spec)
-    return _specs(task, stored_method(directory), read_identity(directory.path))
+    task, method = load_task(model_of_task, directory.task_spec), load_method(directory.method_spec)
+    values = {name: of.spec for name, of in loaded_specs(task, method).items()}
+    return Specs(values, read_identity(directory.path))
 
 
-def planned_specs(experiment: Trial) -> Specs:
+def specs_of(experiment: Trial) -> Specs:
     """The specs of a compiled task and method."""
-    return _specs(experiment.loaded_task, experiment.method, identity_of(experiment))
-
-
-def _specs(task: LoadedTask[Any], method: LoadedMethod, identity: Identity) -> Specs:
-    return Specs({name: of.spec for name, of in loaded_specs(task, method).items()}, identity)
+    loaded = loaded_specs(experiment.loaded_task, experiment.method)
+    return Specs({name: of.spec for name, of in loaded.items()}, identity_of(experiment))
 
 
 def differences(
@@ -227,13 +216,19 @@ def differences(
     """
     keys = {
         f"{name}: {dotted((*path, 'order') if isinstance(values[0], Order) else path)}": values
-        for name in found[0].values
-        for path, values in _differing([specs.values[name] for specs in found])
+        for name, path, values in _unequal(found)
     }
     lines = [f"{key}: {write([_text(v) for v in keys[key]])}" for key in keys if key not in without]
     more = [f"{len(lines) - _MOST} more keys"] if len(lines) > _MOST else []
     unequal = [part for part in _BY_HASH if len({specs.identity.parts.get(part) for specs in found}) > 1]
     return [*lines[:_MOST], *more, *(_BY_HASH[part] for part in unequal)]
+
+
+def _unequal(found: Sequence[Specs]) -> Iterator[tuple[str, KeyPath, Sequence[Any]]]:
+    """Every key whose values are not equal: which spec, where in it, and the values."""
+    for name in found[0].values:
+        for path, values in _differing([specs.values[name] for specs in found]):
+            yield name, path, values
 
 
 class Order(tuple[str, ...]):
@@ -260,10 +255,4 @@ def _differing(values: Sequence[Any], path: KeyPath = ()) -> Iterator[tuple[KeyP
 
 
 def _text(value: Any) -> str:
-    return value if isinstance(value, str) else flow_yaml(_plain(value))
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, BaseModel):
-        return value.model_dump()
-    return [_plain(item) for item in value] if isinstance(value, list | tuple) else value
+    return value if isinstance(value, str) else flow_yaml(to_jsonable_python(value))

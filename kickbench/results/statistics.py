@@ -6,7 +6,7 @@ Of what scipy has, scipy's; samples are finite and not empty.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from math import comb, sqrt
+from math import sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -46,13 +46,6 @@ class TwoProportions(NamedTuple):
     interval: Interval
     z: float
     p_value: float
-
-
-class RankTest(NamedTuple):
-    """A test of equal distributions: its p-value, and the smallest that this number of scores allows."""
-
-    p_value: float
-    smallest_p: float
 
 
 def wilson(successes: int, n: int) -> Interval:
@@ -102,12 +95,8 @@ def two_proportions(first: int, n_first: int, second: int, n_second: int) -> Two
     pooled = (first + second) / (n_first + n_second)
     error = sqrt(pooled * (1 - pooled) * (1 / n_first + 1 / n_second))
     z = difference / error if error else 0.0
-    return TwoProportions(difference, Interval(max(-1.0, low), min(1.0, high)), z, normal_p(z))
-
-
-def normal_p(z: float) -> float:
-    """Two-sided p-value of a standard score."""
-    return float(2 * special.ndtr(-abs(z)))
+    p_value = float(2 * special.ndtr(-abs(z)))
+    return TwoProportions(difference, Interval(max(-1.0, low), min(1.0, high)), z, p_value)
 
 
 def mcnemar(only_first: int, only_second: int) -> float:
@@ -126,26 +115,21 @@ def mcnemar(only_first: int, only_second: int) -> float:
 
 
 def bootstrap(
-    samples: Sequence[ArrayLike], estimate: Callable[..., NDArray[np.float64]], rng: np.random.Generator
+    sample: ArrayLike, estimate: Callable[[NDArray[Any]], NDArray[np.float64]], rng: np.random.Generator
 ) -> Interval:
-    """Percentile bootstrap interval of an estimate; each sample is resampled by itself.
+    """Percentile bootstrap interval of an estimate.
 
     `scipy.stats.bootstrap` refuses samples of one value; this gives them an interval of width zero.
 
     Args:
-        samples: samples [n_k, ...].
-        estimate: of resamples [r, n_k, ...] the estimates [r].
+        sample: sample [n, ...].
+        estimate: of resamples [r, n, ...] the estimates [r].
         rng: source of the resamples; the same generator state gives the same interval.
     """
-    arrays = [np.asarray(sample) for sample in samples]
-    sizes = [len(array) for array in arrays]
-    highs, cuts = np.repeat(sizes, sizes), np.cumsum(sizes)[:-1]
-    estimates = []
-    for _ in range(RESAMPLES // _BATCH):
-        picks = np.split(rng.integers(highs, size=(_BATCH, len(highs))), cuts, axis=1)
-        drawn = (array[pick] for array, pick in zip(arrays, picks, strict=True))
-        estimates.append(estimate(*drawn))
-    low, high = np.quantile(np.concatenate(estimates), _QUANTILES)
+    array = np.asarray(sample)
+    highs = np.full(len(array), len(array))  # an array: other numbers are drawn below a scalar
+    picks = (rng.integers(highs, size=(_BATCH, len(array))) for _ in range(RESAMPLES // _BATCH))
+    low, high = np.quantile(np.concatenate([estimate(array[pick]) for pick in picks]), _QUANTILES)
     return Interval(float(low), float(high))
 
 
@@ -189,11 +173,11 @@ def _quantile_of_t(dof: int) -> float:
     return float(special.stdtrit(dof, _QUANTILES[1]))
 
 
-def rank_test(first: Sequence[float], second: Sequence[float]) -> RankTest:
-    """Exact two-sided Mann-Whitney test; with ties, over all ways to share out the ranks, or many of them.
+def rank_test(first: Sequence[float], second: Sequence[float]) -> float:
+    """P-value of the exact two-sided Mann-Whitney test; with ties, over all ways to share out the ranks, or many.
 
-    Its smallest p-value is 2 / C(n + m, n): 0.1 for three seeds against three, 0.0079 for five against five.
-    So three seeds can never show a difference at the usual 5 %, whatever they measure.
+    It is at least 2 / C(n + m, n): 0.1 for three seeds against three, 0.0079 for five against five. So three
+    seeds can never show a difference at the usual 5 %, whatever they measure.
 
     Args:
         first: finite scores [n], n >= 2.
@@ -201,29 +185,7 @@ def rank_test(first: Sequence[float], second: Sequence[float]) -> RankTest:
     """
     tied = len({*first, *second}) < len(first) + len(second)
     permutations: Any = stats.PermutationMethod(n_resamples=_PERMUTATIONS, rng=np.random.default_rng(0))
-    test = stats.mannwhitneyu(first, second, method=permutations if tied else "exact")
-    return RankTest(float(test.pvalue), min(1.0, 2 / comb(len(first) + len(second), len(first))))
-
-
-def iqm(values: ArrayLike) -> NDArray[np.float64]:
-    """Interquartile mean along the last axis: floor(n/4) values are cut off at each end; of three seeds none is.
-
-    Source: R. Agarwal et al., "Deep Reinforcement Learning at the Edge of the Statistical Precipice", 2021.
-    """
-    return stats.trim_mean(values, 0.25, axis=-1)
-
-
-def improvement(first: ArrayLike, second: ArrayLike) -> NDArray[np.float64]:
-    """P(X > Y) + P(X = Y)/2 for X drawn from the first and Y from the second sample.
-
-    Args:
-        first: finite scores [..., n].
-        second: finite scores [..., m].
-
-    Source: as for `iqm`.
-    """
-    signs = np.sign(np.asarray(first)[..., :, np.newaxis] - np.asarray(second)[..., np.newaxis, :])
-    return (1 + signs.mean(axis=(-2, -1))) / 2
+    return float(stats.mannwhitneyu(first, second, method=permutations if tied else "exact").pvalue)
 
 
 def holm(p_values: Sequence[float]) -> list[float]:

@@ -186,8 +186,6 @@ class RunDirectory:
         shutil.rmtree(ready)
 
     def _make(self) -> None:
-        if self.path.exists() and not self.path.is_dir():
-            raise KickbenchError(f"{self.path}: expected a folder for the run, found a file")
         try:
             self.path.mkdir(parents=True, exist_ok=True)
         except OSError as error:

@@ -1,19 +1,22 @@
-"""The tables of runs that `kickbench table`, `run`, `eval`, `claims` and `compare` print, in plain fixed columns."""
+"""The tables of runs that `kickbench table`, `run`, `eval`, `claims` and `compare` print, in plain fixed columns.
+
+And what stands below them: in what runs of one name differ, which repeat others, which do not count and why.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
 import pandas as pd
 
-from kickbench.errors import printable
-from kickbench.results.frame import HOME, known
+from kickbench.errors import KickbenchError, printable, shown
+from kickbench.results.frame import HOME, known, runs_of, unfinished_words
 from kickbench.results.metrics import GridCell
-from kickbench.results.notes import remark_lines
 from kickbench.results.quantities import (
     ASYMMETRY,
     DISTANCE,
@@ -24,6 +27,7 @@ from kickbench.results.quantities import (
     Unit,
     non_finite_note,
 )
+from kickbench.results.store import RunDirectory
 
 NOTHING = "-"
 """What stands for a figure that is not there."""
@@ -133,12 +137,15 @@ def _mirrored(quantity: Quantity) -> Quantity:
     return replace(quantity, column=f"mirrored/{quantity.column}", ends="")
 
 
+MIRRORED_SUCCESS, MIRRORED_DISTANCE = _mirrored(SUCCESS), _mirrored(DISTANCE)
+GAP = Quantity("gap", "Gap", PERCENT)
+"""Columns of `pairs_of`."""
 _SUCCESS = (
     Column("in-dist. [95 % CI]", SUCCESS, "success [%]", "non_finite"),
-    Column("mirrored", _mirrored(SUCCESS), non_finite="mirrored/non_finite"),
-    Column("gap [pts]", Quantity("gap", "Gap", PERCENT)),
+    Column("mirrored", MIRRORED_SUCCESS, non_finite="mirrored/non_finite"),
+    Column("gap [pts]", GAP),
     Column("in-dist.", replace(DISTANCE, ends=""), "mean distance [m]"),
-    Column("mirrored", _mirrored(DISTANCE)),
+    Column("mirrored", MIRRORED_DISTANCE),
     Column("iter.", "iterations"),
     Column("env steps", "env_steps"),
 )
@@ -179,7 +186,7 @@ def render_table(frame: pd.DataFrame, columns: Literal["success", "kick"] = "suc
     """
     finished = frame[(frame.state == "finished") & (frame.evaluated_on == frame.task)]
     blocks = []
-    for name, rows in finished[finished.copy_of.isna()].groupby("setting_name", sort=False):
+    for name, rows in finished[finished.repeats.isna()].groupby("setting_name", sort=False):
         methods = [pairs_of(group) for _, group in rows.groupby("group", sort=False)]
         if columns == "kick":
             blocks.append(_block(f"task: {name}: kick", _KICK, methods, summary=False))
@@ -252,3 +259,78 @@ def _method_rows(columns: Sequence[Column], runs: pd.DataFrame, summary: bool) -
         label = str(runs.group.iloc[0])
         rows += [(label, "mean", *means), (label, "std", *spreads)]
     return rows
+
+
+def remark_lines(frame: pd.DataFrame) -> list[str]:
+    """Below a table of runs: in what runs of one name differ, which runs repeat others, and which have no result."""
+    finished = frame[(frame.state == "finished") & (frame.evaluated_on == frame.task)]
+    lines = [*difference_lines(finished), *exclusion_lines(finished)]
+    return [*lines, *repeat_lines(frame), *left_out_lines(frame)]
+
+
+def difference_lines(finished: pd.DataFrame) -> list[str]:
+    """In what settings of one task's name differ, and groups of one setting and one method's name."""
+    tasks = finished.groupby("task", sort=False)
+    methods = finished.groupby(["setting_name", "method"], sort=False)
+    lines = [line for task, rows in tasks for line in _lines(str(task), rows, "setting_name")]
+    return lines + [line for (_, method), rows in methods for line in _lines(str(method), rows, "group")]
+
+
+def exclusion_lines(finished: pd.DataFrame) -> list[str]:
+    """What the equivariance errors of methods leave out."""
+    column = "equivariance/but_for"
+    partial = finished[finished[column].notna()].groupby("group", sort=False)[column].first()
+    return [f"{name}: equivariant but for: {', '.join(excluded)}" for name, excluded in partial.items()]
+
+
+def _lines(name: str, rows: pd.DataFrame, column: str) -> Iterator[str]:
+    """`baseline (1) and (2) differ: method: algorithm.gamma: 0.99 and 0.995`."""
+    first = rows.drop_duplicates(column)
+    if len(first) > 1:
+        numbers = " and ".join(label.removeprefix(name).strip() for label in first[column])
+        yield f"{name} {numbers} differ: {'; '.join([*_specs(first), *_sizes(first, column)])}"
+
+
+def _specs(first: pd.DataFrame) -> list[str]:
+    from kickbench.results.specs import differences, stored_specs
+
+    if first.identity.nunique() < 2:
+        return []
+    try:
+        return differences([stored_specs(RunDirectory(Path(path))) for path in first.path])
+    except KickbenchError as error:
+        return [f"specs, of which some cannot be read ({error})"]
+
+
+def _sizes(first: pd.DataFrame, column: str) -> Sequence[str]:
+    words = []
+    if column == "group":
+        if first.iterations.nunique() > 1:
+            words.append(f"{' and '.join(f'{count:,.0f}' for count in first.iterations)} iterations")
+        if first.scale.nunique(dropna=False) > 1:
+            words.append(f"scale {' and '.join('1' if pd.isna(of) else f'{of:g}' for of in first.scale)}")
+    return words
+
+
+def repeat_lines(frame: pd.DataFrame) -> list[str]:
+    """A line for each run that repeats another."""
+    runs = runs_of(frame[frame.repeats.notna()])
+    return [
+        f"counted once: {shown(run.path)} is of the same identity and seed as {shown(run.repeats)}"
+        for _, run in runs.iterrows()
+    ]
+
+
+def unplanned_lines(frame: pd.DataFrame) -> list[str]:
+    """A line for each run that an experiment does not plan."""
+    lines = []
+    for _, run in runs_of(frame[frame.condition.isna()]).iterrows():
+        state = "" if run.state == "finished" else f": {unfinished_words(run)}"
+        lines.append(f"{run.deviation}, left out: {shown(run.path)}{state}")
+    return lines
+
+
+def left_out_lines(frame: pd.DataFrame) -> list[str]:
+    """A line for each run, or result on a transfer task, that has no figures, and why."""
+    without = frame[(frame.state != "finished") & (frame.state != "missing")]
+    return [f"left out: {shown(row.path)}: {unfinished_words(row)}" for _, row in without.iterrows()]

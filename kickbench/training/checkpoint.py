@@ -13,7 +13,7 @@ from pickle import UnpicklingError
 from typing import TYPE_CHECKING, Any
 
 from kickbench.errors import KickbenchError, shown
-from kickbench.results.atomic import atomic_write_bytes, read_regular
+from kickbench.results.atomic import atomic_write_bytes
 from kickbench.results.integrity import with_digest, without_digest
 
 if TYPE_CHECKING:
@@ -136,7 +136,7 @@ def iteration_of(file: Path) -> int:
 def is_whole(file: Path) -> bool:
     """Whether a checkpoint ends with the SHA-256 of its content."""
     try:
-        return without_digest(read_regular(file)) is not None
+        return without_digest(file.read_bytes()) is not None
     except (OSError, ValueError):
         return False
 
@@ -153,7 +153,7 @@ def _read(path: Path) -> dict[str, Any]:
     """Reads a file and checks its SHA-256."""
     import torch
 
-    data = read_regular(path)
+    data = path.read_bytes()
     body = without_digest(data)
     content = torch.load(io.BytesIO(data if body is None else body), weights_only=True, map_location="cpu")
     if body is None and content["format"] >= _CHECKED_FROM:

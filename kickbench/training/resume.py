@@ -11,13 +11,14 @@ from typing import Any
 import torch
 from rsl_rl.models import MLPModel
 
+from kickbench.config.load import load_method
 from kickbench.errors import KickbenchError, Problem, SpecError, shown
 from kickbench.nets.build import build_actor, build_critic
 from kickbench.results.identity import ITERATIONS, read_identity
-from kickbench.results.integrity import find_damage, seal
+from kickbench.results.integrity import damage, seal
 from kickbench.results.metrics import load_metrics
 from kickbench.results.provenance import InitialRef
-from kickbench.results.specs import spec_differences, stored_method, write_specs
+from kickbench.results.specs import spec_differences, write_specs
 from kickbench.results.store import RunDirectory
 from kickbench.training.checkpoint import Checkpoints, load_critic, save_policy
 from kickbench.training.iteration_log import rows_before
@@ -89,7 +90,9 @@ def take_up(
             )
     if not directory.holds_a_run:
         return begin(directory, trial, initial)
-    if _is_intact(directory) and directory.metrics.exists():
+    if words := damage(directory):
+        raise KickbenchError(f"{words}; --force runs it again")
+    if directory.metrics.exists():
         recorded = load_metrics(directory.metrics)
         check_same(directory, trial, seed, scale, recorded.model_dump(), extend=extend)
         if recorded.iterations >= trial.method.spec.algorithm.iterations:
@@ -136,7 +139,7 @@ def check_same(
         if recorded is not None and value != recorded.get(key)
     ]
     problems += spec_differences(directory, trial)
-    had = stored_method(directory).spec.algorithm.iterations
+    had = load_method(directory.method_spec).spec.algorithm.iterations
     wanted = trial.method.spec.algorithm.iterations
     if wanted < had or (wanted > had and not extend):
         what = f"{wanted}, but the run has {had}"
@@ -144,20 +147,6 @@ def check_same(
         problems.append(trial.method.document.problem(ITERATIONS, what, hint))
     if problems:
         raise SpecError([Problem(None, (), f"{shown(directory.path)} holds another run"), *problems])
-
-
-def _is_intact(directory: RunDirectory) -> bool:
-    """Whether a run is intact; damage that its last checkpoint can repair is reported.
-
-    Raises:
-        KickbenchError: It is damaged, and going on would keep the damage.
-    """
-    damage = find_damage(directory)
-    if damage and not damage.can_be_mended:
-        raise KickbenchError(f"{damage}; --force runs it again")
-    if damage:
-        print(f"{damage}; the run is evaluated again", file=sys.stderr)
-    return damage is None
 
 
 @dataclass(frozen=True)

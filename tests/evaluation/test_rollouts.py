@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pandas as pd
 import pytest
 import torch
 
@@ -34,8 +35,7 @@ def test_exactly_the_episodes_asked_for_are_counted_each_once(short, episodes, w
 
 
 def assert_equal(table, other):
-    for name, column in table.columns().items():
-        np.testing.assert_array_equal(column, other.columns()[name], err_msg=name)
+    pd.testing.assert_frame_equal(table, other)
 
 
 @pytest.fixture(scope="module")
@@ -83,8 +83,7 @@ def test_an_episode_is_the_same_among_others_and_alone(short):
     starts = draw_initial_states(short.task, 48, 0)
     table = run_episodes(short.task, kicker(short), starts, 0, num_envs=16)
     alone = run_episodes(short.task, kicker(short), starts.take(torch.arange(20, 28)), 0)
-    for name, column in alone.columns().items():
-        np.testing.assert_array_equal(column, table.columns()[name][20:28], err_msg=name)
+    assert_equal(alone, table[20:28].reset_index(drop=True))
 
 
 def test_few_steps_are_spent_on_envs_without_an_episode(short, monkeypatch):
@@ -138,7 +137,7 @@ def test_an_equivariant_policy_fares_alike_on_both_sides(short):
     swap = {"left": "right", "right": "left", "none": "none", "other": "other"}
     assert np.mean([swap[a] == b for a, b in zip(home.kick_foot, away.kick_foot, strict=True)]) > 0.97
     assert (home.touches == away.touches).mean() > 0.97
-    here, there = home.columns(), away.columns()
+    here, there = home, away
     np.testing.assert_allclose(here["launch_speed"][same], there["launch_speed"][same], atol=0.05)
     error = np.abs(here["direction_error"] + there["direction_error"])[same]
     assert np.nanquantile(error, 0.97) < 0.02
@@ -147,7 +146,7 @@ def test_an_equivariant_policy_fares_alike_on_both_sides(short):
 
 def test_the_figures_of_the_kick_agree_with_the_record_of_the_episode(short):
     table = run_episodes(short.task, kicker(short), draw_initial_states(short.task, 100, 0), 0, num_envs=40)
-    columns, touched = table.columns(), table.kick_foot != "none"
+    columns, touched = table, table.kick_foot != "none"
     assert touched.any()
     assert not touched.all()
     np.testing.assert_array_equal(columns["touches"] > 0, touched)

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from kickbench.results.atomic import atomic_write_bytes, atomic_write_text
-from kickbench.results.episode_table import EpisodeSides, EpisodeTable
+from kickbench.results.episode_table import EpisodeSides, EpisodeTable, episode_table
 from kickbench.results.integrity import with_digest
 from kickbench.results.metrics import Metrics
 from kickbench.results.progress_table import row_check
@@ -28,7 +28,7 @@ def episodes(successes: int, count: int = 10) -> EpisodeTable:
 
     numbers, zeros = np.arange(count), np.zeros(count)
     success = numbers < successes
-    return EpisodeTable(
+    return episode_table(
         start_ball_x=zeros + 0.3,
         start_ball_y=np.where(numbers % 2, 0.1, -0.1),
         target_x=zeros + 1.5,
@@ -48,7 +48,7 @@ def episodes(successes: int, count: int = 10) -> EpisodeTable:
 
 def make_metrics(iterations: int, seconds: float = 100.0, **values) -> Metrics:
     """A result with 4 of 10 successes; `seconds` of training and 20 s of evaluation."""
-    evaluation = summarise_sides(EpisodeSides(episodes(4), None), 0.35, 0.02)
+    evaluation = summarise_sides(EpisodeSides(episodes(4), None), 0.02)
     return made_up_metrics(evaluation, iterations=iterations, training_seconds=seconds, **values)
 
 

@@ -11,12 +11,12 @@ from kickbench.errors import SpecError
 from kickbench.launch.plan import Plan, Selection, make_plan
 from kickbench.launch.record import read_record, write_record
 from kickbench.results.identity import identity_of
-from kickbench.results.metrics import load_metrics, write_metrics
+from kickbench.results.metrics import load_metrics
 from kickbench.results.specs import write_specs
 from kickbench.trials.experiment import load_experiment
 from kickbench.trials.trial import load_trial
 
-from ..made_up import write_result
+from ..made_up import write_metrics, write_result
 from .conftest import checkpoint, make_metrics
 
 ROOT = Path(__file__).parents[2]

@@ -59,11 +59,11 @@ def test_a_result_of_fewer_iterations_than_wanted_is_not_finished(make_run):
     assert read_state(run).state is State.FINISHED, "without a plan the result says what was wanted"
 
 
-def test_a_damaged_result_is_made_again_from_the_checkpoint(make_run):
+def test_a_damaged_result_is_damage_and_says_where(make_run):
     run = make_run(rows=450, checkpoints=(450,), finished=450)
     run.metrics.write_text("{")
     state = read_state(run, 450)
-    assert (state.state, state.done) == (State.INTERRUPTED, 450)
+    assert (state.state, state.done) == (State.DAMAGED, 0)
     assert state.note.startswith("metrics.json: damaged")
 
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from kickbench.results.episode_table import EpisodeSides, EpisodeTable, write_episodes
+from kickbench.results.episode_table import EpisodeSides, EpisodeTable, episode_table, write_episodes
 from kickbench.results.metrics import Metrics
 from kickbench.results.summary import summarise_sides
 
@@ -24,7 +23,7 @@ def make_table(episodes: int = 60, seed: int = 0) -> EpisodeTable:
     reach, hit = rng.uniform(1.0, 2.0, episodes), np.arange(episodes) % 3 != 0
     target = np.stack([reach * np.cos(angle), reach * np.sin(angle)])
     distance = np.where(hit, 0.2, 0.8)
-    return EpisodeTable(
+    return episode_table(
         start_ball_x=rng.uniform(0.25, 0.55, episodes),
         start_ball_y=ball_y,
         target_x=target[0],
@@ -49,13 +48,11 @@ def make_table(episodes: int = 60, seed: int = 0) -> EpisodeTable:
 def mirror(table: EpisodeTable) -> EpisodeTable:
     """The episodes of a policy that treats both sides alike."""
     feet = {"left": "right", "right": "left"}
-    assert table.direction_error is not None
-    return replace(
-        table,
+    return table.assign(
         start_ball_y=-table.start_ball_y,
         target_y=-table.target_y,
         final_ball_y=-table.final_ball_y,
-        kick_foot=np.array([feet[foot] for foot in table.kick_foot.tolist()]),
+        kick_foot=table.kick_foot.map(feet),
         direction_error=-table.direction_error,
     )
 
@@ -70,7 +67,7 @@ def make_metrics(sides: EpisodeSides, task: str, method: str, seed: int, **chang
         "seconds": 5400.0,
     }
     values = {"iterations": 450, "env_steps": 2_764_800, "training_seconds": 5000.0, **changes}
-    evaluation = summarise_sides(sides, 0.35, 0.02)
+    evaluation = summarise_sides(sides, 0.02)
     return made_up_metrics(evaluation, source, task=task, method=method, seed=seed, **values)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from kickbench.report import plots, tables
+from kickbench.report import plots
 from kickbench.report.study import Study, studies
 from kickbench.report.style import Picture, looks_of, style, subplots
 from kickbench.results.quantities import DISTANCE, SUCCESS, over_seeds
@@ -67,17 +67,6 @@ def test_numbers_are_written_in_one_way():
     assert SUCCESS.of_run(runs(0.4).iloc[0]) == "40.0 [10.0, 90.0]"
     assert SUCCESS.of_run(runs(np.nan).iloc[0]) == SUCCESS.of_run(None) == "not measured"
     assert DISTANCE.unit.text(-1e-9) == "0.000"
-
-
-def test_success_in_bins_counts_every_episode_once(study):
-    angle = np.degrees(np.arctan2(study.episodes.target_y, study.episodes.target_x))
-    for values in (np.hypot(study.episodes.target_x, study.episodes.target_y), angle):
-        found = plots.binned(study.episodes, values, 2)
-        assert found.groupby(["condition", "side"]).episodes.sum().max() <= 120
-        assert (found.episodes >= 20).all()
-        assert ((found.low <= found.rate) & (found.rate <= found.high)).all()
-    assert (found.middle[found.side == "mirrored"] < 0).all()
-    assert found.episodes[(found.condition == "baseline") & (found.side == "mirrored")].sum() == 120
 
 
 def curves(*iterations: int) -> pd.DataFrame:
@@ -145,9 +134,7 @@ def test_every_figure_can_be_drawn(study):
             plots.slopes(plots.both_sides(found[SUCCESS]), study.measured, looks, 600),
             plots.learning_curves(study.curves, looks),
             plots.resting_places(study.episodes, looks),
-            plots.success_by_target(study.episodes, looks),
             plots.kicking_feet(kicks),
-            plots.first_touches(tables.first_touches(study.measured), 600),
         ):
             ElementTree.fromstring(Picture("a", figure).svg())
 
@@ -176,15 +163,6 @@ def test_feet_mirror_with_a_symmetric_policy(study):
     share = np.ma.filled(mesh.get_array(), np.nan)
     assert np.isfinite(share).any()
     np.testing.assert_allclose(share + share[:, ::-1], np.where(np.isnan(share), np.nan, 100.0))
-
-
-def test_first_touches_add_up_both_sides(study):
-    counts = tables.first_touches(study.measured)
-    assert counts.index[0] == "mini_home_field: baseline, seed 0"
-    first = counts.iloc[0]
-    assert first["ball left, left foot"] == first["ball right, right foot"]
-    assert first["ball left, left foot"] + first["ball left, right foot"] == 60
-    assert f"ball left, left foot {first['ball left, left foot']}" in tables.words(counts)
 
 
 def test_an_error_of_nothing_can_be_drawn():

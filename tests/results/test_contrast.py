@@ -9,9 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from kickbench.config import experiment as config
 from kickbench.config.experiment import KINDS, DifferenceWithin, Operand
 from kickbench.results.contrast import (
-    _RANGES,
+    _AT_LEAST,
+    _AT_MOST,
+    _WITHIN,
     Contrast,
     RunTerms,
     Term,
@@ -21,7 +24,7 @@ from kickbench.results.contrast import (
     run_terms,
 )
 from kickbench.results.frame import frame_of
-from kickbench.results.quantities import Figure, check_rows
+from kickbench.results.quantities import METRICS, Figure
 from kickbench.results.statistics import Interval, student, two_proportions, wilson
 
 ARM = Operand(condition="a")
@@ -106,13 +109,11 @@ def test_the_two_sides_of_one_evaluation_are_correlated_by_its_pairs(make, of, m
 
 
 def test_every_kind_of_claim_and_no_other_has_a_range():
-    assert {"at_least", "less_than", "near_reported"} < set(KINDS) == set(_RANGES)
+    assert sorted([*_AT_LEAST, *_AT_MOST, *_WITHIN]) == sorted(KINDS)
 
 
-@pytest.mark.parametrize("names", [["at_least", "new"], []])
-def test_a_table_without_a_row_for_a_name_or_with_one_too_many_is_an_error(names):
-    with pytest.raises(TypeError, match=r"kind of claim (at_least|new): no row, or a row of no such name"):
-        check_rows({"at_least": 1}, names, "kind of claim")
+def test_every_metric_and_no_other_is_measured():
+    assert set(METRICS) == set(config.METRICS)
 
 
 def test_a_figure_without_an_interval_has_no_interval_over_episodes():

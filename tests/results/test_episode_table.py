@@ -1,16 +1,18 @@
 """The per-episode table: what it accepts, and that a file gives back what was written."""
 
 import gzip
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from kickbench.errors import KickbenchError
 from kickbench.results.episode_table import (
+    KICK_COLUMNS,
     EpisodeSides,
     EpisodeTable,
+    episode_table,
     read_episodes,
     write_episodes,
 )
@@ -21,7 +23,7 @@ def make_table(episodes: int = 5, seed: int = 0) -> EpisodeTable:
     rng = np.random.default_rng(seed)
     kicked = rng.random(episodes) < 0.8
     distance = rng.gamma(2.0, 0.2, episodes)
-    return EpisodeTable(
+    return episode_table(
         start_ball_x=rng.uniform(0.2, 0.4, episodes),
         start_ball_y=rng.uniform(-0.2, 0.2, episodes),
         target_x=rng.uniform(1, 2, episodes),
@@ -43,17 +45,8 @@ def make_table(episodes: int = 5, seed: int = 0) -> EpisodeTable:
     )
 
 
-OLDER = dict.fromkeys(("touches", "walked_after_touch", "launch_speed", "direction_error"))
-"""Columns that tables of older versions lack."""
-
-
 def assert_same(found: EpisodeTable, expected: EpisodeTable) -> None:
-    for name, column in expected.columns().items():
-        other = found.columns()[name]
-        if column.dtype.kind == "f":
-            np.testing.assert_allclose(other, column, rtol=0, atol=5.1e-7, err_msg=name)
-        else:
-            np.testing.assert_array_equal(other, column, err_msg=name)
+    pd.testing.assert_frame_equal(found, expected, rtol=0, atol=5.1e-7)
 
 
 def test_a_file_gives_back_both_sides(tmp_path: Path) -> None:
@@ -79,7 +72,7 @@ def test_writing_what_was_read_gives_the_same_bytes(tmp_path: Path) -> None:
 
 
 def test_the_file_is_plain_csv_with_a_side_column(tmp_path: Path) -> None:
-    table = replace(make_table(1), start_ball_y=np.array([-1e-9]), success=np.array([True]))
+    table = make_table(1).assign(start_ball_y=-1e-9, success=True)
     write_episodes(tmp_path / "episodes.csv", EpisodeSides(table))
     header, row = (tmp_path / "episodes.csv").read_text().splitlines()
     cells = dict(zip(header.split(","), row.split(","), strict=True))
@@ -91,63 +84,30 @@ def test_the_file_is_plain_csv_with_a_side_column(tmp_path: Path) -> None:
 def test_a_file_of_an_older_version_is_read_without_the_kick_and_columns_may_be_in_any_order(
     tmp_path: Path,
 ) -> None:
-    older = replace(make_table(4), **OLDER)
+    older = make_table(4).drop(columns=list(KICK_COLUMNS))
     path = tmp_path / "episodes.csv"
     write_episodes(path, EpisodeSides(older))
     header, *rows = [line.split(",") for line in path.read_text().splitlines()]
-    assert not set(OLDER) & set(header)
+    assert not set(KICK_COLUMNS) & set(header)
     added = [[*header[:1], "world", "episode", *header[1:]]]
     added += [[row[0], str(index), "0", *row[1:]] for index, row in enumerate(rows)]
     path.write_text("".join(",".join(reversed(line)) + "\n" for line in added))
     found = read_episodes(path).in_distribution
-    assert found.touches is found.direction_error is None
     assert_same(found, older)
 
 
-def test_the_figures_of_the_kick_come_together() -> None:
-    with pytest.raises(ValueError, match="all or none of the columns touches, walked_after_touch"):
-        replace(make_table(2), launch_speed=None)
-
-
 def test_float32_columns_become_doubles() -> None:
-    table = replace(make_table(2), distance=np.array([0.1, 0.2], dtype=np.float32))
+    columns = {name: column.to_numpy() for name, column in make_table(2).items()}
+    table = episode_table(**{**columns, "distance": np.array([0.1, 0.2], dtype=np.float32)})
     assert table.distance.dtype == np.float64
-
-
-def test_the_table_does_not_change_with_the_arrays_it_was_made_from() -> None:
-    distance = np.array([0.1, 0.2])
-    table = replace(make_table(2), distance=distance)
-    distance[0] = 9.0
-    assert table.distance[0] == 0.1
-    with pytest.raises(ValueError, match="read-only"):
-        table.distance[0] = 9.0
-
-
-@pytest.mark.parametrize(
-    ("column", "values", "message"),
-    [
-        ("distance", [0.1, np.nan], "distance: expected finite values, found nan in row 1"),
-        ("launch_speed", [np.nan, np.inf], "launch_speed: expected finite values, found inf in row 1"),
-        ("walked_after_touch", [np.nan, 0], "walked_after_touch: expected finite values"),
-        ("distance", [0.1], r"distance: expected shape \(2,\)"),
-        ("steps", [1.5, 2.0], "steps: expected whole numbers"),
-        ("success", ["yes", "no"], "success: expected whole numbers or truth values"),
-        ("kick_foot", ["left", "hand"], "kick_foot: expected one of left, right, other, none"),
-    ],
-)
-def test_a_wrong_column_is_named(column: str, values: list, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        replace(make_table(2), **{column: np.array(values)})
 
 
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("side,start_ball_x", "side,ball_x", ":1: expected the columns side, start_ball_x"),
-        ("side,start_ball_x", "side,start_ball_y", ":1: expected the columns side, start_ball_x"),
-        ("\nin_distribution", "\nhome", ":2: side: expected in_distribution or mirrored, found 'home'"),
-        ("\nin_distribution,0.", "\nin_distribution,1,0.", ":2: expected 19 values, found 20"),
-        ("\nin_distribution,0.", "\nin_distribution,zero", "start_ball_x: could not convert"),
+        ("side,start_ball_x", "side,ball_x", "there is no start_ball_x"),
+        ("side,start_ball_x", "start_ball_x", "cannot read the episode table"),
+        ("\nin_distribution,0.", "\nin_distribution,zero", "could not convert"),
     ],
 )
 def test_a_damaged_file_is_an_error_that_names_the_place(
@@ -163,7 +123,7 @@ def test_a_damaged_file_is_an_error_that_names_the_place(
     assert "episodes.csv" in str(caught.value)
 
 
-@pytest.mark.parametrize("damage", [b"\xff\xfe\x00", b'"' + b"1" * 200_000])
+@pytest.mark.parametrize("damage", [b"\xff\xfe\x00", b'"' + b"1" * 200_000, b""])
 def test_a_file_that_is_no_table_at_all_is_an_error(tmp_path: Path, damage: bytes) -> None:
     path = tmp_path / "episodes.csv"
     path.write_bytes(damage)

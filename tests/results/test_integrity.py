@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import random
 import re
@@ -19,9 +18,7 @@ from kickbench.results import integrity
 from kickbench.results.integrity import (
     check,
     damage,
-    find_damage,
     read_sums,
-    seal,
     with_digest,
     without_digest,
     write_also,
@@ -118,17 +115,11 @@ def test_no_verb_uses_a_damaged_run_without_a_word(run, capsys, name):
     assert f"{name}: damaged" in re.sub(r"\s+", " ", capsys.readouterr().out)
 
 
-def test_what_the_checkpoint_mends_is_mended_by_a_resume_and_nothing_else_is(run, finished, capsys):
+def test_a_damaged_run_is_not_gone_on_with(run, capsys):
     command = ["run", TASK, METHOD, "--out", str(run), *QUICK, "--resume"]
-    flip(run / "policy.pt", random.Random(0))
-    assert main(command) == 0
-    assert "policy.pt: damaged" in capsys.readouterr().err
-    check(run)
-    mended, original = (json.loads((path / "metrics.json").read_text()) for path in (run, finished))
-    assert mended["evaluation"] == original["evaluation"]
-    for name in ("progress.csv", "identity.json", "specs/robot.yaml", "SHA256SUMS"):
+    for name in ("policy.pt", "progress.csv", "identity.json", "specs/robot.yaml", "SHA256SUMS"):
         whole = (run / name).read_bytes()
-        old, new = (b"  ", b" ") if name == "SHA256SUMS" else (b"0", b"1")
+        old, new = (b"  ", b" ") if name == "SHA256SUMS" else (whole[:1], b"#")
         (run / name).write_bytes(whole.replace(old, new, 1))
         before = {file: file.read_bytes() for file in files_of(run)}
         assert main(command) == 2
@@ -169,68 +160,6 @@ def test_a_damaged_spec_of_an_unfinished_run_is_named(run, name):
     assert damage(run) == f"{spec}: damaged: its SHA-256 is not that in SHA256SUMS"
 
 
-def test_what_is_no_regular_file_is_not_read(run):
-    for name in ("metrics.json", "policy.pt", "SHA256SUMS", "also/mini_general.json"):
-        whole = (run / name).read_bytes()
-        (run / name).unlink()
-        os.mkfifo(run / name)
-        assert name in (damage(run) or "")
-        assert main(["status", str(run)]) == 0
-        (run / name).unlink()
-        (run / name).write_bytes(whole)
-    check(run)
-
-
-def test_a_pipe_in_an_unfinished_run_is_not_read(run, capsys):
-    (run / "metrics.json").unlink()
-    command = ["run", TASK, METHOD, "--out", str(run), *QUICK, "--resume"]
-    for name, told in (
-        ("progress.csv", "progress.csv: cannot read the progress table: [Errno 22] expected a regular file"),
-        ("iteration_000002.pt", "000002.pt: damaged"),
-    ):
-        (file,) = run.rglob(name)
-        whole = file.read_bytes()
-        file.unlink()
-        os.mkfifo(file)
-        assert main(["status", str(run)]) == 0
-        assert main(command) == (2 if name == "progress.csv" else 0)
-        assert told in capsys.readouterr().err
-        file.unlink()
-        file.write_bytes(whole)
-
-
-@pytest.mark.parametrize("key", ["success_rate", "kicked_fraction", "mean_distance", "terminations"])
-def test_figures_that_the_episodes_do_not_give_are_damage_whatever_the_sums_say(run, key):
-    content = json.loads((run / "metrics.json").read_text())
-    side = content["evaluation"]["mirrored"]
-    side[key] = {"target_hit": 1.0} if key == "terminations" else 0.5 if side[key] != 0.5 else 0.25
-    (run / "metrics.json").write_text(json.dumps(content))
-    seal(run)
-    assert f"mirrored.{key} does not agree with episodes.csv" in (damage(run) or "")
-
-
-def test_a_ball_on_the_axis_may_be_rounded_to_the_other_side(run):
-    """Episodes have six decimals; the figures were computed with all."""
-    rows = (run / "episodes.csv").read_text().splitlines()
-    column = rows[0].split(",").index("start_ball_y")
-    for place in (1, 1 + (len(rows) - 1) // 2):
-        row = rows[place].split(",")
-        row[column] = "0.000000"
-        rows[place] = ",".join(row)
-    (run / "episodes.csv").write_text("\n".join(rows) + "\n")
-    seal(run)
-    assert damage(run) is None
-
-
-def test_a_run_of_an_older_version_is_intact_if_its_figures_agree(run):
-    for name in ("SHA256SUMS", "identity.json"):
-        (run / name).unlink()
-    assert damage(run) is None
-    text = (run / "episodes.csv").read_text()
-    (run / "episodes.csv").write_text(text.replace(",none,", ",left,", 1))
-    assert "does not agree" in (damage(run) or "")
-
-
 @pytest.mark.parametrize("calls", range(1, 5))
 @pytest.mark.parametrize("name", ["also/mini_general.json", "also/other.json"])
 def test_figures_on_a_further_task_can_be_killed_at_any_moment(run, monkeypatch, calls, name):
@@ -263,14 +192,6 @@ def test_sums_of_files_elsewhere_are_damage(tmp_path, name):
     (tmp_path / "SHA256SUMS").write_text(f"{'0' * 64}  {name}\n")
     with pytest.raises(KickbenchError, match="line 1 is no SHA-256 of a file of the run"):
         read_sums(tmp_path)
-
-
-def test_worst_damage_comes_first(run):
-    for name in ("policy.pt", "specs/task.yaml"):
-        flip(run / name, random.Random(0))
-    found = find_damage(run)
-    assert found is not None
-    assert (found.file, found.can_be_mended) == ("specs/task.yaml", False)
 
 
 def test_data_with_their_digest_show_every_flip():

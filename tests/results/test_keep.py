@@ -13,10 +13,12 @@ from kickbench.errors import KickbenchError
 from kickbench.results.episode_table import EpisodeSides, read_episodes, write_episodes
 from kickbench.results.integrity import damage, seal
 from kickbench.results.keep import keep
-from kickbench.results.metrics import load_metrics, write_metrics
+from kickbench.results.metrics import load_metrics
 from kickbench.results.progress_table import read_progress
 from kickbench.results.store import RunDirectory
 from kickbench.results.summary import summarise_sides
+
+from ..made_up import write_metrics
 
 MEASURED = Path(__file__).parents[2] / "results/measured/mini_home_field/baseline/seed0"
 COUNT = 1000
@@ -29,29 +31,26 @@ def run(tmp_path) -> Path:
     home, mirrored = read_episodes(path / "episodes.csv.gz")
     assert mirrored is not None
     rows = np.resize(np.arange(len(home)), COUNT)
-    many = [
-        type(side)(**{name: of[rows] for name, of in side.columns().items()}) for side in (home, mirrored)
-    ]
+    many = [side.take(rows).reset_index(drop=True) for side in (home, mirrored)]
     (path / "episodes.csv.gz").unlink()
     (path / "progress.csv.gz").unlink()
     write_episodes(path / "episodes.csv", EpisodeSides(*many))
     (path / "progress.csv").write_text("iteration,a\n" + "".join(f"{i},{i / 7:.6g}\n" for i in range(13)))
     metrics = load_metrics(path / "metrics.json")
-    evaluation = summarise_sides(EpisodeSides(*many), 0.4, 0.02)
+    evaluation = summarise_sides(EpisodeSides(*many), 0.02)
     write_metrics(path / "metrics.json", metrics.model_copy(update={"evaluation": evaluation}))
     seal(path)
     return path
 
 
-def test_every_kth_episode_of_both_sides_is_kept_to_a_tenth_of_a_millimetre(run, tmp_path):
+def test_every_kth_episode_of_both_sides_is_kept(run, tmp_path):
     (kept,) = keep(tmp_path / "runs", tmp_path / "kept")
     assert kept == tmp_path / "kept/baseline/seed0"
     for side, whole in zip(
         read_episodes(kept / "episodes.csv.gz"), read_episodes(run / "episodes.csv"), strict=True
     ):
+        pd.testing.assert_frame_equal(side, whole[::5].reset_index(drop=True))
         assert len(side) == 200
-        np.testing.assert_allclose(side.distance, whole.distance[::5], atol=5.1e-5)
-        np.testing.assert_array_equal(side.kick_foot, whole.kick_foot[::5])
 
 
 @pytest.mark.parametrize(("every", "rows"), [(5, [0, 5, 10, 12]), (4, [0, 4, 8, 12]), (1, list(range(13)))])
@@ -69,17 +68,6 @@ def test_a_kept_run_is_intact_and_can_be_kept_again(run, tmp_path):
     assert damage(tmp_path / "again") is None
     for name in ("metrics.json", "policy.pt", "episodes.csv.gz"):
         assert (tmp_path / "again" / name).read_bytes() == (tmp_path / "kept" / name).read_bytes()
-
-
-def test_a_plain_table_with_episodes_missing_is_no_sample(run):
-    home, mirrored = read_episodes(run / "episodes.csv")
-    assert mirrored is not None
-    few = [
-        type(of)(**{name: column[::5] for name, column in of.columns().items()}) for of in (home, mirrored)
-    ]
-    write_episodes(run / "episodes.csv", EpisodeSides(*few))
-    seal(run)
-    assert "episodes does not agree with episodes.csv" in (damage(run) or "")
 
 
 def test_a_damaged_or_unfinished_run_is_not_kept(run, tmp_path):

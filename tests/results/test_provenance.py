@@ -1,7 +1,8 @@
 """Provenance: right about versions and commits, silent about the machine's paths."""
 
 import subprocess
-from datetime import datetime, timedelta, timezone
+import time
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy
@@ -9,15 +10,12 @@ import pytest
 
 from kickbench.results import provenance
 from kickbench.results.provenance import (
-    Moment,
+    code_state,
     collect_provenance,
     cpu_name,
-    git_state,
     package_versions,
     portable_command,
 )
-
-STARTED = datetime(2026, 1, 2, 3, 4, 5, tzinfo=timezone(timedelta(hours=2)))
 
 
 def git(folder: Path, *arguments: str) -> str:
@@ -39,12 +37,12 @@ def checkout(tmp_path: Path) -> Path:
 
 
 def test_the_record_has_the_times_in_utc_and_what_it_was_given(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The wall clock was set back in between, which changes no duration."""
-    finished = Moment(STARTED - timedelta(hours=3), 161.5)
-    monkeypatch.setattr(Moment, "now", staticmethod(lambda: finished))
-    record = collect_provenance(seed=7, env_steps=99, started=Moment(STARTED, 100.0), num_threads=2)
-    assert record.started == "2026-01-02T01:04:05+00:00"
-    assert record.finished == "2026-01-01T22:04:05+00:00"
+    monkeypatch.setattr(time, "monotonic", lambda: 161.5)
+    record = collect_provenance(seed=7, env_steps=99, started=100.0, num_threads=2)
+    started, finished = map(datetime.fromisoformat, (record.started, record.finished))
+    assert started.tzinfo == finished.tzinfo == UTC
+    assert abs((finished - started).total_seconds() - 61.5) <= 1
+    assert abs((datetime.now(UTC) - finished).total_seconds()) < 60
     assert record.seconds == 61.5
     assert (record.seed, record.env_steps, record.num_threads) == (7, 99, 2)
     assert record.device == cpu_name() != ""
@@ -54,7 +52,7 @@ def test_a_command_of_bytes_that_are_no_text_can_be_written_down() -> None:
     record = collect_provenance(
         seed=0,
         env_steps=0,
-        started=Moment.now(),
+        started=time.monotonic(),
         num_threads=1,
         argv=["kickbench", "run", "l\udcfc", "a\x1b[2J"],
     )
@@ -76,29 +74,29 @@ def test_the_processor_is_named_as_linux_names_it(tmp_path: Path) -> None:
 
 
 def test_a_clean_checkout_gives_its_commit(checkout: Path) -> None:
-    assert git_state(checkout / "module.py") == (git(checkout, "rev-parse", "HEAD"), False)
+    assert code_state(checkout / "module.py") == (git(checkout, "rev-parse", "HEAD"), False)
 
 
 @pytest.mark.parametrize("name", ["module.py", "new.yaml"])
 def test_a_changed_or_a_new_file_makes_the_checkout_dirty(checkout: Path, name: str) -> None:
     (checkout / name).write_text("two = 2\n")
-    assert git_state(checkout / "module.py")[1] is True
+    assert code_state(checkout / "module.py")[1] is True
 
 
 def test_a_package_that_the_surrounding_checkout_does_not_track_has_no_commit(checkout: Path) -> None:
     (checkout / "installed.py").write_text("")
-    assert git_state(checkout / "installed.py") == (None, None)
+    assert code_state(checkout / "installed.py") == (None, None)
 
 
 def test_outside_of_git_there_is_no_commit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("GIT_CEILING_DIRECTORIES", str(tmp_path.parent))
     (tmp_path / "module.py").write_text("")
-    assert git_state(tmp_path / "module.py") == (None, None)
+    assert code_state(tmp_path / "module.py") == (None, None)
 
 
 def test_without_git_installed_there_is_no_commit(checkout: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", "")
-    assert git_state(checkout / "module.py") == (None, None)
+    assert code_state(checkout / "module.py") == (None, None)
 
 
 def test_the_command_has_no_paths_of_this_machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -133,7 +131,7 @@ def test_the_command_has_no_paths_of_this_machine(tmp_path: Path, monkeypatch: p
 
 def test_no_field_of_a_record_names_a_folder_of_this_machine() -> None:
     text = collect_provenance(
-        seed=0, env_steps=0, started=Moment.now(), num_threads=1, argv=[__file__, "run", __file__]
+        seed=0, env_steps=0, started=time.monotonic(), num_threads=1, argv=[__file__, "run", __file__]
     ).model_dump_json()
     for folder in (Path.home(), Path.cwd(), Path(__file__).parent):
         assert str(folder) + "/" not in text

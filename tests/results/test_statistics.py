@@ -13,8 +13,6 @@ from kickbench.results.statistics import (
     Interval,
     bootstrap,
     holm,
-    improvement,
-    iqm,
     mcnemar,
     rank_test,
     student,
@@ -24,7 +22,6 @@ from kickbench.results.statistics import (
 )
 
 # Coarse values, so that ties occur.
-scores = st.lists(st.integers(-20, 20).map(lambda value: value / 4), min_size=1, max_size=9)
 several = st.lists(st.integers(-20, 20).map(lambda value: value / 4), min_size=2, max_size=9)
 
 
@@ -76,11 +73,7 @@ def test_wilson_refuses_impossible_counts(successes: int, n: int) -> None:
 
 @pytest.mark.parametrize(
     ("ours", "statistic"),
-    [
-        (mean, np.mean),
-        (median, np.median),
-        (iqm, lambda sample, axis: stats.trim_mean(sample, 0.25, axis=axis)),
-    ],
+    [(mean, np.mean), (median, np.median)],
 )
 def test_bootstrap_agrees_with_scipy(ours, statistic) -> None:
     values = rng(1).gamma(2.0, 0.4, 301)
@@ -88,7 +81,7 @@ def test_bootstrap_agrees_with_scipy(ours, statistic) -> None:
         (values,), statistic, n_resamples=20_000, method="percentile", rng=rng(2), batch=2000
     ).confidence_interval
     width = expected.high - expected.low
-    assert bootstrap([values], ours, rng(3)) == pytest.approx((expected.low, expected.high), abs=0.1 * width)
+    assert bootstrap(values, ours, rng(3)) == pytest.approx((expected.low, expected.high), abs=0.1 * width)
 
 
 def test_the_bootstrap_of_a_ratio_agrees_with_scipy() -> None:
@@ -103,35 +96,26 @@ def test_the_bootstrap_of_a_ratio_agrees_with_scipy() -> None:
         rng=rng(11),
         batch=2000,
     ).confidence_interval
-    interval = bootstrap([np.stack([top, bottom], axis=1)], ratio, rng(12))
+    interval = bootstrap(np.stack([top, bottom], axis=1), ratio, rng(12))
     assert interval == pytest.approx((expected.low, expected.high), abs=0.1 * (expected.high - expected.low))
 
 
 @pytest.mark.parametrize(("ours", "truth"), [(mean, 2.0), (median, stats.gamma(2).median())])
 def test_bootstrap_covers_the_truth_as_often_as_it_says(ours, truth: float) -> None:
     samples = rng(4).gamma(2.0, 1.0, (400, 150))
-    intervals = [bootstrap([sample], ours, rng(5)) for sample in samples]
+    intervals = [bootstrap(sample, ours, rng(5)) for sample in samples]
     assert 0.91 < np.mean([low <= truth <= high for low, high in intervals]) < 0.98
 
 
 def test_the_same_seed_gives_the_same_interval() -> None:
     values = np.linspace(0, 1, 50)
-    first = bootstrap([values], mean, rng(5))
-    assert first == bootstrap([values], mean, rng(5))
-    assert first != bootstrap([values], mean, rng(6))
-
-
-def test_samples_are_drawn_each_by_itself() -> None:
-    """Two samples of constant but unequal values: nothing varies within them, so the figure does not either."""
-
-    def of_both(first, second):
-        return (first.mean(axis=1) + second.mean(axis=1)) / 2
-
-    assert bootstrap([[0.1] * 4, [0.9] * 5], of_both, rng()) == pytest.approx((0.5, 0.5))
+    first = bootstrap(values, mean, rng(5))
+    assert first == bootstrap(values, mean, rng(5))
+    assert first != bootstrap(values, mean, rng(6))
 
 
 def test_one_value_has_an_interval_of_width_zero() -> None:
-    assert bootstrap([[0.3]], mean, rng()) == Interval(0.3, 0.3)
+    assert bootstrap([0.3], mean, rng()) == Interval(0.3, 0.3)
 
 
 counts = st.integers(1, 3000).flatmap(lambda n: st.tuples(st.integers(0, n), st.just(n)))
@@ -189,35 +173,6 @@ def test_students_interval_is_scipys() -> None:
     assert student(values) == pytest.approx(stats.ttest_1samp(values, 0).confidence_interval())
 
 
-@given(values=scores, order=st.randoms())
-def test_iqm_lies_between_the_ends_and_knows_no_order(values, order) -> None:
-    middle = iqm(values)
-    assert min(values) <= middle <= max(values)
-    order.shuffle(values)
-    assert iqm(values) == pytest.approx(middle)
-
-
-def test_iqm_of_three_seeds_is_their_mean_and_of_four_drops_the_ends() -> None:
-    assert iqm([0.0, 0.1, 0.8]) == pytest.approx(0.3)
-    assert iqm([-100.0, 0.1, 0.3, 7.0]) == pytest.approx(0.2)
-
-
-@given(first=scores, second=scores)
-def test_improvement_is_the_mann_whitney_statistic_by_pair(first, second) -> None:
-    expected = stats.mannwhitneyu(first, second).statistic / (len(first) * len(second))
-    assert improvement(first, second) == pytest.approx(expected)
-    assert improvement(first, second) + improvement(second, first) == pytest.approx(1)
-
-
-def test_intervals_of_many_seeds_cover_the_truth_as_often_as_they_say() -> None:
-    source, repeats, covered = rng(5), 150, 0
-    truth = stats.norm.cdf(0.8 / np.sqrt(2))
-    for _ in range(repeats):
-        interval = bootstrap([source.normal(0.8, 1, 40), source.normal(0, 1, 40)], improvement, source)
-        covered += interval.low <= truth <= interval.high
-    assert 0.89 < covered / repeats < 0.99
-
-
 def by_definition(first: list[float], second: list[float]) -> float:
     """Twice the smaller tail of the rank sum over every way to pick the first sample out of both."""
     ranks = stats.rankdata([*first, *second])
@@ -232,16 +187,16 @@ def by_definition(first: list[float], second: list[float]) -> float:
     second=st.lists(st.integers(0, 4), min_size=2, max_size=5),
 )
 def test_the_rank_test_counts_every_assignment_with_ties_too(first, second) -> None:
-    assert rank_test(first, second).p_value == pytest.approx(by_definition(first, second))
+    assert rank_test(first, second) == pytest.approx(by_definition(first, second))
 
 
 @pytest.mark.parametrize(("count", "smallest"), [(1, 1.0), (2, 1 / 3), (3, 0.1), (4, 1 / 35), (5, 1 / 126)])
 def test_the_smallest_p_is_that_of_a_clean_sweep(count, smallest) -> None:
-    assert rank_test(list(range(100, 100 + count)), list(range(count))) == pytest.approx((smallest, smallest))
+    assert rank_test(list(range(100, 100 + count)), list(range(count))) == pytest.approx(smallest)
 
 
 def test_equal_scores_are_no_difference() -> None:
-    assert rank_test([0.0] * 40, [0.0] * 40).p_value == 1.0
+    assert rank_test([0.0] * 40, [0.0] * 40) == 1.0
 
 
 @given(first=several, second=several)
@@ -265,10 +220,10 @@ def test_welchs_interval_is_exactly_scipys_where_the_degrees_of_freedom_are_whol
 
 
 def test_three_seeds_are_covered_by_welch_and_not_by_the_bootstrap() -> None:
-    """What the docstring of `kickbench.results.compare` says of few seeds."""
+    """Why `kickbench.results.compare` takes Welch's."""
     samples = rng(6).normal(size=(300, 2, 3))
     by_welch = np.mean([low <= 0 <= high for low, high in (welch(x, y).interval for x, y in samples)])
-    intervals = [bootstrap([x], iqm, rng(7)) for x, _ in samples]
+    intervals = [bootstrap(x, mean, rng(7)) for x, _ in samples]
     assert by_welch > 0.93
     assert 0.65 < np.mean([low <= 0 <= high for low, high in intervals]) < 0.85
 
@@ -286,19 +241,3 @@ def test_holm_keeps_the_order_and_lies_between_none_and_bonferroni(p) -> None:
     assert (adjusted >= p).all()
     assert (adjusted <= np.minimum(1, len(p) * np.array(p))).all()
     assert (np.diff(adjusted[np.argsort(p)]) >= 0).all()
-
-
-class TestAgainstRliable:
-    """The reference implementation of Agarwal et al., where it is installed (with arch<8 and pandas<3)."""
-
-    def test_estimates_and_intervals_agree(self) -> None:
-        metrics = pytest.importorskip("rliable.metrics")
-        library = pytest.importorskip("rliable.library")
-        x, y = np.round(rng(7).normal(0.6, 0.3, (7, 1)), 1), np.round(rng(8).normal(0.4, 0.3, (7, 1)), 1)
-        assert iqm(x[:, 0]) == pytest.approx(metrics.aggregate_iqm(x))
-        assert improvement(x[:, 0], y[:, 0]) == pytest.approx(metrics.probability_of_improvement(x, y))
-        _, theirs = library.get_interval_estimates(
-            {"x,y": (x, y)}, lambda *pair: np.array([metrics.probability_of_improvement(*pair)]), reps=4000
-        )
-        ours = bootstrap([x[:, 0], y[:, 0]], improvement, rng(9))
-        assert ours == pytest.approx(tuple(theirs["x,y"][:, 0]), abs=0.1 * (ours.high - ours.low))

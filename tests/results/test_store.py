@@ -72,7 +72,7 @@ def test_a_write_that_fails_leaves_the_old_file_and_no_other(tmp_path: Path) -> 
     [
         (".", "Is a directory"),
         ("folder", "Is a directory"),
-        ("file/a", "Not a directory"),
+        ("file/a", "File exists"),
         ("n" * 300, "File name too"),
     ],
     ids=["here", "folder", "below a file", "long"],
@@ -234,7 +234,7 @@ def test_a_folder_that_another_machine_has_locked_is_occupied(tmp_path: Path) ->
 
 def test_a_file_in_the_place_of_the_folder_is_an_error(tmp_path: Path) -> None:
     (tmp_path / "run").write_text("")
-    with pytest.raises(KickbenchError, match="expected a folder"):
+    with pytest.raises(KickbenchError, match="cannot make the run's folder: File exists"):
         RunDirectory(tmp_path / "run").prepare(force=True)
 
 

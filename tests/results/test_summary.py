@@ -1,13 +1,12 @@
 """Figures follow from the episodes: of left against right, which a mirrored policy has mirrored, and of the kick."""
 
-from dataclasses import replace
 from math import pi
 
 import numpy as np
 import pytest
 from scipy import stats
 
-from kickbench.results.episode_table import EpisodeSides, EpisodeTable
+from kickbench.results.episode_table import EpisodeSides, EpisodeTable, episode_table
 from kickbench.results.frame import frame_of
 from kickbench.results.metrics import EquivarianceError, KickFigures
 from kickbench.results.statistics import mcnemar, wilson
@@ -20,7 +19,7 @@ SWAP = {"left": "right", "right": "left"}
 def table_of(ball_y, feet, success, terminations=None) -> EpisodeTable:
     n = len(ball_y)
     success = np.array(success, dtype=bool)
-    return EpisodeTable(
+    return episode_table(
         start_ball_x=np.full(n, 0.3),
         start_ball_y=np.array(ball_y),
         target_x=np.full(n, 1.5),
@@ -41,7 +40,7 @@ def table_of(ball_y, feet, success, terminations=None) -> EpisodeTable:
 def mirrored(table: EpisodeTable) -> EpisodeTable:
     """What an equivariant policy does from the mirror images of the starts."""
     feet = np.array([SWAP.get(foot, foot) for foot in table.kick_foot.tolist()])
-    return replace(table, start_ball_y=-table.start_ball_y, kick_foot=feet)
+    return table.assign(start_ball_y=-table.start_ball_y, kick_foot=feet)
 
 
 def random_table(n: int = 400, seed: int = 0) -> EpisodeTable:
@@ -79,7 +78,7 @@ def test_an_equivariant_policy_has_no_preference() -> None:
 def test_a_one_legged_policy_is_told_from_one_that_takes_the_near_foot() -> None:
     y = np.linspace(0.01, 0.3, 100)
     one_legged = table_of(y, ["left"] * 100, [1] * 100)
-    same_leg = replace(one_legged, start_ball_y=-y)
+    same_leg = one_legged.assign(start_ball_y=-y)
     legs = measure_asymmetry(EpisodeSides(one_legged, same_leg)).legs
     assert (legs.left_foot_share, legs.same_side_share) == (1.0, 0.5)
     legs = measure_asymmetry(EpisodeSides(one_legged, mirrored(one_legged))).legs
@@ -142,15 +141,6 @@ def test_pairs_agree_where_ending_and_success_do() -> None:
     assert (pairs.only_original, pairs.only_mirrored, pairs.p_value) == (1, 0, mcnemar(1, 0))
 
 
-def test_the_two_sides_must_be_mirror_images() -> None:
-    table = random_table(10)
-    with pytest.raises(ValueError, match="row 0 of the mirrored side does not start from the mirror image"):
-        measure_asymmetry(EpisodeSides(table, table))
-    fewer = EpisodeTable(**{name: column[:5] for name, column in mirrored(table).columns().items()})
-    with pytest.raises(ValueError, match="10 episodes, but 5 from mirrored starts"):
-        measure_asymmetry(EpisodeSides(table, fewer))
-
-
 def test_without_kicks_or_with_one_side_only_there_is_nothing_to_compare() -> None:
     asymmetry = measure_asymmetry(EpisodeSides(table_of([0.1, 0.2], ["none", "other"], [0, 0])))
     assert asymmetry.legs.kicks == 0
@@ -171,7 +161,7 @@ NAN = np.nan
 def kick_episodes() -> EpisodeTable:
     """Five episodes: three kicks, a ball that is only nudged, and one that is never touched."""
     five = np.ones(5)
-    return EpisodeTable(
+    return episode_table(
         start_ball_x=five,
         start_ball_y=five,
         target_x=five,
@@ -216,15 +206,14 @@ def test_means_are_over_touched_balls_and_angles_over_launched_ones() -> None:
 
 def test_the_bias_of_balls_that_fly_backwards_is_backwards() -> None:
     error = np.array([pi - 0.1, 0.1 - pi, NAN, NAN, NAN])
-    bias = measure(replace(kick_episodes(), direction_error=error)).direction_bias
+    bias = measure(kick_episodes().assign(direction_error=error)).direction_bias
     assert bias is not None
     assert abs(bias) == pytest.approx(pi)
 
 
 def test_mirrored_episodes_have_the_opposite_bias_and_the_same_figures_else() -> None:
     table = kick_episodes()
-    assert table.direction_error is not None
-    here, there = measure(table), measure(replace(table, direction_error=-table.direction_error))
+    here, there = measure(table), measure(table.assign(direction_error=-table.direction_error))
     assert there.direction_bias == -(here.direction_bias or NAN)
     assert there.model_dump(exclude={"direction_bias"}) == here.model_dump(exclude={"direction_bias"})
 
@@ -232,13 +221,13 @@ def test_mirrored_episodes_have_the_opposite_bias_and_the_same_figures_else() ->
 def test_without_a_touch_there_are_shares_only() -> None:
     never = {"touches": np.zeros(5), "launch_speed": np.full(5, NAN), "direction_error": np.full(5, NAN)}
     never["touches"] = never["touches"].astype(int)
-    found = measure(replace(kick_episodes(), **never)).model_dump(exclude_none=True)
+    found = measure(kick_episodes().assign(**never)).model_dump(exclude_none=True)
     assert found == {"falls": 2 / 5, "non_finite": 1 / 5}
 
 
 def test_tables_of_older_versions_have_no_figures() -> None:
-    none = dict.fromkeys(("touches", "walked_after_touch", "launch_speed", "direction_error"))
-    assert measure_kick(replace(kick_episodes(), **none), 0.02) is None
+    older = kick_episodes().drop(columns=["touches", "walked_after_touch", "launch_speed", "direction_error"])
+    assert measure_kick(older, 0.02) is None
 
 
 def test_the_printed_table_has_a_row_for_each_run(make) -> None:
