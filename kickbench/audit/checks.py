@@ -283,6 +283,8 @@ def _sampling_rows(task: CompiledTask) -> Iterator[Row]:
     lateral |= {"target y": (target.y, "m")} if target.y else {"target angle": (target.polar()[1], "rad")}
     if sampling.ball.speed is not None:
         lateral["ball direction"] = (sampling.ball.direction or (0.0, 0.0), "rad")
+    if task.spec.obstacles is not None:
+        lateral["obstacles y"] = (task.spec.obstacles.y, "m")
     for name, ((low, high), unit) in lateral.items():
         error = abs(low + high)
         detail = f"[{low:g}, {high:g}] {unit}"

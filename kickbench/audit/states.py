@@ -58,7 +58,7 @@ class VariedInitialStates:
 
     def _roll_ball(self, qpos: Tensor, qvel: Tensor, mask: Tensor) -> None:
         """The ball rolls towards one of the robot's low parts, which in the default pose are its feet."""
-        obstacles = torch.as_tensor(self._layout.obstacles)
+        obstacles = torch.as_tensor(self._layout.footprint)
         place, speed = self._layout.ball_qpos, self._layout.ball_qvel
         count, radius = int(mask.sum()), self._task.spec.ball.radius
         if len(obstacles):

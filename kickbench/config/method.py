@@ -163,8 +163,8 @@ class MethodSpec(Spec):
     """Path of the field representation table."""
 
 
-NAMES = ("trivial", "sign", "regular", "regular_sign", "joints", "actions", "feet")
-"""The four representations of the reflection group that occur, and the robot's own three."""
+NAMES = ("trivial", "sign", "regular", "regular_sign", "joints", "actions", "feet", "obstacles")
+"""The four representations of the reflection group that occur, the robot's own three, and the obstacles' own."""
 
 
 @dataclass(frozen=True)

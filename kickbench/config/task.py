@@ -212,6 +212,34 @@ class SamplingSpec(Spec):
     """Target."""
 
 
+class ObstaclesSpec(Spec):
+    """Upright cylinders in the way of robot and ball; they pass through each other.
+
+    Each stands, or moves straight on: nothing stops it, neither a ball nor the end of its region.
+    """
+
+    count: int = Field(gt=0, le=32)
+    """Number of obstacles."""
+    radius: PositiveFloat = Field(le=10)
+    """Radius, m."""
+    height: PositiveFloat = Field(le=10)
+    """Height, m."""
+    x: Range
+    """Where they start, clear of robot and ball: forward distance, m, in the robot's start frame."""
+    y: Range
+    """Lateral offset, m; left is positive."""
+    speed: NonNegativeRange = (0.0, 0.0)
+    """Speed, m/s, in a direction that is drawn from the whole circle; 0: they stand."""
+    observed: int | None = Field(default=None, gt=0)
+    """Number of obstacles that observations hold, those nearest to the base; default: all."""
+
+    @model_validator(mode="after")
+    def _observes_what_is_there(self) -> ObstaclesSpec:
+        if (self.observed or 0) > self.count:
+            raise ValueError(f"observed is {self.observed}, and there are {self.count} obstacles")
+        return self
+
+
 class ObservationSpec(Spec):
     """Observation groups: the fields of each, in the order of the vector."""
 
@@ -343,6 +371,8 @@ class TaskSpec(Spec):
     """Floor."""
     field: FieldSpec | None = None
     """Playing field that ball and target must start within; default: as large as the regions ask for."""
+    obstacles: ObstaclesSpec | None = None
+    """Cylinders in the way; default: none."""
     simulation: SimulationSpec
     """Time discretisation and solver."""
     episode: EpisodeSpec

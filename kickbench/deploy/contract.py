@@ -45,6 +45,12 @@ class Observation(Spec):
     """Range into which the numbers are clipped; null: none."""
     noise: float
     """Half-width of the uniform noise that each number had in training."""
+    rate: float | None = None
+    """Samples a second in training, Hz, each held until the next; null: one a control step."""
+    dropout: float | None = None
+    """Probability in training that a sample was lost and the last one held; null: 0."""
+    delay: VectorPair | None = None
+    """Smallest and largest age of a sample in training, s, one age an episode; null: 0."""
 
 
 class Joint(Spec):
@@ -116,7 +122,7 @@ class Training(Spec):
     """Feet, whose friction decides in their contact with the floor."""
     episode: EpisodeSpec
     """Limits of an episode."""
-    terminations: dict[str, dict[str, float]]
+    terminations: dict[str, dict[str, float | str]]
     """What ended an episode, with its parameters."""
     success_radius: float
     """Largest distance of ball and target of a successful kick, m."""

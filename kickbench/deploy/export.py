@@ -125,8 +125,11 @@ def _observation(task: CompiledTask, field: Field) -> parts.Observation:
     term, layout = field.bound.term, task.scene.layout
     own = {"joints": layout.joint_names, "actions": layout.actuator_names, "feet": layout.feet}
     names = own.get(str(term.representation))
-    if str(term.representation).startswith("feet x"):
-        names = tuple(f"{foot}_{axis}" for foot in layout.feet for axis in _AXES)
+    of_each = {"feet": layout.feet, "obstacles": range(layout.obstacles.observed if layout.obstacles else 0)}
+    things, _, of_one = str(term.representation).partition(" x ")
+    if things in of_each and of_one:
+        axes = _AXES[: field.size // len(of_each[things])]
+        names = tuple(f"{thing}_{axis}" for thing in of_each[things] for axis in axes)
     return parts.Observation(
         name=field.name,
         description=" ".join(term.description.split()),
@@ -135,8 +138,7 @@ def _observation(task: CompiledTask, field: Field) -> parts.Observation:
         components=names or _COMPONENTS.get(field.size) or tuple(map(str, range(field.size))),
         offset=_default_pose(layout) if term.from_default else (0.0,) * field.size,
         scale=(1.0,) * field.size,
-        clip=field.params.clip,
-        noise=field.params.noise,
+        **{key: getattr(field.params, key) for key in ("clip", "noise", "rate", "dropout", "delay")},
     )
 
 

@@ -21,14 +21,14 @@ from kickbench.config.task import Ramp, TaskSpec
 from kickbench.config.terms import ObservationParams, RewardParams, TermParams
 from kickbench.envs.catalog import Catalog, catalog, model_of_task
 from kickbench.envs.curriculum import spec_at, value_at
-from kickbench.envs.initial_states import LEAST_FREE, free_share, overlaps
+from kickbench.envs.initial_states import LEAST_FREE, free_share, obstacle_share, overlaps
 from kickbench.envs.term import Bound, Field, Term, field_size
 from kickbench.errors import KeyPath, Problem, SpecError, did_you_mean
 from kickbench.sim.build import Scene, build_scene
 from kickbench.sim.layout import SceneLayout
 from kickbench.sim.sensors import SensorGroup, available_groups
 from kickbench.symmetry.mirror import mirror_actions, mirror_joints
-from kickbench.symmetry.representation import REGULAR, Representation, direct_sum
+from kickbench.symmetry.representation import REGULAR, TRIVIAL, Representation, direct_sum
 
 
 @dataclass(frozen=True)
@@ -101,12 +101,13 @@ def compile_task(task: LoadedTask[Any]) -> CompiledTask:
 
 
 def own_representations(robot: RobotSpec, layout: SceneLayout) -> dict[str, Representation]:
-    """How a robot's observed joints, actions and feet mirror, by the names that expressions have for them."""
+    """How observed joints, actions, feet and obstacles mirror, by the names that expressions have for them."""
     image = robot.symmetry.image()
     return {
         "joints": mirror_joints(layout.joint_names, image),
         "actions": mirror_actions(robot.actuators, image),
         "feet": direct_sum([REGULAR] * (len(layout.feet) // 2)),
+        "obstacles": direct_sum([TRIVIAL] * (layout.obstacles.observed if layout.obstacles else 0)),
     }
 
 
@@ -204,6 +205,10 @@ def _term_problems(task: LoadedTask[Any], path: KeyPath, term: Term, params: Ter
         if joint not in observed:
             hint = did_you_mean(joint, observed) or f"it has: {', '.join(observed)}"
             yield document.problem((*path, *key), f"{robot} observes no joint '{joint}'", hint)
+    if task.spec.obstacles is None and "obstacle" in term.needs:
+        yield document.problem(
+            path, f"'{term.name}' is of obstacles, and the task has none", "add `obstacles`"
+        )
     if lacking := sorted(term.needs - available_groups(task.robot.spec)):
         what = f"'{term.name}' needs the sensors {', '.join(lacking)}, which the scene lacks"
         yield document.problem(path, what, f"{robot} names no `feet`")
@@ -211,26 +216,38 @@ def _term_problems(task: LoadedTask[Any], path: KeyPath, term: Term, params: Ter
 
 def _field_problems(task: LoadedTask[Any]) -> Iterator[Problem]:
     """Sampling regions that leave the field, where the task has one."""
-    sampling, field = task.spec.sampling, task.spec.field
+    sampling, field, obstacles = task.spec.sampling, task.spec.field, task.spec.obstacles
     if field is None:
         return
-    ball, target = (sampling.ball.x, sampling.ball.y), sampling.target.extent()
-    for axis, begin, goal, bounds in zip("xy", ball, target, (field.x, field.y), strict=True):
-        for what, path, (low, high) in (("ball", ("ball", axis), begin), ("target", ("target",), goal)):
+    for axis, goal, bounds in zip("xy", sampling.target.extent(), (field.x, field.y), strict=True):
+        regions: list[tuple[str, KeyPath, tuple[float, float]]] = [
+            ("ball", ("sampling", "ball", axis), getattr(sampling.ball, axis)),
+            ("target", ("sampling", "target"), goal),
+        ]
+        if obstacles is not None:
+            regions.append(("obstacles", ("obstacles", axis), getattr(obstacles, axis)))
+        for what, path, (low, high) in regions:
             if low < bounds[0] - 1e-9 or high > bounds[1] + 1e-9:
                 message = f"the {what} may lie off the field: {axis} from {low:g} to {high:g} m"
                 hint = f"the field's {axis} is [{bounds[0]:g}, {bounds[1]:g}]"
-                yield task.document.problem(("sampling", *path), message, hint)
+                yield task.document.problem(path, message, hint)
 
 
 def _region_problems(task: LoadedTask[Any], layout: SceneLayout) -> Iterator[Problem]:
-    share = free_share(task.spec.sampling.ball, layout.obstacles, task.spec.ball.radius)
+    share = free_share(task.spec.sampling.ball, layout.footprint, task.spec.ball.radius)
+    yield from _full(task, ("sampling", "ball"), "the ball would overlap the robot", share)
+    if layout.obstacles is not None:
+        share = obstacle_share(task.spec, layout.obstacles.footprint)
+        yield from _full(task, ("obstacles",), "an obstacle would overlap the robot or the ball", share)
+
+
+def _full(task: LoadedTask[Any], path: KeyPath, what: str, share: float) -> Iterator[Problem]:
+    """A region of which too small a share is free."""
     if share >= LEAST_FREE:
         return
     where = "everywhere in" if share == 0.0 else f"in {100.0 * (1.0 - share):.0f} % of"
-    message = f"the ball would overlap the robot {where} this region"
     hint = f"at least {100.0 * LEAST_FREE:.0f} % of it must be clear of the robot in its default pose"
-    yield task.document.problem(("sampling", "ball"), message, hint)
+    yield task.document.problem(path, f"{what} {where} this region", hint)
 
 
 def _grid_problems(task: LoadedTask[Any], layout: SceneLayout) -> Iterator[Problem]:
@@ -238,7 +255,7 @@ def _grid_problems(task: LoadedTask[Any], layout: SceneLayout) -> Iterator[Probl
     grid = task.spec.evaluation.grid
     places: Sequence[tuple[float, float]] = (grid and grid.ball) or ()
     for row, (x, y) in enumerate(places):
-        if overlaps(np.array(x), np.array(y), layout.obstacles, task.spec.ball.radius):
+        if overlaps(np.array(x), np.array(y), layout.footprint, task.spec.ball.radius):
             message = f"a ball at [{x:g}, {y:g}] would overlap the robot"
             hint = "a place that is clear of the robot in its default pose"
             yield task.document.problem(("evaluation", "grid", "ball", row), message, hint)
@@ -267,7 +284,7 @@ def _goal_place_problems(task: LoadedTask[Any], layout: SceneLayout) -> Iterator
     target, ball = task.spec.sampling.target, task.spec.sampling.ball
     if target.width is None or target.x is None:
         return
-    front, nearest = float(layout.obstacles[:, 1].max(initial=0.0)), target.x[0]
+    front, nearest = float(layout.footprint[:, 1].max(initial=0.0)), target.x[0]
     for limit, what in ((front, "in or behind the robot"), (ball.x[1], "before the ball")):
         if nearest <= limit:
             message = f"the goal may stand {what}: x from {nearest:g} m"

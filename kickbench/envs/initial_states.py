@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
-from kickbench.config.task import BallSampling
+from kickbench.config.task import BallSampling, ObstaclesSpec, TaskSpec
 from kickbench.envs.tensors import across, sides_swapped
 
 if TYPE_CHECKING:
     from torch import Tensor
 
     from kickbench.envs.compiled_task import CompiledTask
+    from kickbench.sim.layout import ObstacleLayout
     from kickbench.symmetry.torch_ops import Mirror
 
 Draw = Callable[..., "Tensor"]
@@ -84,7 +85,7 @@ class InitialStates:
 
 
 def overlaps(x: Any, y: Any, obstacles: Any, radius: float) -> Any:
-    """Whether a ball on the floor at (x, y) overlaps any rectangle of `SceneLayout.obstacles`, bool of their shape.
+    """Whether a ball on the floor at (x, y) overlaps any rectangle of `SceneLayout.footprint`, bool of their shape.
 
     Places and obstacles are tensors or NumPy arrays.
     """
@@ -98,8 +99,24 @@ def overlaps(x: Any, y: Any, obstacles: Any, radius: float) -> Any:
 
 def free_share(region: BallSampling, obstacles: np.ndarray, radius: float) -> float:
     """Share of a region in which a ball would not overlap the robot, from a grid of places."""
+    return 1.0 - float(overlaps(*_places(region), obstacles, radius).mean())
+
+
+def obstacle_share(task: TaskSpec, footprint: np.ndarray) -> float:
+    """Share of the obstacles' region that is clear of the robot and of a ball as near to its middle as can be."""
+    obstacles, ball = task.obstacles, task.sampling.ball
+    assert obstacles is not None
+    x, y = _places(obstacles)
+    middles = (sum(obstacles.x) / 2, sum(obstacles.y) / 2)
+    place = [np.clip(middle, *bounds) for middle, bounds in zip(middles, (ball.x, ball.y), strict=True)]
+    near = np.hypot(x - place[0], y - place[1]) < obstacles.radius + task.ball.radius
+    return 1.0 - float((overlaps(x, y, footprint, obstacles.radius) | near).mean())
+
+
+def _places(region: BallSampling | ObstaclesSpec) -> tuple[np.ndarray, np.ndarray]:
+    """Coordinates x and y of a grid of places in a region."""
     x, y = np.meshgrid(*(np.linspace(*bounds, _GRID) for bounds in (region.x, region.y)))
-    return 1.0 - float(overlaps(x, y, obstacles, radius).mean())
+    return x, y
 
 
 class InitialStateSampler:
@@ -122,7 +139,11 @@ class InitialStateSampler:
         self._place, self._rolling, self._nv = layout.ball_qpos, layout.ball_qvel, task.scene.model.nv
         self._goal = layout.goal_qpos
         self._default = torch.as_tensor(layout.default_qpos, device=device)
-        self._obstacles = torch.as_tensor(layout.obstacles, device=device)
+        self._footprint = torch.as_tensor(layout.footprint, device=device)
+        self._obstacles = (spec.obstacles, layout.obstacles) if spec.obstacles and layout.obstacles else None
+        if self._obstacles:
+            self._beside = torch.as_tensor(self._obstacles[1].footprint, device=device)
+            self._tries_beside = _enough(obstacle_share(spec, self._obstacles[1].footprint))
         self._joints, self._feet = torch.as_tensor(layout.joint_qpos, device=device), len(layout.feet)
         self._candidates = self._tries()
         self.generator = generator
@@ -144,6 +165,8 @@ class InitialStateSampler:
         target, qvel = self._draw_target(count), self._draw_velocities(qpos)
         if self._goal is not None:
             qpos[:, self._goal : self._goal + 2] = target
+        if self._obstacles:
+            self._place_obstacles(qpos, qvel, *self._obstacles)
         states = InitialStates(qpos, qvel, target, self._joints, feet=self._feet)
         for randomize in self._randomizers:
             states = randomize(states, self.draw)
@@ -151,7 +174,7 @@ class InitialStateSampler:
 
     def overlaps(self, x: Tensor, y: Tensor) -> Tensor:
         """Whether a ball on the floor at (x, y) would overlap the robot in its default pose, bool of their shape."""
-        return overlaps(x, y, self._obstacles, self._radius)
+        return overlaps(x, y, self._footprint, self._radius)
 
     def _draw_ball(self, count: int) -> Tensor:
         """Ball positions [count, 2] from the region; those that overlap the robot are drawn again.
@@ -160,8 +183,21 @@ class InitialStateSampler:
         """
         region, tries = self._regions.ball, self._candidates
         x, y = self.draw(*region.x, tries, count), self.draw(*region.y, tries, count)
-        first = (~self.overlaps(x, y)).int().argmax(dim=0, keepdim=True)
-        return torch.stack([x.gather(0, first)[0], y.gather(0, first)[0]], dim=1)
+        return _first_free(x, y, self.overlaps(x, y))
+
+    def _place_obstacles(
+        self, qpos: Tensor, qvel: Tensor, spec: ObstaclesSpec, layout: ObstacleLayout
+    ) -> None:
+        """Draws where obstacles stand, clear of robot and ball, and how they move."""
+        shape = len(qpos), spec.count
+        x, y = (self.draw(*bounds, self._tries_beside, *shape) for bounds in (spec.x, spec.y))
+        ball_x, ball_y = qpos[:, self._place : self._place + 2].unsqueeze(2).unbind(dim=1)
+        near = (x - ball_x) ** 2 + (y - ball_y) ** 2 < (spec.radius + self._radius) ** 2
+        place = _first_free(x, y, near | overlaps(x, y, self._beside, spec.radius))
+        speed, heading = self.draw(*spec.speed, *shape), self.draw(0.0, 2.0 * math.pi, *shape)
+        velocity = torch.stack([speed * heading.cos(), speed * heading.sin()], dim=2)
+        qpos[:, layout.qpos] = place.transpose(1, 2).flatten(1)
+        qvel[:, layout.qvel] = velocity.flatten(1)
 
     def _draw_target(self, count: int) -> Tensor:
         """Targets [count, 2] from their region."""
@@ -190,14 +226,25 @@ class InitialStateSampler:
     def _tries(self) -> int:
         """Candidates: one where the region is clear of the robot, else enough to find a free place."""
         region, radius = self._regions.ball, self._radius
-        low_x, high_x, low_y, high_y = self._obstacles.unbind(dim=1)
+        low_x, high_x, low_y, high_y = self._footprint.unbind(dim=1)
         apart_x = (low_x - radius > region.x[1]) | (high_x + radius < region.x[0])
         apart_y = (low_y - radius > region.y[1]) | (high_y + radius < region.y[0])
         if bool((apart_x | apart_y).all()):
             return 1
-        blocked = 1.0 - max(free_share(region, self._obstacles.numpy(force=True), radius), LEAST_FREE)
-        enough = math.log(_LEFT_OVER) / math.log(blocked) if blocked > 0.0 else 1.0
-        return max(_TRIES, math.ceil(enough))
+        return _enough(free_share(region, self._footprint.numpy(force=True), radius))
+
+
+def _enough(share: float) -> int:
+    """Candidates among which one is free in a region of which that share is."""
+    blocked = 1.0 - max(share, LEAST_FREE)
+    enough = math.log(_LEFT_OVER) / math.log(blocked) if blocked > 0.0 else 1.0
+    return max(_TRIES, math.ceil(enough))
+
+
+def _first_free(x: Tensor, y: Tensor, blocked: Tensor) -> Tensor:
+    """The first candidates [tries, N, ...] that are free, places [N, 2, ...]."""
+    first = (~blocked).int().argmax(dim=0, keepdim=True)
+    return torch.stack([x.gather(0, first)[0], y.gather(0, first)[0]], dim=1)
 
 
 class InitialStatePool:

@@ -132,6 +132,18 @@ def foot_contact_forces(state: State, params: ObservationParams) -> Tensor:
     return state.in_base_frame(state.foot_floor_force).flatten(1)
 
 
+@observation("obstacles x (trivial + sign)", "m", "not in the thesis", needs=("obstacle",), frame="base")
+def obstacles(state: State, params: ObservationParams) -> Tensor:
+    """Centres of the nearest obstacles (`obstacles.observed`) relative to the base, in the base frame: xy each."""
+    return state.obstacles[0][:, :, :2].flatten(1)
+
+
+@observation("obstacles x (trivial + sign)", "m/s", "not in the thesis", needs=("obstacle",), frame="base")
+def obstacle_velocities(state: State, params: ObservationParams) -> Tensor:
+    """Velocities of the same obstacles in the base frame: xy each."""
+    return state.obstacles[1][:, :, :2].flatten(1)
+
+
 class Observer:
     """Evaluates all observation groups of a task on a state.
 

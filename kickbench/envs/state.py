@@ -80,6 +80,7 @@ class StateIndex:
         self.frames = {name: slice(int(c[0]), int(c[-1]) + 1) for name, c in layout.frames.items()}
         self.feet = layout.feet
         self.goal_half = layout.goal_width / 2
+        self.obstacles = layout.obstacles
         sensed = np.concatenate(list(layout.contacts.values()))
         first = int(sensed.min())
         self.counts = slice(first, int(sensed.max()) + 1)
@@ -311,6 +312,26 @@ class State:
         aside = before[:, 1] + share * way[:, 1] - goal[:, 1]
         crosses = (before[:, 0] < goal[:, 0]) & (now[:, 0] >= goal[:, 0])
         return crosses & (aside.abs() < self._index.goal_half) & self.ball_touched
+
+    @cached_property
+    def obstacles(self) -> tuple[Tensor, Tensor]:
+        """Centres relative to the base, m, and velocities, m/s, of the observed obstacles [B, K, 3], in the base frame.
+
+        The nearest one comes first.
+        """
+        layout, pad = self._index.obstacles, torch.nn.functional.pad
+        assert layout is not None, "the task has no obstacles"
+        places = self._qpos[:, layout.qpos].unflatten(1, (-1, 2))
+        velocities = self._qvel[:, layout.qvel].unflatten(1, (-1, 2))
+        distances = (places - self.base_pos[:, None, :2]).square().sum(dim=2)
+        nearest = distances.argsort(dim=1, stable=True)[:, : layout.observed, None].expand(-1, -1, 2)
+        centres = pad(places.gather(1, nearest), (0, 1), value=layout.height)
+        offsets, velocities = centres - self.base_pos.unsqueeze(1), pad(velocities.gather(1, nearest), (0, 1))
+        return self.in_base_frame(offsets), self.in_base_frame(velocities)
+
+    def obstacle_contact(self, by: str) -> Tensor:
+        """The `robot` or the `ball` touched an obstacle during the control step [B] bool."""
+        return self._touches(f"{by}_obstacle")
 
     @cached_property
     def foot_pos(self) -> Tensor:

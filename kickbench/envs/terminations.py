@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from kickbench.config.base import PositiveFloat
 from kickbench.config.terms import TerminationParams
@@ -48,6 +48,19 @@ def goal(state: State, params: TerminationParams) -> Tensor:
 def double_touch(state: State, params: TerminationParams) -> Tensor:
     """The robot touches the ball after the contact window: c_t > T_window."""
     return state.ball_contact & state.contact_window_passed
+
+
+class ObstacleTouched(TerminationParams):
+    """Parameters of `obstacle_touched`."""
+
+    by: Literal["robot", "ball"] = "robot"
+    """What touches it."""
+
+
+@termination("not in the thesis", needs=("obstacle",))
+def obstacle_touched(state: State, params: ObstacleTouched) -> Tensor:
+    """The robot, or the ball, touches an obstacle."""
+    return state.obstacle_contact(params.by)
 
 
 class FellOver(TerminationParams):

@@ -64,6 +64,10 @@ def grid_of(task: CompiledTask) -> GridSpec:
     Raises:
         KickbenchError: The task's target region is Cartesian, and it gives no grid of its own.
     """
+    if task.spec.obstacles is not None:
+        raise KickbenchError(
+            f"goal grid: a ball of {task.name} might lie in an obstacle, whose place is drawn"
+        )
     given, target = task.spec.evaluation.grid or GridSpec(), task.spec.sampling.target
     distance, angle = given.distance, given.angle
     if target.distance is not None and target.angle is not None:
@@ -81,7 +85,7 @@ def _clear_of_the_robot(task: CompiledTask) -> tuple[tuple[float, float], ...]:
     region = task.spec.sampling.ball
     places = list(product(_middles(region.x, _BALL_PARTS), _middles(region.y, _BALL_PARTS)))
     x, y = np.array(places).T
-    inside = overlaps(x, y, task.scene.layout.obstacles, task.spec.ball.radius)
+    inside = overlaps(x, y, task.scene.layout.footprint, task.spec.ball.radius)
     clear = tuple(place for place, is_inside in zip(places, inside, strict=True) if not is_inside)
     if not clear:
         raise KickbenchError("goal grid: every ball position would overlap the robot: name some in the task")

@@ -12,11 +12,11 @@ import mujoco
 
 from kickbench.config.load import Loaded
 from kickbench.config.robot import RobotSpec
-from kickbench.config.task import BallSpec, SimulationSpec, TargetSampling, TaskSpec
+from kickbench.config.task import BallSpec, ObstaclesSpec, SimulationSpec, TargetSampling, TaskSpec
 from kickbench.errors import SpecError
 from kickbench.sim.carried import differences
 from kickbench.sim.check import check_start, model_error, read_robot
-from kickbench.sim.layout import GOAL, SceneLayout, Servo, read_layout
+from kickbench.sim.layout import GOAL, SceneLayout, Servo, obstacle, read_layout, slides_of
 from kickbench.sim.sensors import ALWAYS, ROBOT, SensorGroup, plan_sensors, robot_feet, sole_site
 
 _AXES = ("x", "y", "z", "rx", "ry", "rz")
@@ -24,7 +24,7 @@ _BASE_SITE = "kickbench_base"
 _POST = (0.05, 0.4)
 """Radius and half of the height of a goal post, m."""
 _UNMOVED = 1000.0
-"""Mass of a goal, kg: a ball's hit moves it by less than a millimetre a second."""
+"""Mass of a goal or an obstacle, kg: a ball's hit moves it by less than a millimetre a second."""
 _FOOT_PRIORITY = 1
 """Feet decide their contact with the floor, else the larger friction would hide theirs; the ball decides all
 of its own; everything else has priority 0."""
@@ -88,8 +88,11 @@ def build_scene(task: TaskSpec, robot: Loaded[RobotSpec], needs: frozenset[Senso
     _add_target(scene, task)
     if task.sampling.target.width is not None:
         _add_goal(scene, task.sampling.target)
+    if task.obstacles is not None:
+        _add_obstacles(scene, task.obstacles)
     _add_actuators(scene, robot.spec)
-    plans = plan_sensors(robot.spec, root, body_geoms, needs | frozenset(ALWAYS))
+    obstacles = [obstacle(number) for number in range(task.obstacles.count if task.obstacles else 0)]
+    plans = plan_sensors(robot.spec, root, body_geoms, needs | frozenset(ALWAYS), obstacles)
     for plan in plans:
         plan.add_to(scene)
     physics = scene.copy()
@@ -99,7 +102,7 @@ def build_scene(task: TaskSpec, robot: Loaded[RobotSpec], needs: frozenset[Senso
     except ValueError as error:
         raise model_error(robot, "compile the scene of this model", error) from None
     model.opt.jacobian = jacobian_of(task.simulation, model.nv)
-    layout = read_layout(model, robot.spec, plans, needs)
+    layout = read_layout(model, robot.spec, plans, needs, task.obstacles)
     problems = [robot.document.problem(("model",), what) for what in differences(native, model)]
     problems += check_start(robot, model, layout)
     if problems:
@@ -234,17 +237,10 @@ def _add_target(scene: mujoco.MjSpec, task: TaskSpec) -> None:
 
 
 def _add_goal(scene: mujoco.MjSpec, target: TargetSampling) -> None:
-    """Two posts on slides, so that each env has its goal elsewhere; its place in qpos is that in the world.
-
-    They end just above the floor, and so touch the ball and the robot alone.
-    """
+    """Two posts."""
     radius, half_height = _POST
     (x0, x1), (y0, y1) = target.x or (0.0, 0.0), target.y or (0.0, 0.0)
-    place = ((x0 + x1) / 2, (y0 + y1) / 2)
-    goal = scene.worldbody.add_body(name="goal", pos=[*place, half_height + 0.01])
-    for axis, name in enumerate(GOAL):
-        along = [float(i == axis) for i in range(3)]
-        goal.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=along, ref=place[axis])
+    goal = _sliding_body(scene, GOAL, ((x0 + x1) / 2, (y0 + y1) / 2), half_height)
     for side, sign in (("left", 1.0), ("right", -1.0)):
         goal.add_geom(
             name=f"goal_{side}",
@@ -254,6 +250,40 @@ def _add_goal(scene: mujoco.MjSpec, target: TargetSampling) -> None:
             mass=_UNMOVED / 2,
             rgba=[0.98, 0.98, 0.98, 1.0],
         )
+
+
+def _add_obstacles(scene: mujoco.MjSpec, obstacles: ObstaclesSpec) -> None:
+    """Upright cylinders that touch the ball and the robot; in the model's own pose they are out of the way."""
+    half_height, aside = obstacles.height / 2, max(obstacles.x[1], 0.0) + 2.0
+    others = [GOAL] if scene.body(GOAL) is not None else []
+    for number in range(obstacles.count):
+        name = obstacle(number)
+        _sliding_body(scene, name, (aside, 0.0), half_height).add_geom(
+            name=name,
+            type=mujoco.mjtGeom.mjGEOM_CYLINDER,
+            size=[obstacles.radius, half_height, 0],
+            mass=_UNMOVED,
+            contype=_EVERYTHING,
+            conaffinity=_EVERYTHING,
+            rgba=[0.85, 0.35, 0.15, 1.0],
+        )
+        for other in others:
+            scene.add_exclude(bodyname1=other, bodyname2=name)
+        others.append(name)
+
+
+def _sliding_body(
+    scene: mujoco.MjSpec, name: str, place: tuple[float, float], half_height: float
+) -> mujoco.MjsBody:
+    """A body on slides, so that each env has it elsewhere; its place in qpos is that in the world.
+
+    It ends just above the floor, and so touches the ball and the robot alone.
+    """
+    body = scene.worldbody.add_body(name=name, pos=[*place, half_height + 0.01])
+    for axis, slide in enumerate(slides_of(name)):
+        along = [float(i == axis) for i in range(3)]
+        body.add_joint(name=slide, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=along, ref=place[axis])
+    return body
 
 
 def _add_sites(body: mujoco.MjSpec, robot: RobotSpec) -> None:

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import mujoco
 import numpy as np
 
-from kickbench.sim.layout import GOAL
+from kickbench.sim.layout import SLIDE
 from kickbench.sim.read_parts import name_parts, part_name, unsupported
 from kickbench.sim.sensors import ROBOT
 
@@ -73,12 +73,14 @@ def differences(native: mujoco.MjModel, scene: mujoco.MjModel) -> Iterator[str]:
         scene: The compiled scene.
     """
     mine = [body for body in range(1, scene.nbody) if scene.body(body).name.startswith(ROBOT)]
-    added = [j for j in range(scene.njnt) if scene.joint(j).name in ("ball", *GOAL)]
+    names = [scene.joint(j).name for j in range(scene.njnt)]
+    added = [name for name in names if name == "ball" or name.startswith(SLIDE)]
+    excluded = np.stack(np.divmod(scene.exclude_signature, 1 << 16))  # two bodies each
     counts = {
         "bodies": (native.nbody - 1, len(mine)),
         "joints": (native.njnt, scene.njnt - len(added)),
         "contact pairs": (native.npair, scene.npair),
-        "contact exclusions": (native.nexclude, scene.nexclude),
+        "contact exclusions": (native.nexclude, int(np.isin(excluded, mine).any(axis=0).sum())),
         "equality constraints": (native.neq, scene.neq),
         "tendons": (native.ntendon, scene.ntendon),
         "flexes": (native.nflex, scene.nflex),

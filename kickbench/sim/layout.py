@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 
 from kickbench.config.robot import ActuatorSpec, FootSpec, RobotSpec
+from kickbench.config.task import ObstaclesSpec
 from kickbench.sim.sensors import ROBOT, SIDES, SensorGroup, SensorPlan, robot_feet
 from kickbench.symmetry.mirror import Coordinate
 
@@ -49,8 +50,39 @@ class Servo(NamedTuple):
         return Servo(spec.kind == "velocity", spec.kp or 0.0, spec.kd, spec.effort, limit, torque)
 
 
-GOAL = ("scene/goal_x", "scene/goal_y")
-"""Slides of a goal, if the scene has one."""
+SLIDE = "scene/"
+"""How the names of slides begin on which the env places what is none of the robot; those along y end in `_y`."""
+GOAL = "goal"
+"""The body of a goal, if the scene has one."""
+
+
+def slides_of(body: str) -> tuple[str, str]:
+    """Slides of a body that the env places, along x and y; their positions are its place in the world."""
+    return f"{SLIDE}{body}_x", f"{SLIDE}{body}_y"
+
+
+def obstacle(number: int) -> str:
+    """Name of the body and of the geom of an obstacle."""
+    return f"obstacle{number}"
+
+
+@dataclass(frozen=True)
+class ObstacleLayout:
+    """Where obstacles are.
+
+    Attributes:
+        qpos: Their places in qpos: x and y of the first one, of the second one, ...
+        qvel: Their places in qvel.
+        observed: How many of them are observed.
+        height: Of their centres, m.
+        footprint: As that of `SceneLayout`, of the robot's parts that an obstacle could overlap.
+    """
+
+    qpos: slice
+    qvel: slice
+    observed: int
+    height: float
+    footprint: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -78,10 +110,11 @@ class SceneLayout:
         body_sides: Side of every body [nbody]: that of the nearest joint towards the root.
         actuator_sides: Side of every actuator [nu]: that of its joint.
         servos: Gains and limits of the actuators, each an array [nu].
-        obstacles: What a ball on the floor could overlap in the default pose: ground rectangles of the
+        footprint: What a ball on the floor could overlap in the default pose: ground rectangles of the
             robot's low colliding geoms [K, 4], each x low, x high, y low, y high, m.
         goal_qpos: First place of the goal in qpos (x, y); None without a goal.
         goal_width: Clear width between its posts, m; 0 without a goal.
+        obstacles: Those of the scene; None without any.
     """
 
     coordinates: tuple[Coordinate, ...]
@@ -104,21 +137,24 @@ class SceneLayout:
     body_sides: Indices
     actuator_sides: Indices
     servos: Servo
-    obstacles: np.ndarray
+    footprint: np.ndarray
     goal_qpos: int | None = None
     goal_width: float = 0.0
+    obstacles: ObstacleLayout | None = None
 
     @property
     def scene_image(self) -> dict[str, tuple[str, int]]:
         """Images of the joints that are none of the robot's, in the form of a joint table."""
-        images = {"ball": ("ball", 1)}
-        return images | (
-            dict(zip(GOAL, zip(GOAL, (1, -1), strict=True), strict=True)) if self.goal_width else {}
-        )
+        slides = [c.name for c in self.coordinates if c.name.startswith(SLIDE)]
+        return {"ball": ("ball", 1)} | {name: (name, -1 if name.endswith("_y") else 1) for name in slides}
 
 
 def read_layout(
-    model: mujoco.MjModel, robot: RobotSpec, plans: Sequence[SensorPlan], needs: Collection[SensorGroup] = ()
+    model: mujoco.MjModel,
+    robot: RobotSpec,
+    plans: Sequence[SensorPlan],
+    needs: Collection[SensorGroup] = (),
+    obstacles: ObstaclesSpec | None = None,
 ) -> SceneLayout:
     """Reads the index maps of a compiled scene.
 
@@ -127,6 +163,7 @@ def read_layout(
         robot: The robot.
         plans: Its sensors.
         needs: The groups that they were planned for.
+        obstacles: The task's obstacles.
     """
     coordinates = tuple(_coordinate(model, j) for j in range(model.njnt))
     by_name = {c.name: c for c in coordinates}
@@ -162,17 +199,35 @@ def read_layout(
         body_sides=sides,
         actuator_sides=np.array([joint_sides.get(str(spec.joint), MIDDLE) for spec in actuators]),
         servos=Servo(*map(np.array, zip(*map(Servo.of, actuators), strict=True))),
-        obstacles=_obstacles(model, default, sides),
+        footprint=_footprint(model, default, sides, 2.0 * model.geom("ball").size[0]),
+        obstacles=_obstacles(model, by_name, default, sides, obstacles) if obstacles else None,
         **_goal(model, by_name),
     )
 
 
+def _obstacles(
+    model: mujoco.MjModel,
+    by_name: Mapping[str, Coordinate],
+    default: np.ndarray,
+    sides: Indices,
+    spec: ObstaclesSpec,
+) -> ObstacleLayout:
+    first, height = by_name[slides_of(obstacle(0))[0]], float(model.body(obstacle(0)).pos[2])
+    return ObstacleLayout(
+        qpos=slice(first.qpos, first.qpos + 2 * spec.count),
+        qvel=slice(first.qvel, first.qvel + 2 * spec.count),
+        observed=spec.observed or spec.count,
+        height=height,
+        footprint=_footprint(model, default, sides, 2.0 * height),
+    )
+
+
 def _goal(model: mujoco.MjModel, by_name: Mapping[str, Coordinate]) -> dict[str, Any]:
-    if GOAL[0] not in by_name:
+    if (slide := slides_of(GOAL)[0]) not in by_name:
         return {}
     left, right = (model.geom(f"goal_{side}") for side in SIDES)
     width = float(left.pos[1] - right.pos[1] - 2.0 * left.size[0])
-    return {"goal_qpos": by_name[GOAL[0]].qpos, "goal_width": width}
+    return {"goal_qpos": by_name[slide].qpos, "goal_width": width}
 
 
 def _coordinate(model: mujoco.MjModel, joint: int) -> Coordinate:
@@ -233,12 +288,11 @@ def _sensor_maps(model: mujoco.MjModel, plans: Sequence[SensorPlan]) -> tuple[di
     )
 
 
-def _obstacles(model: mujoco.MjModel, qpos: np.ndarray, sides: Indices) -> np.ndarray:
-    """Ground rectangles of the robot's colliding geoms that reach below the top of the ball."""
+def _footprint(model: mujoco.MjModel, qpos: np.ndarray, sides: Indices, top: float) -> np.ndarray:
+    """Ground rectangles of the robot's colliding geoms that reach below a height."""
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
     mujoco.mj_kinematics(model, data)
-    top = 2.0 * model.geom("ball").size[0]
     boxes = []
     for geom in range(model.ngeom):
         collides = model.geom_contype[geom] or model.geom_conaffinity[geom]

@@ -15,9 +15,9 @@ import mujoco
 
 from kickbench.config.robot import FootSpec, RobotSpec
 
-SensorGroup = Literal["base", "foot_frame", "foot_ball", "robot_ball", "foot_floor", "body_floor"]
+SensorGroup = Literal["base", "foot_frame", "foot_ball", "robot_ball", "foot_floor", "body_floor", "obstacle"]
 """What a term may ask for: frames of base and feet, and contacts of the feet, the whole
-robot, or all of it but its feet."""
+robot, or all of it but its feet; and of robot and ball with obstacles."""
 
 SIDES = ("left", "right")
 ROBOT = "robot/"
@@ -76,12 +76,16 @@ class SensorPlan:
 
 def available_groups(robot: RobotSpec) -> frozenset[SensorGroup]:
     """The groups a robot's scene can provide."""
-    groups: set[SensorGroup] = {*ALWAYS, "body_floor"}
+    groups: set[SensorGroup] = {*ALWAYS, "body_floor", "obstacle"}
     return frozenset(groups | set(FOOT_GROUPS) if robot.feet else groups)
 
 
 def plan_sensors(
-    robot: RobotSpec, root: str, body_geoms: Sequence[str], groups: frozenset[SensorGroup]
+    robot: RobotSpec,
+    root: str,
+    body_geoms: Sequence[str],
+    groups: frozenset[SensorGroup],
+    obstacles: Sequence[str] = (),
 ) -> list[SensorPlan]:
     """Lists the sensors of the wanted groups.
 
@@ -90,8 +94,13 @@ def plan_sensors(
         root: The robot's topmost body; its subtree is the whole robot.
         body_geoms: The robot's colliding geoms other than those of its feet.
         groups: Wanted groups; those the robot cannot provide have been rejected before.
+        obstacles: Geoms of the obstacles.
     """
-    plans = [*_base(robot.base), _touch("robot_ball", 0, (_Obj.mjOBJ_XBODY, ROBOT + root), "ball")]
+    whole = (_Obj.mjOBJ_XBODY, ROBOT + root)
+    plans = [*_base(robot.base), _touch("robot_ball", 0, whole, "ball")]
+    for part, geom in enumerate(obstacles if "obstacle" in groups else ()):
+        plans.append(_touch("robot_obstacle", part, whole, geom))
+        plans.append(_touch("ball_obstacle", part, (_Obj.mjOBJ_GEOM, "ball"), geom))
     if "body_floor" in groups:
         geoms = [(_Obj.mjOBJ_GEOM, ROBOT + name) for name in body_geoms]
         plans += [_touch("body_floor", part, geom, "floor") for part, geom in enumerate(geoms)]

@@ -70,7 +70,7 @@ def plot_regions(task: CompiledTask, path: Path, seed: int | None = None) -> Non
 def draw_regions(task: CompiledTask, seed: int) -> Any:
     """Makes the matplotlib figure of `plot_regions`."""
     make_figure = require("matplotlib.figure", "a plot of sampling regions").Figure
-    obstacles, shapes = task.scene.layout.obstacles, list(_shapes(task, seed))
+    obstacles, shapes = task.scene.layout.footprint, list(_shapes(task, seed))
     feet = obstacles[:, [0, 2, 1, 3]].reshape(-1, 2)
     near = [outline for label, outline, *_ in shapes if label.startswith("ball")]
     windows = [_window([outline for _, outline, *_ in shapes]), _window([feet, *near])]

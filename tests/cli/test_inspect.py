@@ -433,4 +433,10 @@ def test_a_shell_completes_names(tmp_path):
     done = subprocess.run(
         [sys.executable, "-m", "kickbench"], capture_output=True, text=True, check=False, env=environment
     )
-    assert done.stdout.split() == ["mini_general", "mini_goal", "mini_home_field", "mini_moving_ball"]
+    assert done.stdout.split() == [
+        "mini_general",
+        "mini_goal",
+        "mini_home_field",
+        "mini_moving_ball",
+        "mini_obstacles",
+    ]

@@ -55,8 +55,8 @@ MALFORMED = {
         (HOME, "sampling:", "samplings:"),
         (HOME, "¦samplings:"),
         "samplings: unknown key 'samplings'; expected one of: description, robot, terms, ball, floor, field, "
-        "simulation, episode, sampling, observations, rewards, terminations, randomization, evaluation, curriculum "
-        "(did you mean 'sampling'?)",
+        "obstacles, simulation, episode, sampling, observations, rewards, terminations, randomization, evaluation, "
+        "curriculum (did you mean 'sampling'?)",
     ),
     "wrong type": Case(
         [TASK],
@@ -213,8 +213,8 @@ MALFORMED = {
         [BASELINE],
         (TABLE, "\nactions:", "\nfields:\n  foot_position: regular x (trivial + sign\nactions:"),
         (TABLE, "¦regular x (trivial + sign"),
-        "fields.foot_position: expected names (trivial, sign, regular, regular_sign, joints, actions, feet) joined by "
-        "'+' and 'x', and parentheses, found 'regular x (trivial + sign'",
+        "fields.foot_position: expected names (trivial, sign, regular, regular_sign, joints, actions, feet, obstacles) "
+        "joined by '+' and 'x', and parentheses, found 'regular x (trivial + sign'",
     ),
     "pair of unequal length": Case(
         [ROBOT],

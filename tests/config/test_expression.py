@@ -5,11 +5,11 @@ from hypothesis import strategies as st
 from kickbench.config.method import NAMES, Product, RepresentationSpec, Sum, parse_expression
 from kickbench.symmetry.representation import BY_NAME
 
-FOUR = "trivial, sign, regular, regular_sign, joints, actions, feet"
+FOUR = "trivial, sign, regular, regular_sign, joints, actions, feet, obstacles"
 
 
-def test_the_names_are_the_four_representations_and_the_robots_own_three():
-    assert set(NAMES) == {*BY_NAME, "joints", "actions", "feet"}
+def test_the_names_are_the_four_representations_and_those_of_robot_and_obstacles():
+    assert set(NAMES) == {*BY_NAME, "joints", "actions", "feet", "obstacles"}
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from pydantic import ValidationError
 
 from kickbench.deploy.contract import Contract
-from kickbench.deploy.export import contract_of
+from kickbench.deploy.export import contract_of, onnx_bytes
+from kickbench.envs.compiled_task import read_task
 from kickbench.results.identity import read_identity
 from kickbench.training.trained import load_run
 
@@ -40,6 +42,23 @@ def test_observations_are_those_of_the_actor(run):
     assert set(by_name["joint_vel"].offset) == {0.0}
     assert (by_name["ball_position"].frame, by_name["ball_position"].units) == ("base", "m")
     assert by_name["joint_vel"].noise == task.groups["actor"][-2].params.noise
+
+
+def test_what_is_perceived_late_seldom_or_not_always_is_in_json_and_metadata(exported):
+    run, onnx = load_run(exported(RUNS[0])[0]), pytest.importorskip("onnx")
+    sampled = "observations.actor.ball_position={rate: 16, delay: [0.02, 0.06], dropout: 0.1}"
+    task = read_task("mini_home_field", [sampled, "observations.actor.target_position={delay: 0.1}"])
+    contract = contract_of(replace(run, trial=replace(run.trial, task=task)))
+    model = onnx.load_model_from_string(onnx_bytes(run.policy, contract))
+    (metadata,) = [entry.value for entry in model.metadata_props if entry.key == "kickbench"]
+    for text in (contract.text(), metadata):
+        fields = {field["name"]: field for field in json.loads(text)["observations"]}
+        found = {
+            name: tuple(field[key] for key in ("rate", "dropout", "delay")) for name, field in fields.items()
+        }
+        assert found["ball_position"] == (16.0, 0.1, [0.02, 0.06])
+        assert found["target_position"] == (None, None, [0.1, 0.1])
+        assert found["joint_pos"] == (None, None, None)
 
 
 def test_targets_gains_and_limits_are_those_of_the_robot(run):

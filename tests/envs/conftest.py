@@ -33,12 +33,13 @@ def mini(experiment):
 
 
 @pytest.fixture(scope="session")
-def sensing(mini):
-    """The scene of the same task with every sensor there is."""
+def sensing(experiment):
+    """The scene of the same task with obstacles and every sensor there is."""
     from kickbench.sim.build import build_scene
     from kickbench.sim.sensors import available_groups
 
-    return build_scene(mini.spec, mini.robot, available_groups(mini.robot.spec))
+    task = experiment("mini_obstacles").task
+    return build_scene(task.spec, task.robot, available_groups(task.robot.spec))
 
 
 FRAMES = {

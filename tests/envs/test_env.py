@@ -206,7 +206,10 @@ def test_clipping_bounds_a_field(experiment):
     assert values.max() == 0.5
 
 
-@pytest.mark.parametrize(("name", "least"), [("mini_general", 50), ("mini_moving_ball", 3), ("mini_goal", 3)])
+@pytest.mark.parametrize(
+    ("name", "least"),
+    [("mini_general", 50), ("mini_moving_ball", 3), ("mini_goal", 3), ("mini_obstacles", 3)],
+)
 def test_an_environment_mirrored_mid_episode_goes_on_as_the_mirror_image(experiment, name, least):
     """100 more steps of 256 worlds with kicks and new starts: all mirrors to float32 precision."""
     chosen = experiment(name, "equivariant")

@@ -222,14 +222,14 @@ def test_a_ball_that_rolls_is_where_it_would_rest(sample):
 
 def test_no_ball_overlaps_the_robot_though_most_of_its_region_does(sample, mini):
     crowded = region(x=(-0.1, 0.2), y=(-0.24, 0.24))
-    obstacles = torch.as_tensor(mini.scene.layout.obstacles)
-    assert 0.1 < free_share(crowded.ball, mini.scene.layout.obstacles, 0.08) < 0.25
+    obstacles = torch.as_tensor(mini.scene.layout.footprint)
+    assert 0.1 < free_share(crowded.ball, mini.scene.layout.footprint, 0.08) < 0.25
     x, y = torch.as_tensor(ball(sample(crowded, count=20_000), mini)[:, :2]).T
     assert not overlaps(x, y, obstacles, 0.08).any()
 
 
 def test_the_free_share_is_that_of_random_places(sample, mini):
-    obstacles = torch.as_tensor(mini.scene.layout.obstacles)
+    obstacles = torch.as_tensor(mini.scene.layout.footprint)
     for bounds in (((-0.1, 0.3), (-0.3, 0.3)), ((0.0, 0.2), (0.0, 0.1)), ((0.25, 0.5), (-0.3, 0.3))):
         ball = BallSampling(x=bounds[0], y=bounds[1])
         unit = torch.rand(2, 40_000, generator=torch.Generator().manual_seed(0), dtype=torch.float64)

@@ -106,8 +106,8 @@ def test_soles_are_seen_from_the_base_left_first(term):
 
 
 @pytest.mark.parametrize("name", catalog().observations)
-def test_every_field_is_as_long_as_its_term_says(name, term, mini):
-    own = own_representations(mini.robot.spec, mini.scene.layout)
+def test_every_field_is_as_long_as_its_term_says(name, term, mini, sensing):
+    own = own_representations(mini.robot.spec, sensing.layout)
     assert len(term(name)) == field_size(catalog().observations[name], own)
 
 

@@ -192,8 +192,8 @@ def test_meshes_are_drawn_and_collide(foreign):
     assert (drawn.geom_type == mujoco.mjtGeom.mjGEOM_MESH).sum() == 6
     assert (foreign.model.geom_type == mujoco.mjtGeom.mjGEOM_MESH).sum() == 3
     # Box meshes, so the ground rectangle of a foot is known: hip at y 0.1, turned by 0.1 rad about y.
-    assert len(foreign.layout.obstacles) == 2
-    assert foreign.layout.obstacles[0, 2:] == pytest.approx([0.06, 0.14], abs=1e-6)
+    assert len(foreign.layout.footprint) == 2
+    assert foreign.layout.footprint[0, 2:] == pytest.approx([0.06, 0.14], abs=1e-6)
 
 
 def test_names_find_joints_and_feet_whatever_their_order(foreign):

@@ -109,7 +109,7 @@ def test_so_many_iterations_and_so_many_more_are_those_of_one_training(
     assert untimed_rows(tmp_path / "parts/progress.csv") == untimed_rows(tmp_path / "whole/progress.csv")
 
 
-@pytest.mark.parametrize("name", ["mini_moving_ball", "mini_goal"])
+@pytest.mark.parametrize("name", ["mini_moving_ball", "mini_goal", "mini_obstacles"])
 def test_a_scene_goes_on_to_the_bit(experiment, name):
     assert_goes_on_to_the_bit(experiment(name).task)
 
