@@ -32,7 +32,7 @@ test: $(INSTALLED)  ## the tests, on all cores; without those that train or meas
 	$(BIN)/pytest -m 'not slow' -n auto --dist loadfile
 
 test-all: test faults  ## these, the seeded faults, and then the trainings, recorded policies, mujoco_warp
-	$(BIN)/pytest -m slow
+	$(BIN)/pytest -m 'slow and not ray_all'
 
 faults: $(INSTALLED)  ## put each bug of tests/faults into a copy: the tests must catch it
 	$(BIN)/python tests/faults/run.py
