@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import os
 import platform
+import signal
 import uuid
 from collections.abc import Mapping
 from dataclasses import replace
@@ -136,6 +137,8 @@ def _perform_there(
     run: PlannedRun, content: Files, files: Files, mark: tuple[Path, str], versions: Mapping[str, str]
 ) -> tuple[str, Files]:
     """Does a run on a node; why it failed, and its folder if the plan's is not seen from there."""
+    # Nodes that a shell has started in the background ignore it, and with it `RayRun.stop`.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     path, text = mark
     is_shared = path.is_file() and path.read_text() == text
     with TemporaryDirectory(prefix="kickbench-") as name:
