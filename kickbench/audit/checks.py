@@ -97,17 +97,17 @@ def _dynamics_rows(recording: Recording) -> Iterator[Row]:
 
 def _moving_parts(recording: Recording) -> Iterator[tuple[str, list[int], str]]:
     """Names, places in qvel and units of free joints, and of the other joints with their partners."""
-    scene, joints = recording.task.scene, dict[int, tuple[str, str]]()
-    for coordinate, kind in zip(scene.layout.coordinates, scene.model.jnt_type, strict=True):
+    joints = dict[int, str]()
+    for coordinate in recording.task.scene.layout.coordinates:
         place = coordinate.qvel
         if coordinate.free:
             yield f"{coordinate.name} velocity", [*range(place, place + 3)], "m/s"
             yield f"{coordinate.name} turning", [*range(place + 3, place + 6)], "rad/s"
         else:
-            joints[place] = coordinate.name, "m/s" if kind == _SLIDE else "rad/s"
+            joints[place] = coordinate.name
     for orbit in recording.reflection.qvel.representation.orbits():
         if orbit[0] in joints:
-            yield ", ".join(joints[i][0] for i in orbit), [*orbit], joints[orbit[0]][1]
+            yield ", ".join(joints[i] for i in orbit), [*orbit], _speed_unit(recording, orbit[0])
 
 
 def _motion_row(name: str, errors: np.ndarray, scale: float, unit: str, moved: np.ndarray) -> Row:

@@ -89,7 +89,8 @@ def representation_of(fits: np.ndarray, preferred: Representation) -> Representa
         if pick is None:
             return None
         entries[i], entries[pick[0]] = pick, (i, pick[1])
-    return Representation(*zip(*(entries[i] for i in range(size)), strict=True))
+    permutation, signs = zip(*(entries[i] for i in range(size)), strict=True)
+    return Representation(permutation, signs)
 
 
 def _both_fit(fits: np.ndarray, i: int, j: int, sign: int) -> bool:

@@ -59,7 +59,8 @@ class _Comparer:
 
     def _body(self, place: int, match: Match) -> Iterator[Comparison]:
         mine, theirs = self.here.bodies[place], self.there.bodies[place]
-        yield self._apart("place", mine.place - theirs.place, match)
+        if not mine.mass:  # where the frame of a body with mass lies is a matter of drawing
+            yield self._apart("place", mine.place - theirs.place, match)
         yield from self._figures("body", mine.row)
         yield self._apart("centre of mass", mine.centre - theirs.centre, match)
         yield _share("inertia", mine.inertia, theirs.inertia)

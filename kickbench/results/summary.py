@@ -49,6 +49,7 @@ def summarise(episodes: EpisodeTable, control_interval: float) -> EvaluationMetr
     Returns:
         The metrics; the same table always gives the same ones.
     """
+    ended = episodes.termination.value_counts(normalize=True).sort_index()
     rng, successes = np.random.default_rng(_DISTANCE_SEED), int(episodes.success.sum())
     return EvaluationMetrics(
         episodes=len(episodes),
@@ -56,7 +57,7 @@ def summarise(episodes: EpisodeTable, control_interval: float) -> EvaluationMetr
         success_ci=wilson(successes, len(episodes)),
         mean_distance=float(episodes.distance.mean()),
         median_distance=float(episodes.distance.median()),
-        terminations=episodes.termination.value_counts(normalize=True).sort_index().to_dict(),
+        terminations={str(name): share for name, share in ended.items()},
         kicks=_kicks(episodes),
         mean_episode_steps=float(episodes.steps.mean()),
         kicked_fraction=float((episodes.kick_foot != "none").mean()),
