@@ -132,28 +132,31 @@ class Candidate:
         return {self.model.joint(j).name: value for j, value in pose.items()}
 
     def _balanced(self, pose: dict[int, float]) -> dict[int, float]:
-        """Turns hips against ankles, which leaves soles level, until the centre of mass is over the soles."""
+        """Turns hips against ankles, which keeps soles level, if the centre of mass is not over them."""
+        ahead, room, _ = self._leaning(pose)
+        if abs(ahead) < room:
+            return pose
         for _ in range(3):
-            ahead, turns = self._leaning(pose)
-            tried, _ = self._leaning({j: value + _TURN * turns.get(j, 0.0) for j, value in pose.items()})
+            ahead, _, turns = self._leaning(pose)
+            tried = self._leaning({j: value + _TURN * turns.get(j, 0.0) for j, value in pose.items()})[0]
             if abs(ahead - tried) > 1e-6:
                 angle = _TURN * ahead / (ahead - tried)
                 turned = {j: value + angle * turns.get(j, 0.0) for j, value in pose.items()}
                 pose = {j: self._clipped(j, turned) for j in pose}
         return pose
 
-    def _leaning(self, pose: Mapping[int, float]) -> tuple[float, dict[int, float]]:
-        """How far the centre of mass is ahead of the soles, m, and the joints that change it, by sign."""
-        model, middles, turns = self.model, [], dict[int, float]()
+    def _leaning(self, pose: Mapping[int, float]) -> tuple[float, float, dict[int, float]]:
+        """How far the centre of mass is ahead of the soles, a quarter of their length, m, and what to turn."""
+        model, ends, turns = self.model, list[float](), dict[int, float]()
         data = posed(model, (0.0, 0.0, 0.0), {model.joint(j).name: value for j, value in pose.items()})
         for body in supports(model, data):
-            low, high = _sole_box(model, data, body)
-            middles.append((low[0] + high[0]) / 2.0)
+            ends += [corner[0] for corner in _sole_box(model, data, body)]
             pitch = {j: data.xaxis[j, 1] for j in self._chain(body) if abs(data.xaxis[j, 1]) > 0.9}
             if len(pitch) > 1:
                 lowest, *_, highest = pitch
                 turns |= {lowest: -np.sign(pitch[lowest]), highest: np.sign(pitch[highest])}
-        return float(model.body_mass[1:] @ data.xipos[1:, 0] / self.mass - np.mean(middles)), turns
+        ahead = float(model.body_mass[1:] @ data.xipos[1:, 0] / self.mass - (min(ends) + max(ends)) / 2.0)
+        return ahead, (max(ends) - min(ends)) / 4.0, turns
 
     def _reference(self) -> dict[int, float]:
         qpos = self.model.key_qpos[0] if self.model.nkey else self.model.qpos0

@@ -50,7 +50,7 @@ def _initial(robot: Candidate) -> Iterator[str]:
     source = (
         "the MJCF's first keyframe"
         if robot.model.nkey
-        else "GUESS: the MJCF's reference pose, balanced over the soles"
+        else "GUESS: the MJCF's reference pose, turned over the soles if it would fall"
     )
     yield "initial:"
     yield f"  position: [0.0, 0.0, {robot.height:.4f}]   # m: the lowest geom that collides is on the floor"
