@@ -146,7 +146,7 @@ class Candidate:
         return pose
 
     def _leaning(self, pose: Mapping[int, float]) -> tuple[float, float, dict[int, float]]:
-        """How far the centre of mass is ahead of the soles, a quarter of their length, m, and what to turn."""
+        """How far the centre of mass is ahead of the soles, a quarter of their length, m; what to turn."""
         model, ends, turns = self.model, list[float](), dict[int, float]()
         data = posed(model, (0.0, 0.0, 0.0), {model.joint(j).name: value for j, value in pose.items()})
         for body in supports(model, data):
