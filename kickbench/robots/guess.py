@@ -21,12 +21,18 @@ from kickbench.symmetry.derive import Derivation, derive
 GRAVITY = 9.81
 _SOLE = 0.02
 """Bodies that reach within this height of the lowest point carry the robot, m."""
+_LEVEL = 0.005
+"""Difference of two heights that is none, m."""
 _FREQUENCY = 20.0
 """Natural frequency of a joint that carries nothing, rad/s."""
-_DAMPING = 0.7
-"""Damping ratio of the joint by itself."""
-_TIPPING = 2.0
-"""Stiffness of a leg joint over m g h / feet, below which the robot tips over it."""
+_DAMPING, _SWAYING = 0.7, 0.1
+"""Damping ratios: of the joint by itself, and of the robot that sways over a leg joint."""
+_TIPPING = 3.0
+"""Stiffness of a leg joint over m g h / feet: the robot tips over it at 1, earlier where several give way."""
+_ENOUGH = 0.65
+"""Share of the wanted gains of a leg joint that carries the robot."""
+_TURN = 0.01
+"""Angle by which a pose is turned to find what it does to the balance, rad."""
 _SAG = 0.05
 """Angle by which a leg joint gives way under the robot's weight, rad."""
 
@@ -116,7 +122,36 @@ class Candidate:
     def joints(self) -> dict[str, float]:
         """Position of every joint."""
         free = self._reference()
-        return {self.model.joint(j).name: self._clipped(j, free) for j in self.hinges}
+        pose = {j: self._clipped(j, free) for j in self.hinges}
+        pose = pose if self.model.nkey else self._balanced(pose)
+        return {self.model.joint(j).name: value for j, value in pose.items()}
+
+    def _balanced(self, pose: dict[int, float]) -> dict[int, float]:
+        """Turns hips against ankles, which keeps soles level, if the centre of mass is not over them."""
+        ahead, room, _ = self._leaning(pose)
+        if abs(ahead) < room:
+            return pose
+        for _ in range(3):
+            ahead, _, turns = self._leaning(pose)
+            tried = self._leaning({j: value + _TURN * turns.get(j, 0.0) for j, value in pose.items()})[0]
+            if abs(ahead - tried) > 1e-6:
+                angle = _TURN * ahead / (ahead - tried)
+                turned = {j: value + angle * turns.get(j, 0.0) for j, value in pose.items()}
+                pose = {j: self._clipped(j, turned) for j in pose}
+        return pose
+
+    def _leaning(self, pose: Mapping[int, float]) -> tuple[float, float, dict[int, float]]:
+        """How far the centre of mass is ahead of the soles, a quarter of their length, m; what to turn."""
+        model, ends, turns = self.model, list[float](), dict[int, float]()
+        data = posed(model, (0.0, 0.0, 0.0), {model.joint(j).name: value for j, value in pose.items()})
+        for body in supports(model, data):
+            ends += [corner[0] for corner in _sole_box(model, data, body)]
+            pitch = {j: data.xaxis[j, 1] for j in self._chain(body) if abs(data.xaxis[j, 1]) > 0.9}
+            if len(pitch) > 1:
+                lowest, *_, highest = pitch
+                turns |= {lowest: -np.sign(pitch[lowest]), highest: np.sign(pitch[highest])}
+        ahead = float(model.body_mass[1:] @ data.xipos[1:, 0] / self.mass - (min(ends) + max(ends)) / 2.0)
+        return ahead, (max(ends) - min(ends)) / 4.0, turns
 
     def _reference(self) -> dict[int, float]:
         qpos = self.model.key_qpos[0] if self.model.nkey else self.model.qpos0
@@ -162,7 +197,7 @@ class Candidate:
 
     def sole(self, body: int) -> np.ndarray:
         """Centre of a foot's underside in its frame [3], m."""
-        low, high = underside(self.model, self.data, touching_geoms(self.model, body))
+        low, high = _sole_box(self.model, self.data, body)
         place = np.array([*(low + high)[:2] / 2.0, low[2]])
         return self.data.xmat[body].reshape(3, 3).T @ (place - self.data.xpos[body])
 
@@ -218,16 +253,20 @@ class Candidate:
         model, driven = self.model, [drive.joint for drive in self.drives]
         dofs = {name: int(model.joint(name).dofadr[0]) for name in driven}
         apparent, own = apparent_inertia(model, self.data), _own_inertia(model, self.data)
+        sway = _SWAYING**2 * self.mass * self.centre**2 / max(1, len(self.supports))
         for stepping in STEPPINGS:
-            dt, kp, kd = stepping.timestep, dict[str, float](), dict[str, float]()
+            dt, kp, kd, strong = stepping.timestep, dict[str, float](), dict[str, float](), True
             for name, dof in dofs.items():
-                wanted = self.needed.get(name, _FREQUENCY**2 * own[dof])
-                kp[name] = min(wanted, stepping.stiffness * apparent[dof] / dt**2)
-                damping = 2.0 * _DAMPING * np.sqrt(kp[name] * own[dof])
+                stiffness = self.needed.get(name, _FREQUENCY**2 * own[dof])
+                inertia = max(_DAMPING**2 * own[dof], sway if name in self.needed else 0.0)
+                damping = 2.0 * np.sqrt(stiffness * inertia)
                 kd[name] = min(damping, stepping.damping * apparent[dof] / dt)
-            kp, kd = self._equal_sides(kp), self._equal_sides(kd)
-            stiff = all(kp[n] * _TIPPING >= 1.3 * self.needed[n] for n in driven if n in self.needed)
-            yield Gains(kp, kd, stepping, stiff)
+                # Damping that is implicit makes stiffer servos stable.
+                calming = kd[name] * dt if stepping.integrator == "implicitfast" else 0.0
+                kp[name] = min(stiffness, stepping.stiffness * (apparent[dof] + calming) / dt**2)
+                got = min(kp[name] / stiffness, kd[name] / damping)
+                strong &= name not in self.needed or got >= _ENOUGH
+            yield Gains(self._equal_sides(kp), self._equal_sides(kd), stepping, strong)
 
     def _equal_sides(self, values: Mapping[str, float]) -> dict[str, float]:
         """The lesser of left and right, with two digits."""
@@ -236,12 +275,33 @@ class Candidate:
 
 
 def supports(model: mujoco.MjModel, data: mujoco.MjData) -> list[int]:
-    """Bodies that stand on the floor, or reach as low as those that do."""
+    """Bodies that stand on the floor, or reach as low as those that do; of a limb only the lowest one."""
     lowest = dict[int, float]()
     for geom in touching_geoms(model):
         body, height = int(model.geom_bodyid[geom]), lowest_point(model, data, geom)
         lowest[body] = min(height, lowest.get(body, np.inf))
-    return [body for body, height in lowest.items() if height < min(lowest.values()) + _SOLE]
+    standing = [body for body, height in lowest.items() if height < min(lowest.values()) + _SOLE]
+    # A foot before its toes, where both lie flat on the floor.
+    standing.sort(key=lambda body: (round(lowest[body] / _LEVEL), body))
+    found = list[int]()
+    for body in standing:
+        if not any(_on_a_limb(model, *sorted((body, other))) for other in found):
+            found.append(body)
+    return sorted(found)
+
+
+def _sole_box(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> tuple[np.ndarray, np.ndarray]:
+    """Corners [3], [3] of the upright box around what a body stands on: of a shank, its foot alone, m."""
+    heights = {geom: lowest_point(model, data, geom) for geom in touching_geoms(model, body)}
+    lowest = min(heights.values()) + _LEVEL
+    return underside(model, data, [geom for geom, height in heights.items() if height <= lowest])
+
+
+def _on_a_limb(model: mujoco.MjModel, upper: int, lower: int) -> bool:
+    """Whether one body, which is not the root, carries another one of a higher number."""
+    while lower > upper:
+        lower = int(model.body_parentid[lower])
+    return lower == upper > 1
 
 
 def efforts_of(model: mujoco.MjModel) -> dict[str, float]:

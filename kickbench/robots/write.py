@@ -47,7 +47,11 @@ def _head(robot: Candidate, model: Path, out: Path) -> Iterator[str]:
 
 
 def _initial(robot: Candidate) -> Iterator[str]:
-    source = "the MJCF's first keyframe" if robot.model.nkey else "GUESS: the MJCF's reference pose"
+    source = (
+        "the MJCF's first keyframe"
+        if robot.model.nkey
+        else "GUESS: the MJCF's reference pose, turned over the soles if it would fall"
+    )
     yield "initial:"
     yield f"  position: [0.0, 0.0, {robot.height:.4f}]   # m: the lowest geom that collides is on the floor"
     yield f"  joints:   # rad or m: {source}"
@@ -61,9 +65,9 @@ def _actuators(robot: Candidate) -> Iterator[str]:
     of = "The MJCF's actuators" if robot.model.nu else "GUESS: every joint, as the MJCF has no actuators"
     yield f"# {of}, in the order of the action vector:"
     yield "# tau = kp (u - q) - kd dq, u = default + scale * action."
-    yield "# GUESS: kp, N m/rad: a leg joint twice what keeps the robot from tipping over it, and sags by"
-    yield "# 0.05 rad; another joint 20 rad/s. kd, N m s/rad: damping ratio 0.7. Both no more than the time"
-    yield "# step allows."
+    yield "# GUESS: kp, N m/rad: a leg joint thrice what keeps the robot from tipping over it, and sags by"
+    yield "# 0.05 rad; another joint 20 rad/s. kd, N m s/rad: damping ratio 0.7, of the swaying robot 0.1."
+    yield "# Both no more than the time step allows."
     yield "# GUESS: scale, rad or m: 0.25, or an eighth of the joint's range."
     yield "actuators:"
     names, joints = ([flow_yaml(getattr(d, key)) for d in robot.drives] for key in ("name", "joint"))
@@ -89,7 +93,7 @@ def _feet(robot: Candidate) -> Iterator[str]:
         yield f"# NOT FOUND: feet; no left and right body among those that stand on the floor: {standing}"
         return
     yield f"# GUESS: left-right pairs of the bodies that stand on the floor ({standing})."
-    yield "# offset, m: the middle of the underside of all that collides of the body."
+    yield "# offset, m: the middle of the underside of what the body stands on."
     yield "feet:"
     width = max(map(len, robot.feet)) + 1
     for place, body in robot.feet.items():

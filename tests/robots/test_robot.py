@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 import shlex
 from pathlib import Path
@@ -135,6 +136,30 @@ def test_four_feet_are_found_and_named_by_their_places(tmp_path, monkeypatch, ca
     feet = yaml.safe_load(Path("robot.yaml").read_text())["feet"]
     places = ["front_left", "front_right", "hind_left", "hind_right"]
     assert {place: foot["body"] for place, foot in feet.items()} == {p: f"{p}_shank" for p in places}
+
+
+def test_a_robot_whose_feet_stand_far_ahead_leans_over_them(biped, capsys):
+    text = Path("my_robot.xml").read_text()
+    Path("my_robot.xml").write_text(text.replace('pos="0.02 0 -0.03"', 'pos="0.09 0 -0.03"'))
+    run(capsys, "kickbench robot init my_robot.xml")
+    robot = yaml.safe_load(Path("robot.yaml").read_text())["initial"]
+    hip, ankle = (robot["joints"][f"left_{joint}_pitch"] for joint in ("hip", "ankle"))
+    assert hip == -ankle > 0.0, "the soles stay level"
+    assert robot["position"][2] == pytest.approx(0.1 + 0.25 * math.cos(hip) + 0.045, abs=1e-4)
+
+
+def test_an_ankle_that_nearly_reaches_the_floor_is_no_hind_foot(biped, capsys):
+    text = Path("my_robot.xml").read_text()
+    for side in ("left", "right"):
+        heel = f'<geom size="0.01" pos="-0.05 0 -0.28" mass="0.01"/><body name="{side}_foot"'
+        text = text.replace(f'<body name="{side}_foot"', heel)
+    Path("my_robot.xml").write_text(text)
+    run(capsys, "kickbench robot init my_robot.xml")
+    feet = yaml.safe_load(Path("robot.yaml").read_text())["feet"]
+    assert {place: foot["body"] for place, foot in feet.items()} == {
+        "left": "left_foot",
+        "right": "right_foot",
+    }
 
 
 def test_hind_feet_that_are_named_as_front_feet_are_found(tmp_path, capsys):
