@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -82,6 +83,16 @@ def test_a_node_with_another_version_is_refused(experiment, tmp_path):
     failure, files = sent(run, tmp_path / "mark", torch="1.0")
     assert f"has torch {package_versions()['torch']}, here 1.0: results would not be comparable" in failure
     assert files == {}
+
+
+def test_a_node_that_a_shell_has_started_in_the_background_hears_ctrl_c(experiment, tmp_path):
+    (run, _) = runs_in(tmp_path, experiment)
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # as such a shell does
+    try:
+        sent(run, tmp_path / "mark", torch="1.0")
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def test_a_node_that_compiles_another_task_from_the_files_refuses_it(experiment, tmp_path):
