@@ -31,7 +31,8 @@ demo: $(RUNTIME)  ## train three methods on the mini home-field task; table, pag
 test: $(INSTALLED)  ## the tests, on all cores; without those that train or measure again
 	$(BIN)/pytest -m 'not slow' -n auto --dist loadfile
 
-test-all: test faults  ## these, the seeded faults, and then the trainings, recorded policies, mujoco_warp
+test-all: test  ## these, the seeded faults, and then the trainings, recorded policies, mujoco_warp
+	$(BIN)/python tests/faults/run.py --tested
 	$(BIN)/pytest -m slow
 
 faults: $(INSTALLED)  ## put each bug of tests/faults into a copy: the tests must catch it

@@ -1,6 +1,6 @@
 """Puts each bug of `faults.yaml` into a copy of the package and runs the tests that must catch it.
 
-usage: python tests/faults/run.py [--jobs N] [ID ...]
+usage: python tests/faults/run.py [--jobs N] [--tested] [ID ...]
 
 Every job has one copy of the repository. A fault is written into it, its tests run in a process that is forked off
 with torch and MuJoCo imported already, and the file is written back.
@@ -101,15 +101,18 @@ def try_fault(fault: dict[str, str]) -> tuple[str, str, float]:
     return outcome, why, sum(os.times()[2:4]) - before
 
 
-def try_all(faults: list[dict[str, str]], pool: ProcessPoolExecutor) -> int:
-    """Tries faults, prints the outcome of each, and returns the exit code."""
-    started = time.monotonic()
+def pass_without_faults(faults: list[dict[str, str]], pool: ProcessPoolExecutor) -> bool:
+    """Whether the tests of all faults pass without one."""
     tests = " ".join(dict.fromkeys(test for fault in faults for test in fault["tests"].split()))
     print(f"{len(faults)} faults; first their tests without a fault", flush=True)
     outcome, why = pool.submit(run_tests, tests, TIMEOUT * len(faults)).result()
     print(why, flush=True)
-    if outcome != "missed":
-        return 1
+    return outcome == "missed"
+
+
+def try_all(faults: list[dict[str, str]], pool: ProcessPoolExecutor) -> int:
+    """Tries faults, prints the outcome of each, and returns the exit code."""
+    started = time.monotonic()
     wrong: list[str] = []
     for number, (fault, result) in enumerate(zip(faults, pool.map(try_fault, faults), strict=True), 1):
         outcome, why, seconds = result
@@ -132,6 +135,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("ids", nargs="*", metavar="ID", help="faults (default: all)")
     parser.add_argument("--jobs", type=int, default=cores, help=f"faults tried at a time (default: {cores})")
+    parser.add_argument("--tested", action="store_true", help="the tests have just passed without a fault")
     options = parser.parse_args()
     faults = read_faults()
     if unknown := set(options.ids) - {fault["id"] for fault in faults}:
@@ -147,6 +151,8 @@ def main() -> int:
         tempfile.TemporaryDirectory(prefix="kickbench-faults-") as parent,
         ProcessPoolExecutor(options.jobs, FORK, make_copy, (parent,)) as pool,
     ):
+        if not options.tested and not pass_without_faults(faults, pool):
+            return 1
         return try_all(faults, pool)
 
 
