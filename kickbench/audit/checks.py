@@ -128,8 +128,8 @@ def _speed_rows(recording: Recording) -> Iterator[Row]:
     for joint, (place, limit) in recording.task.velocity_limits.items():
         speed = np.abs(recording.velocity.original[:, place])
         if share := float((speed > limit).mean()):
-            detail = f"beyond its velocity limit in {100.0 * share:.2g} % of the states"
             unit, usual = _speed_unit(recording, place), float(np.quantile(speed, _MOST))
+            detail = f"beyond its limit of {limit:g} {unit} in {100.0 * share:.2g} % of the states"
             excited = f"peak {speed.max():.2g} {unit}"
             yield Row("dynamics", f"speed {joint}", "measured", usual, limit, unit, excited, detail)
 

@@ -58,7 +58,7 @@ def test_joints_that_states_take_beyond_their_velocity_limit_are_listed(k1):
     speed = abs(k1.recording.velocity.original[:, place])
     (row,) = [row for row in k1.rows() if row.name == "speed Left_Hip_Pitch"]
     assert (row.verdict, row.tolerance, row.unit) == ("measured", limit, "rad/s")
-    assert row.detail == f"beyond its velocity limit in {100 * (speed > limit).mean():.2g} % of the states"
+    assert row.detail == f"beyond its limit of 8 rad/s in {100 * (speed > limit).mean():.2g} % of the states"
 
 
 def test_the_thesis_table_fails_on_the_contact_forces_and_on_nothing_else(k1):
