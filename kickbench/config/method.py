@@ -165,7 +165,7 @@ class MethodSpec(Spec):
 
 
 NAMES = ("trivial", "sign", "regular", "regular_sign", "joints", "actions", "feet", "obstacles")
-"""The four representations of the reflection group that occur, the robot's own three, and the obstacles' own."""
+"""The four representations of the reflection group that occur, the robot's own three, and the obstacles'."""
 
 
 V = TypeVar("V")

@@ -109,7 +109,7 @@ def compile_task(task: LoadedTask[Any]) -> CompiledTask:
 
 
 def own_representations(robot: RobotSpec, layout: SceneLayout) -> dict[str, Representation]:
-    """How observed joints, actions, feet and obstacles mirror, by the names that expressions have for them."""
+    """How observed joints, actions, feet and obstacles mirror, by their names in expressions."""
     image = robot.symmetry.image()
     return {
         "joints": mirror_joints(layout.joint_names, image),

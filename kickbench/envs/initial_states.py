@@ -84,7 +84,7 @@ class InitialStates:
 
 
 def overlaps(x: Any, y: Any, obstacles: Any, radius: float) -> Any:
-    """Whether a ball on the floor at (x, y) overlaps any rectangle of `SceneLayout.footprint`, bool of their shape.
+    """Whether a ball on the floor at (x, y) overlaps any rectangle of a footprint, bool of their shape.
 
     Places and obstacles are tensors or NumPy arrays.
     """
@@ -102,7 +102,7 @@ def free_share(region: BallSampling, obstacles: np.ndarray, radius: float) -> fl
 
 
 def obstacle_share(task: TaskSpec, footprint: np.ndarray) -> float:
-    """Share of the obstacles' region that is clear of the robot and of a ball as near to its middle as can be."""
+    """Share of the obstacles' region that is clear of the robot and of a ball near its middle."""
     obstacles, ball = task.obstacles, task.sampling.ball
     assert obstacles is not None
     x, y = _places(obstacles)

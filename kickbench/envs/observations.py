@@ -130,7 +130,7 @@ def foot_contact_forces(state: State, params: ObservationParams) -> Tensor:
 
 @observation("obstacles x (trivial + sign)", "m", "not in the thesis", needs=("obstacle",), frame="base")
 def obstacles(state: State, params: ObservationParams) -> Tensor:
-    """Centres of the nearest obstacles (`obstacles.observed`) relative to the base, in the base frame: xy each."""
+    """Centres of the nearest obstacles (`obstacles.observed`) relative to the base, in its frame: xy each."""
     return state.obstacles[0][:, :, :2].flatten(1)
 
 

@@ -312,7 +312,7 @@ class State:
 
     @cached_property
     def obstacles(self) -> tuple[Tensor, Tensor]:
-        """Centres relative to the base, m, and velocities, m/s, of the observed obstacles [B, K, 3], in the base frame.
+        """Centres relative to the base, m, and velocities, m/s, of the observed obstacles [B, K, 3], base frame.
 
         The nearest one comes first.
         """

@@ -12,14 +12,15 @@ The bias is the column of W that belongs to a constant input 1, a trivial coordi
 freedom in a sign output, is one shared value for a regular pair and b, -b for a regular_sign pair.
 
 Partial symmetry. A coordinate x that is excluded (`Representation.excluding`) counts as half of a regular
-pair (x, x') whose other half is always 0. A map is then equivariant on the pair, and its columns for x have no
-constraint; nor have the rows of an excluded output. A network f(o, x) of such layers is equivariant in the rest
-while x is 0, which is its own partner: :math:`f(\rho o, 0) = \rho f(o, 0)`. No more is asked: of any f with this
-property, F(o, x, 0) = f(o, x) and :math:`F(o, 0, x') = \rho f(\rho o, x')` make an equivariant function of the
-pair. The trivial representation for x would ask for :math:`f(\rho o, x) = \rho f(o, x)` at each x, which is wrong
-for a sensor of one side; whoever wants it writes it in the representation table. Chang et al. 2025 ("Partially
-Equivariant Reinforcement Learning in Symmetry-Breaking Environments") learn in which states to leave the
-symmetry; Finzi et al. 2021 leave it a little in every weight (`RelaxedLinear`).
+pair (x, x') whose other half is always 0. A map is then equivariant on the pair, and its columns for x have
+no constraint; nor have the rows of an excluded output. A network f(o, x) of such layers is equivariant in
+the rest while x is 0, which is its own partner: :math:`f(\rho o, 0) = \rho f(o, 0)`. No more is asked: of
+any f with this property, F(o, x, 0) = f(o, x) and :math:`F(o, 0, x') = \rho f(\rho o, x')` make an
+equivariant function of the pair. The trivial representation for x would ask for :math:`f(\rho o, x) = \rho
+f(o, x)` at each x, which is wrong for a sensor of one side; whoever wants it writes it in the
+representation table. Chang et al. 2025 ("Partially Equivariant Reinforcement Learning in Symmetry-Breaking
+Environments") learn in which states to leave the symmetry; Finzi et al. 2021 leave it a little in every
+weight (`RelaxedLinear`).
 """
 
 from __future__ import annotations

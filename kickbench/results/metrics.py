@@ -112,8 +112,8 @@ class EquivarianceError(Record):
     """Rms over that of the actions at the states and their mirror images: 0 for an equivariant policy,
     sqrt(2) if the two have nothing in common, 2 if they are opposite."""
     but_for: tuple[str, ...] | None = None
-    """Observation fields and joints that the method excludes from the symmetry: zero in both observations, and
-    left out of the actions. Null: none."""
+    """Observation fields and joints that the method excludes from the symmetry: zero in both observations,
+    and left out of the actions. Null: none."""
 
 
 class LegPreference(Record):

@@ -255,7 +255,7 @@ def _add_goal(scene: mujoco.MjSpec, target: TargetSampling) -> None:
 
 
 def _add_obstacles(scene: mujoco.MjSpec, obstacles: ObstaclesSpec) -> None:
-    """Upright cylinders that touch the ball and the robot; in the model's own pose they are out of the way."""
+    """Upright cylinders that touch ball and robot; in the model's own pose they are out of the way."""
     half_height, aside = obstacles.height / 2, max(obstacles.x[1], 0.0) + 2.0
     others = [GOAL] if scene.body(GOAL) is not None else []
     for number in range(obstacles.count):
