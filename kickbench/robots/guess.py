@@ -257,7 +257,7 @@ class Candidate:
         for stepping in STEPPINGS:
             dt, kp, kd, strong = stepping.timestep, dict[str, float](), dict[str, float](), True
             for name, dof in dofs.items():
-                stiffness = self.needed.get(name, _FREQUENCY**2 * own[dof])
+                stiffness = self.needed[name] if name in self.needed else _FREQUENCY**2 * own[dof]
                 inertia = max(_DAMPING**2 * own[dof], sway if name in self.needed else 0.0)
                 damping = 2.0 * np.sqrt(stiffness * inertia)
                 kd[name] = min(damping, stepping.damping * apparent[dof] / dt)
