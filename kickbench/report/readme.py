@@ -114,7 +114,7 @@ def _means(estimates: pd.DataFrame, quantity: Quantity) -> str:
 
 
 def summary(results: Sequence[Study], drawn: dict[str, Picture]) -> str:
-    """The text between the marks of `README.md`: success by condition, of experiments with one task, and what it loses."""
+    """The text between the marks of `README.md`: success by condition, of experiments with one task."""
     rows = []
     for study in (study for study in results if study.experiment and study.experiment.spec.task):
         means = {

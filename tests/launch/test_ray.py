@@ -191,6 +191,7 @@ def repeated(directory: RunDirectory, killed: int) -> None:
     )
 
 
+@pytest.mark.ray_all
 def test_a_worker_and_a_node_are_killed_and_the_runs_are_the_same(nodes, experiment, alone, tmp_path, start):
     made = plan(experiment, tmp_path / "out")
     first, second = (run.directory for run in made.runs)
