@@ -7,8 +7,8 @@ From Python (names of tasks and methods are those of `tasks/` and `methods/`; pa
     run = kickbench.load_run("runs/mini_home_field/equivariant/seed0")
     actions = run.policy(observations)                               numpy or torch; run.specs, run.metrics
     figures = kickbench.evaluate(run, episodes=500)                  an `Evaluation`
-    assert kickbench.check_mirror("robot.xml", my_mirror_function, my_observe)   see `kickbench symmetry check`
-    table = kickbench.load_runs("results/measured")                  a pandas.DataFrame, a row per run and side
+    assert kickbench.check_mirror("robot.xml", my_mirror_function, my_observe)  see `kickbench symmetry check`
+    table = kickbench.load_runs("results/measured")                  pandas.DataFrame: a row per run and side
 
 `import kickbench.envs.gym` registers every task with Gymnasium; `kickbench.deploy.runner.Policy` runs an
 exported policy.

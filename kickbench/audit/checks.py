@@ -71,7 +71,7 @@ def _joint_rows(derivation: Derivation, declared: Image) -> Iterator[Row]:
 
 
 def _action_rows(recording: Recording, actions: Representation) -> Iterator[Row]:
-    """Check 1: the declared image of every action is the one that states are mirrored with, which check 2 proves."""
+    """Check 1: the declared image of every action is the one used to mirror states, which check 2 proves."""
     proven, names = recording.reflection.actions.representation, recording.task.scene.layout.actuator_names
     entries = (zip(table.permutation, table.signs, strict=True) for table in (actions, proven))
     wrong = [i for i, (said, seen) in enumerate(zip(*entries, strict=True)) if said != seen]

@@ -105,8 +105,8 @@ def check_mirror(
 ) -> MirrorReport:
     """Checks a hand-written mirror function against a robot's geometry and physics.
 
-    States are compared with states of the robot's mirror image, so that real hardware's tolerances do not blur
-    the answer.
+    States are compared with states of the robot's mirror image, so that real hardware's tolerances do not
+    blur the answer.
 
     Args:
         model: MJCF, whose actions are its controls, or a `robot.yaml`, whose actions are offsets from its

@@ -60,7 +60,7 @@ class Reflection:
         )
 
     def __call__(self, snapshot: Tensors) -> Tensors:
-        """The mirror image of running episodes, but for what samples the actor has: the audit judges terms."""
+        """The mirror image of running episodes, except for the actor's samples: the audit judges terms."""
         exact = Tensors({name: part for name, part in snapshot.items() if name != "perception"})
         return exact.mirrored(self.qpos, self.qvel, self.actions)
 

@@ -1,4 +1,4 @@
-"""`kickbench bench --device cuda --proof`: what runs on a graphics card, checked and written down for that card."""
+"""`kickbench bench --device cuda --proof`: checks and records what runs on a graphics card, for that card."""
 
 from __future__ import annotations
 

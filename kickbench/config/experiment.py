@@ -1,4 +1,4 @@
-"""Experiments: what is trained and measured, what was reported of it, and claims in a form that a program can check.
+"""Experiments: what is trained and measured, what was reported of it, and claims that a program can check.
 
 A claim compares one metric of one or two conditions with a bound. Rates are fractions (two percentage points
 are 0.02), distances metres. It is about the mean over the conditions' seeds, or about each of them.

@@ -1,4 +1,4 @@
-"""A kind of file explained: a resolved spec with the source of each value, and the JSON Schema for editors."""
+"""Explains a kind of file: a resolved spec with the source of each value, and the JSON Schema for editors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Specs made of documents; what pydantic finds wrong has its place, the value found and the nearest valid name."""
+"""Specs made of documents, and what pydantic finds wrong with them.
+
+Each problem has its place, the value found and the nearest valid name.
+"""
 
 from __future__ import annotations
 
@@ -50,7 +53,7 @@ def validate(model: type[S], document: Document) -> S:
 
 
 def _only_seems_short(detail: ErrorDetails) -> bool:
-    """Pydantic counts the right entries of a list alone; what is wrong with the others has errors of its own."""
+    """Pydantic counts only the valid entries of a list; what is wrong with the others has its own errors."""
     found = detail["input"]
     least = detail.get("ctx", {}).get("min_length", 0)
     return detail["type"] == "too_short" and isinstance(found, list) and len(found) >= least

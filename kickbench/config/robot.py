@@ -227,7 +227,7 @@ class RobotSpec(Spec):
 
 
 def pairs_apart(robot: Tree) -> Tree:
-    """Robot data with two entries for each actuator whose `joint` is `[left, right]`, named after the joints."""
+    """Robot data with two entries per actuator whose `joint` is `[left, right]`, named after the joints."""
     actuators = robot.child("actuators")
     if actuators is None or not isinstance(actuators.value, dict):
         return robot

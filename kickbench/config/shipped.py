@@ -1,4 +1,4 @@
-"""The files that kickbench comes with, by name: tasks, methods, robots, representation tables and experiments."""
+"""Files shipped with kickbench, by name: tasks, methods, robots, representation tables and experiments."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def root() -> Path:
 
 @cache
 def names(kind: str) -> dict[str, Path]:
-    """The files of a kind by name: the path in the kind's folder without `.yaml`; a robot's is its folder's."""
+    """Files of a kind by name: the path in the kind's folder without `.yaml`; for a robot, its folder's."""
     folder, pattern = FOLDERS[kind]
     tables = root() / FOLDERS["representations"][0]
     files = [file for file in (root() / folder).glob(pattern) if kind != "method" or file.parent != tables]

@@ -1,4 +1,4 @@
-"""Task specification: scene, sampling regions, terms, evaluation protocol, and values that grow in training."""
+"""Task specification: scene, sampling regions, terms, evaluation protocol; values that grow in training."""
 
 from __future__ import annotations
 
@@ -133,7 +133,7 @@ class BallSampling(Spec):
     speed: NonNegativeRange | None = None
     """Speed at which it rolls, m/s; default: it is at rest."""
     direction: Angles | None = None
-    """Direction in which it rolls, from the line that leads from the ball to the robot, rad: 0 rolls at the robot,
+    """Direction in which it rolls, from the line that leads from ball to robot, rad: 0 rolls at the robot,
     pi away from it; counter-clockwise from above is positive. Default: 0."""
 
     @model_validator(mode="after")
@@ -158,7 +158,8 @@ class TargetSampling(Spec):
     y: Range | None = None
     """Lateral offset, m; left is positive."""
     width: PositiveFloat | None = Field(default=None, le=100)
-    """Clear width between the posts of a goal, m; its line is parallel to the y axis. Default: no goal, a point."""
+    """Clear width between the posts of a goal, m; its line is parallel to the y axis. Default: no goal, the
+    target is a point."""
 
     @model_validator(mode="after")
     def _in_one_kind_of_coordinates(self) -> TargetSampling:
@@ -279,8 +280,8 @@ class EvaluationSpec(Spec):
     mirrored: bool
     """Also evaluate the exact mirror images of the starts."""
     success_radius: PositiveFloat
-    """An episode succeeds if the ball ends at rest within this distance of the target, m. In a goal it succeeds
-    when the ball crosses the line between the posts."""
+    """An episode succeeds if the ball ends at rest within this distance of the target, m. In a goal it
+    succeeds when the ball crosses the line between the posts."""
     observation_noise: bool = False
     """Apply the observation noise of the task."""
     pushes: bool = False
@@ -335,7 +336,7 @@ class CompetenceSpec(Spec):
 
 
 class CurriculumSpec(Spec):
-    """Values that grow during the training, by their keys in the task. Evaluation always uses the task's own."""
+    """Values that grow during training, by their keys in the task. Evaluation always uses the task's own."""
 
     competence: CompetenceSpec | None = None
     """For the ramps `over: competence`."""

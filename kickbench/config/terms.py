@@ -33,7 +33,7 @@ class TermParams(Spec):
     """Parameters of a term; a term without parameters is written `{}`."""
 
     def misfits(self, task: TaskSpec) -> Iterator[tuple[str, str]]:
-        """Parameters that make no sense in the task, each with the reason; a term overrides it where it has some."""
+        """Parameters that make no sense in the task, with reasons; a term overrides it where it has some."""
         yield from ()
 
     def named_joints(self) -> Iterator[tuple[KeyPath, str]]:

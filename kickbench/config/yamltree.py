@@ -159,7 +159,7 @@ class _Builder:
     _count: int = 0
 
     def build(self, node: Node, path: KeyPath, key: Mark | None) -> Tree:
-        """Builds the tree of the node at a path; `key` is the mark of its key, None for list items and the top."""
+        """Builds the tree of the node at a path; `key` marks its key, None for list items and the top."""
         mark = self._mark(node)
         self._count += 1
         if self._count > _MAX_VALUES or len(path) > MAX_DEPTH:

@@ -48,7 +48,7 @@ class Catalog:
         return tuple(term for table in tables for term in table.values())
 
     def tables(self, spec: TaskSpec) -> dict[tuple[str, ...], tuple[Mapping[str, Term], TermTable]]:
-        """Every table of terms in a task by its keys: the terms that are known, and those that the task names."""
+        """Every table of terms in a task by its keys: the known terms, and those that the task names."""
         return {
             ("observations", "actor"): (self.observations, spec.observations.actor),
             ("observations", "critic"): (self.observations, spec.observations.critic),
@@ -113,7 +113,7 @@ def _task_model(terms: Catalog) -> type[TaskSpec]:
 
 
 def _curriculum(terms: Catalog) -> type[CurriculumSpec]:
-    """The values that a curriculum may move: regions, weights of rewards, numbers and ranges of randomisation."""
+    """The values that a curriculum may move: regions, reward weights, numbers and ranges of randomisation."""
     keys = ["sampling.ball.x", "sampling.ball.y", "sampling.target.distance", "sampling.target.angle"]
     keys += [f"rewards.{name}.weight" for name in terms.rewards]
     for name, term in terms.randomizations.items():

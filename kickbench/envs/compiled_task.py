@@ -1,6 +1,7 @@
 """A task, compiled: checked, with its scene, its terms and their parameters bound, and field layouts.
 
-Checked is here what is wrong though every value by itself is right: regions without room, times that do not fit.
+What is checked here is wrong although every value by itself is right: regions without room, times that do
+not fit.
 """
 
 from __future__ import annotations
@@ -167,7 +168,7 @@ def _of_robot(bound: Bound, own: Mapping[str, Representation]) -> Bound:
 
 
 def _task_problems(task: LoadedTask[Any], terms: Catalog) -> Iterator[Problem]:
-    """What can be said before there is a scene: terms that it could not serve, empty tables, a wrong curriculum."""
+    """Problems before there is a scene: terms that it could not serve, empty tables, a wrong curriculum."""
     spec, document = task.spec, task.document
     for path, (known, table) in terms.tables(spec).items():
         active = table.active(TermParams)
@@ -186,7 +187,7 @@ def _task_problems(task: LoadedTask[Any], terms: Catalog) -> Iterator[Problem]:
 
 
 def _scene_problems(task: LoadedTask[Any], layout: SceneLayout) -> Iterator[Problem]:
-    """Regions of the ball that leave it no room beside the robot, those of a curriculum's first level as well."""
+    """Regions of the ball without room beside the robot, also those of a curriculum's first level."""
     yield from _region_problems(task, layout)
     yield from _grid_problems(task, layout)
     yield from _goal_place_problems(task, layout)

@@ -160,7 +160,7 @@ class DelayLine:
         memory.newest = torch.where(mask, memory.history.shape[1] - 1, memory.newest)
 
     def __call__(self, targets: Tensor) -> Tensor:
-        """Takes the new targets [B, nu] and returns what the servos see in every substep [B, decimation, nu]."""
+        """Takes new targets [B, nu] and returns what the servos see in every substep [B, decimation, nu]."""
         memory = self.memory
         memory.history = torch.cat([targets.unsqueeze(1), memory.history[:, :-1]], dim=1)
         depth = memory.history.shape[1]
@@ -230,7 +230,7 @@ class PushSchedule:
         memory.side = torch.where(mask, 1.0, memory.side)
 
     def __call__(self) -> Tensor:
-        """Advances the schedule by one control step and returns the force of that step, world frame [B, 2], N."""
+        """Advances the schedule by one control step and returns that step's force, world frame [B, 2], N."""
         wait, magnitude, angle = self._draw(_UNIT, self._range, _TURN)
         memory = self.memory
         memory.wait -= 1
@@ -259,8 +259,8 @@ class Sampler:
     is seen `delay` seconds later, rounded up to whole control steps. The first sample, of the initial state,
     is never lost, and has been seen when the episode begins.
 
-    At 50 control steps a second, a rate of 16 Hz samples at control steps 0, 4, 7, 10, 13, 16, 19, 22, 25, 29;
-    with a delay of 0.06 s, control steps 7, 8 and 9 see the sample of step 4.
+    At 50 control steps a second, a rate of 16 Hz samples at control steps 0, 4, 7, 10, 13, 16, 19, 22, 25,
+    29; with a delay of 0.06 s, control steps 7, 8 and 9 see the sample of step 4.
 
     Attributes:
         name: The field's name.

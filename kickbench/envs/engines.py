@@ -65,7 +65,7 @@ def make_warp_engine(
 
 
 def rehearsal(task: CompiledTask) -> tuple[Tensor, list[Tensor]]:
-    """Initial states of a task [N, nq], and control targets of random actions (standard normal), each [N, nu]."""
+    """Initial states of a task [N, nq]; control targets of random actions (standard normal), each [N, nu]."""
     layout, generator = task.scene.layout, torch.Generator().manual_seed(0)
     sampler = InitialStateSampler(task, generator)
     default, scale = torch.as_tensor(layout.default_target), torch.as_tensor(layout.action_scale)

@@ -214,7 +214,7 @@ class KickEnv(VecEnv):
         return self.finish(self.advance(actions))
 
     def finish(self, state: State) -> tuple[TensorDict, Tensor, Tensor, dict[str, Tensor]]:
-        """The second half of a step, given what `advance` returned: rewards, endings, resets, observations."""
+        """Second half of a step, given what `advance` returned: rewards, endings, resets, observations."""
         rewards = self._reward(state)
         failed = self.engine.failed.clone()
         terminated = torch.stack([bound(state) for bound in self.task.terminations], dim=1)
@@ -268,7 +268,7 @@ class KickEnv(VecEnv):
             self._speeding += is_beyond.any(dim=1).sum()
 
     def take_speeding(self) -> float | None:
-        """Control steps, over all envs, that ended with a joint beyond its velocity limit since the last call.
+        """Control steps of all envs that ended with a joint beyond its velocity limit since the last call.
 
         None: no servo has a limit.
         """

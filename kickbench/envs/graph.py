@@ -37,7 +37,7 @@ def graph_obstacle(device: torch.device) -> str | None:
 
 
 class CapturedStep:
-    """Steps an environment by replaying a graph, where the device can; by the same code without one elsewhere.
+    """Steps an environment by replaying a graph where the device can, by the same code without one elsewhere.
 
     Trajectories are those of `KickEnv.step`, random numbers included. What `step` and `get_observations`
     return is the caller's to keep; `KickEnv.outcome` and the environment's state are valid until the next

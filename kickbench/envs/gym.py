@@ -1,4 +1,7 @@
-"""Tasks as Gymnasium vector envs: `import kickbench.envs.gym`, then `gymnasium.make_vec("kickbench/<task>")`."""
+"""Tasks as Gymnasium vector envs.
+
+Use: `import kickbench.envs.gym`, then `gymnasium.make_vec("kickbench/<task>")`.
+"""
 
 from __future__ import annotations
 

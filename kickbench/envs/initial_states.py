@@ -172,7 +172,7 @@ class InitialStateSampler:
         return states
 
     def overlaps(self, x: Tensor, y: Tensor) -> Tensor:
-        """Whether a ball on the floor at (x, y) would overlap the robot in its default pose, bool of their shape."""
+        """Whether a ball on the floor at (x, y) would overlap the robot in its default pose, bool like x."""
         return overlaps(x, y, self._footprint, self._radius)
 
     def _draw_ball(self, count: int) -> Tensor:
@@ -207,7 +207,7 @@ class InitialStateSampler:
         return torch.stack([distance * angle.cos(), distance * angle.sin()], dim=1)
 
     def _draw_velocities(self, qpos: Tensor) -> Tensor:
-        """Generalised velocities [N, nv] of the initial positions: all at rest but the ball, which may roll."""
+        """Generalised velocities [N, nv] of the initial positions: all zero, except for a ball that rolls."""
         ball, count = self._regions.ball, len(qpos)
         qvel = qpos.new_zeros(count, self._nv)
         if ball.speed is not None:
@@ -282,7 +282,10 @@ class InitialStatePool:
         self._states, self._used = self._sampler.sample(self._size), 0
 
     def state_dict(self) -> dict[str, Any]:
-        """How many states are handed out, and the generator's state before they were drawn: far smaller than they."""
+        """How many states are handed out, and the generator's state before they were drawn.
+
+        Both are far smaller than the states.
+        """
         return {"size": self._size, "used": self._used, "drawn_from": self._drawn_from.clone()}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:

@@ -50,7 +50,7 @@ def ball_position(state: State, params: ObservationParams) -> Tensor:
 
 @observation(_POLAR, "m", "Table 3.2; the frame, not in the thesis, is the ball's", frame="base")
 def target_position(state: State, params: ObservationParams) -> Tensor:
-    """Target, a point on the floor or the middle of a goal, relative to the origin of the base, in the base frame."""
+    """Target, a point on the floor or a goal's middle, relative to the base's origin, in the base frame."""
     return state.target_from_base
 
 
@@ -86,7 +86,7 @@ def ball_touched(state: State, params: ObservationParams) -> Tensor:
 
 @observation("feet", "true/false", "Table 3.2, critic only", needs=("foot_ball",))
 def foot_ball_contact(state: State, params: ObservationParams) -> Tensor:
-    """Left, right foot touched the ball during the last control step; of four feet, the front pair comes first."""
+    """Left, right foot touched the ball in the last control step; of four feet, the front pair is first."""
     return state.foot_ball_contact.float()
 
 

@@ -1,4 +1,4 @@
-'''Terms of one's own: a task's key `terms` names a Python file that adds rewards, observations and terminations.
+'''Terms of one's own: a task's key `terms` names a Python file that adds rewards, observations, terminations.
 
     from kickbench.envs.own import reward
 

@@ -37,7 +37,7 @@ def foot_friction(states: InitialStates, params: FootFriction, draw: Draw) -> In
 
 
 class FactorsBySide(RandomizationParams):
-    """Parameters of the terms that scale a part of the robot by side: hardware that is not quite symmetric."""
+    """Parameters of terms that scale a part of the robot by side: hardware that is not quite symmetric."""
 
     left: PositiveRange = (1.0, 1.0)
     """Range of the factor of the left side."""
@@ -78,7 +78,7 @@ def servo_damping(states: InitialStates, params: FactorsBySide, draw: Draw) -> I
 
 @randomization("5.1 (future work: asymmetric hardware)", units="1")
 def motor_strength(states: InitialStates, params: FactorsBySide, draw: Draw) -> InitialStates:
-    """Factor of the effort limit of all servos and of the torque of all motors of a side, drawn anew likewise.
+    """Factor of the effort limit of all servos and the torque of all motors of a side, drawn anew likewise.
 
     The no-load speed stays, so the torque at every speed scales alike; gains are `servo_stiffness` and
     `servo_damping`.
@@ -108,7 +108,7 @@ def joint_position(states: InitialStates, params: JointPosition, draw: Draw) -> 
     stage="command",
 )
 def action_delay(setting: Setting, params: ActionDelay) -> DelayLine:
-    """The servos follow the newest command of at least a certain age, drawn anew for every control step and world."""
+    """The servos follow the newest command of at least some age, drawn anew per control step and world."""
     return DelayLine(setting, params)
 
 

@@ -43,7 +43,7 @@ def target_distance(state: State, params: TargetDistance) -> Tensor:
 
 @reward(source="3.2.3 Ball Approach Target")
 def ball_approach_target(state: State, params: RewardParams) -> Tensor:
-    """max(0, cos) of the angle between ball velocity and ball-to-target, while a touched ball moves; else 0."""
+    """max(0, cos(angle between ball velocity and ball-to-target)) while a touched ball moves; else 0."""
     lengths = state.ball_ground_speed * state.target_distance
     return _cosine(state.ball_lin_vel[:, :2], state.ball_to_target, lengths) * state.kick_moves_ball
 

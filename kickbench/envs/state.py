@@ -130,7 +130,7 @@ class State:
     """
 
     def __init__(self, engine: Engine, index: StateIndex, episode: EpisodeState, limits: EpisodeSpec) -> None:
-        """Copies what the engine holds now; make a new one whenever the engine or the episode state has changed."""
+        """Copies what the engine holds now; make a new one when the engine or episode state has changed."""
         self._index = index
         # An engine that computes in float32 would hand out its own memory, which a reset writes to within the
         # step.
@@ -181,7 +181,7 @@ class State:
 
     @cached_property
     def _seen_from_base(self) -> tuple[Tensor, ...]:
-        """Every single vector that terms read in the base frame: one product is much cheaper than one each."""
+        """Every vector that terms read in the base frame: one product is much cheaper than one each."""
         linear, angular = self.base_lin_vel_world, self._frame("base_angvel")
         ball, target = self.ball_pos - self.base_pos, self.target_pos - self.base_pos
         return self.in_base_frame(
@@ -283,7 +283,7 @@ class State:
 
     @cached_property
     def ball_to_target(self) -> Tensor:
-        """Horizontal vector from the ball to the target, of a goal to the nearest point of its line [B, 2], m."""
+        """Horizontal vector from the ball to the target, or the nearest point of a goal's line [B, 2], m."""
         offset = self.episode.target - self.ball_pos[:, :2]
         if half := self._index.goal_half:
             x, y = offset.unbind(dim=1)
@@ -312,7 +312,7 @@ class State:
 
     @cached_property
     def obstacles(self) -> tuple[Tensor, Tensor]:
-        """Centres relative to the base, m, and velocities, m/s, of the observed obstacles [B, K, 3], base frame.
+        """Centres relative to the base, m, and velocities, m/s, of observed obstacles [B, K, 3], base frame.
 
         The nearest one comes first.
         """

@@ -1,4 +1,4 @@
-"""The state of an env: one nested dict of tensors, which is copied, restored, mirrored and recorded as a whole."""
+"""The state of an env: one nested dict of tensors, copied, restored, mirrored and recorded as a whole."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _SWAPPED = {"left": "right", "right": "left"}
 
 
 class Tensors(dict[str, Any]):
-    """Tensors, and dicts of tensors, by name: `env.tensors["episode"]["step"]`, or `env.tensors.episode.step`.
+    """Tensors and dicts of tensors by name: `env.tensors["episode"]["step"]`, or `env.tensors.episode.step`.
 
     Assigning to an attribute copies into the tensor that is there. So no tensor of an env is ever replaced,
     and a CUDA graph, which knows nothing but addresses, may read and write them.
@@ -128,7 +128,7 @@ def across(vectors: Tensor) -> Tensor:
 
 
 def sides_swapped(values: Tensor) -> Tensor:
-    """Values of the left and of the right side, or of pairs of feet, and where there is one of the middle, reflected.
+    """Reflects values of the left and right side, or of pairs of feet, and one of the middle if there is one.
 
     Args:
         values: Left and right in turn [N, 2 or 4], or left, right, middle [N, 3].

@@ -69,7 +69,7 @@ class Marker:
     stage: Stage = "initial"
 
     def __call__(self, function: Callable[..., Any]) -> Any:
-        """The term of a function `(state, params)`; a function of one's own, which is read, stays as it is."""
+        """The term of a function `(state, params)`; one's own function, which is read, stays as it is."""
         if "params" not in function.__annotations__:
             return function
         params = get_type_hints(function)["params"]

@@ -72,7 +72,7 @@ class RayExecutor:
 
     Args:
         folder: Folder of the plan.
-        address: `HOST:PORT` of the cluster; None: one is started on this machine, for its own processes alone.
+        address: `HOST:PORT` of the cluster; None: one is started on this machine for its own processes alone.
         cpus: Cores that a run is given.
         gpus: GPUs, or a share of one, that a run is given.
         is_shared: Whether nodes may write into the plan's folder where they see it.

@@ -25,7 +25,10 @@ class Execution(Protocol):
     """A run that has been started somewhere."""
 
     def poll(self) -> str | None:
-        """Why it failed, empty if it did not; None while it runs. What it has written is in its folder then."""
+        """Why it failed, empty if it did not; None while it runs.
+
+        What it has written is in its folder as soon as this is not None.
+        """
 
     def stop(self, at_once: bool = False) -> None:
         """Asks it to end, with a checkpoint after the present iteration; or kills it."""
@@ -82,7 +85,7 @@ class Job:
 
 
 def carry_out(plan: Plan, executor: Callable[[], Executor]) -> Jobs:
-    """Runs what is left of a plan, in its folder, and prints what happens; the executor is made if it is needed."""
+    """Runs what is left of a plan, in its folder, and prints what happens; makes the executor if needed."""
     with RunDirectory(plan.folder).occupied():
         write_record(plan.folder, plan.record)
         jobs = Jobs(plan.runs)

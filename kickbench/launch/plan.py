@@ -44,7 +44,7 @@ class Selection:
     threads: int = 1
 
     def default_folder(self, experiment: str) -> Path:
-        """`runs/<experiment>`; for runs that are not those of the experiment's file, a folder of their own."""
+        """`runs/<experiment>`; for runs other than those of the experiment's file, a folder of their own."""
         scaled = f"-scale{self.scale:g}" if self.scale else ""
         return Path("runs", f"{experiment}{scaled}{'-changed' if self.overrides else ''}")
 

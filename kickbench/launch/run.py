@@ -58,8 +58,8 @@ class RunRequest:
         command: The command line, for provenance; default: one that makes the same run.
         init_from: Run directory whose policy it begins with; None: random networks.
         init_std: Standard deviation of the actions to begin with instead of that policy's.
-        experiment: The experiment that the run is begun for, or its path; its claims are recorded. None: it is
-            for itself.
+        experiment: The experiment that the run is begun for, or its path; its claims are recorded. None: it
+            is for itself.
     """
 
     task: Path

@@ -1,4 +1,7 @@
-"""How far runs are, read from the files in their folders alone (no torch: it answers at once), and as a table."""
+"""How far runs are, read from the files in their folders alone, and as a table.
+
+Torch is not imported: the answer comes at once.
+"""
 
 from __future__ import annotations
 
@@ -115,7 +118,7 @@ def state_of(run: pd.Series, total: int | None = None) -> RunState:
 def _training(
     state: State, directory: RunDirectory, done: int | None, total: int | None, note: str = ""
 ) -> RunState:
-    """A run without a result, as its progress table shows it; that shows how far it is, too, if `done` is None."""
+    """A run without a result, as its progress table shows it; if `done` is None, also how far it is."""
     figures = read_tail(directory.progress)
     if done is not None:
         figures["done"] = done
@@ -168,7 +171,7 @@ def counts(states: Sequence[RunState]) -> str:
 
 
 def time_left(runs: Sequence[tuple[str, RunState]], at_a_time: int = 1) -> str:
-    """How long the rest takes, in words: from the mean pace of each condition's own runs, and from nothing else.
+    """How long the rest takes, in words: from the mean pace of each condition's own runs, and nothing else.
 
     A condition that has not been measured is given the mean of the others. How much runs slow each other down
     is not foreseen.

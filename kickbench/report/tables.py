@@ -1,4 +1,6 @@
-"""What a page says: its tables, as frames of text, and what a reader must know before believing them, in sentences.
+"""What a page says: its tables, as frames of text, and its caveats, in sentences.
+
+The caveats are what a reader must know before believing the tables.
 
 The page and the READMEs print the same cells.
 """

@@ -1,4 +1,7 @@
-"""Files of results: each is, at every moment, either the old one or the whole new one. The base of their models."""
+"""Files of results: each is, at every moment, either the old one or the whole new one.
+
+Also the base of their models.
+"""
 
 from __future__ import annotations
 

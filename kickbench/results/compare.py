@@ -36,7 +36,8 @@ SCORES: Mapping[str, Quantity] = {
 _METHOD_HEADER = ("method", "seeds", "iter.", "mean", "std")
 _PAIR_HEADER = ("over seeds", "difference [95 % CI]", "p", "Holm p")
 _LEGEND = """\
-difference: first minus second, of newly trained runs, with Welch's interval. p: exact rank test, at least 0.1 for three
+difference: first minus second, of newly trained runs, with Welch's interval. \
+p: exact rank test, at least 0.1 for three
 seeds against three. Holm p: adjusted for the pairs of its table."""
 
 

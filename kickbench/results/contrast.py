@@ -60,7 +60,7 @@ class Contrast:
 _AT_LEAST = ("at_least", "greater_than", "difference_at_least", "ratio_at_least")
 _AT_MOST = ("at_most", "less_than", "difference_at_most", "ratio_at_most")
 _WITHIN = ("difference_within", "near_reported")
-"""Kinds of claims by the range, from or up to the bound or around 0 or what was reported, of their contrast."""
+"""Kinds of claims by their contrast's range: from the bound, up to it, or around 0 or what was reported."""
 
 
 def contrast_of(claim: AnyClaim, reported: float | None = None) -> Contrast:
@@ -123,7 +123,7 @@ def run_terms(run: pd.DataFrame, claim: AnyClaim, contrast: Contrast) -> RunTerm
 
 
 def _correlation(run: pd.DataFrame, claim: AnyClaim, operands: Sequence[Operand]) -> float:
-    """Correlation of the figures of the two sides of one evaluation; 0 for any other figures, or where unknown."""
+    """Correlation of the figures of one evaluation's two sides; 0 for any other figures, or where unknown."""
     sides = {operand.side: operand for operand in operands}
     tasks = {operand.task or run.task.iloc[0] for operand in operands}
     if claim.metric != "success_rate" or len(sides) < 2 or len(tasks) > 1:

@@ -83,8 +83,8 @@ def episode_table(**columns: ArrayLike) -> EpisodeTable:
 def write_episodes(path: Path, sides: EpisodeSides) -> None:
     """Write both sides to one CSV file, atomically.
 
-    The first column, `side`, is `in_distribution` or `mirrored`; the others are those of the table. Floats have
-    six decimals (a micrometre), truth values are 0 or 1: equal tables give equal bytes.
+    The first column, `side`, is `in_distribution` or `mirrored`; the others are those of the table. Floats
+    have six decimals (a micrometre), truth values are 0 or 1: equal tables give equal bytes.
 
     Args:
         path: the file; `.gz` is compressed.

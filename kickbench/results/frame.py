@@ -8,7 +8,7 @@ transfer task.
 |---|---|
 | `path`, `condition`, `task`, `method`, `seed` | the run; `condition` is None where no experiment plans it |
 | `side`, `evaluated_on` | which episodes, of which task: `task` itself or a transfer task |
-| `identity`, `setting` | fingerprints of the run, and of its task, robot and model alone; None where unknown |
+| `identity`, `setting` | fingerprints of the run, and of only its task, robot and model; None where unknown |
 | `iterations`, `iterations_planned`, `scale` | training iterations done and wanted |
 | `state`, `damage`, `deviation` | finished, unfinished, running, missing or damaged; sentences or None |
 | `repeats` | path of another run of the same identity and seed, which is the one that counts |

@@ -45,7 +45,7 @@ _TINY = 1e-13
 
 
 class Identity(Record):
-    """The file `identity.json`: two runs with one fingerprint trained the same thing, but for seed and length."""
+    """The file `identity.json`: runs with one fingerprint trained the same thing, but for seed and length."""
 
     version: Literal[1] = 1
     fingerprint: str

@@ -1,4 +1,4 @@
-"""Whether a run's files are those that the run wrote: `SHA256SUMS` beside them, checked whenever a run is read.
+"""Whether a run's files are those that it wrote: `SHA256SUMS` beside them, checked whenever a run is read.
 
 `sha256sum -c SHA256SUMS` in a run folder checks the same. Checkpoints come and go; each carries its own
 SHA-256 (`with_digest`), as does a policy that has just been trained.
@@ -154,7 +154,7 @@ def _write_sums(path: Path, sums: Mapping[str, str]) -> None:
 
 
 def _sha256_of(file: Path) -> str:
-    """The SHA-256 of a file; of one that was read before and has not changed since without reading it again."""
+    """The SHA-256 of a file; one that was read before and has not changed since is not read again."""
     info = file.stat()
     changed = max(info.st_mtime_ns, info.st_ctime_ns)
     is_settled = time.time() - changed / 1e9 > _SETTLED

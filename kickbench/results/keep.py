@@ -1,4 +1,4 @@
-"""`python -m kickbench.results.keep RUNS PLACE`: finished runs made small enough to be kept in a repository."""
+"""`python -m kickbench.results.keep RUNS PLACE`: makes finished runs small enough to keep in a repository."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ def keep(runs: Path | str, place: Path | str, every: int = EVERY) -> list[Path]:
     Args:
         runs: A folder of runs, or one run.
         place: Where they go, in the same arrangement; a run that is there already is an error.
-        every: Of so many training iterations one is kept, and the last; 1: all, as claims about learning curves
-            need them.
+        every: Of so many training iterations one is kept, and the last; 1: all, as claims about learning
+            curves need them.
 
     Returns:
         The folders of the copies.

@@ -50,8 +50,9 @@ def read_progress(path: Path) -> pd.DataFrame:
     """Reads a run's table of training iterations.
 
     Returns:
-        A row per iteration, ascending, with the column `iteration`; the others are floats, NaN where nothing is
-        known yet. A compressed table may have been thinned (`kickbench.results.keep`); any other has every row.
+        A row per iteration, ascending, with the column `iteration`; the others are floats, NaN where nothing
+        is known yet. A compressed table may have been thinned (`kickbench.results.keep`); any other has every
+        row.
 
     Raises:
         KickbenchError: The file cannot be read or is no such table.
@@ -66,7 +67,7 @@ def read_progress(path: Path) -> pd.DataFrame:
 
 
 def last_rows(path: Path, count: int) -> list[dict[str, str]]:
-    """The last whole rows of a table of training iterations by column, at most `count`; none if it has none."""
+    """The last whole rows of a table of iterations by column, at most `count`; none if it has none."""
     try:
         with open(path, encoding="utf-8", errors="replace") as file:
             header, last = file.readline(), deque(file, maxlen=count + 1)

@@ -125,11 +125,10 @@ def collect_provenance(
 
 
 class RunHistory:
-    """What `metrics.json` calls a run, and the parts it was made in, one per process; the last part is this process.
+    """What `metrics.json` calls a run, and its parts, one per process; the last part is this process.
 
     Checkpoints carry it from one process to the next. A process that is killed leaves the part that its last
-    checkpoint
-    records: what it did after that is done again, and counts only then.
+    checkpoint records: what it did after that is done again, and counts only then.
 
     Args:
         task: Name of the task.

@@ -1,4 +1,4 @@
-"""What is measured of a run: how each figure is written, how it follows from the run, and its mean over seeds.
+"""What is measured of a run: how each figure is written and follows from the run, and its mean over seeds.
 
 A *quantity* is a figure in a column of the table of runs, a *metric* what a claim may be about
 (`kickbench.config.experiment.Metric`); some metrics follow from several columns, or from the learning curves.
@@ -173,7 +173,7 @@ def over_seeds(rows: pd.DataFrame, quantity: Quantity) -> pd.DataFrame:
 
 
 def non_finite_note(share: float) -> str:
-    """What stands behind a figure of which some episodes became non-finite: ` (2.5 % non-finite)`; else nothing."""
+    """What stands behind a figure if some episodes became non-finite: ` (2.5 % non-finite)`; else nothing."""
     if not share > 0:
         return ""
     return f" ({'<0.1' if share < 0.001 else f'{100 * share:.1f}'} % non-finite)"
@@ -205,7 +205,7 @@ def _terminations(row: pd.Series, claim: AnyClaim) -> Figure:
 
 
 def _favourite_foot(row: pd.Series, _: AnyClaim) -> Figure | None:
-    """Share of the kicks by foot made with the foot that made more of them: 1/2 for none preferred, 1 for one leg."""
+    """Share of the kicks by foot made with the foot that made more: 1/2 for none preferred, 1 for one leg."""
     feet = [
         row[f"kicks/ball_left/{foot}"] + row[f"kicks/ball_right/{foot}"]
         for foot in ("left_foot", "right_foot")
@@ -263,7 +263,7 @@ def steps_to_kick(success: Curve, steps: Curve) -> float | None:
 
 
 def steps_to_half_success(success: Curve, steps: Curve) -> float | None:
-    """Control steps until the smoothed success rate reaches half of the final one, the mean of the last tenth."""
+    """Control steps until the smoothed success rate reaches half its final value (mean of the last tenth)."""
     last = success[-max(1, round(_LAST * len(success))) :]
     final = float(np.nanmean(last)) if np.isfinite(last).any() else 0.0
     return _steps_until(success, steps, final / 2) if final > 0 else None

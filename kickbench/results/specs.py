@@ -97,7 +97,9 @@ def _write_task_and_method(directory: RunDirectory, experiment: Trial) -> None:
 
 
 def model_files(experiment: Trial) -> list[Path]:
-    """The robot's MJCF and every file it reads: included and attached models, meshes, textures, height fields, skins.
+    """The robot's MJCF and every file it reads.
+
+    Those are included and attached models, meshes, textures, height fields and skins.
 
     Raises:
         SpecError: They are too large in all.
@@ -145,7 +147,7 @@ def _write(path: Path, document: Document, paths: dict[str, Any]) -> None:
 
 
 def spec_differences(directory: RunDirectory, experiment: Trial) -> list[Problem]:
-    """Every key in which an experiment differs from the stored one by its identity, and whether its model does.
+    """Every key in which an experiment differs from the stored one by identity, and whether its model does.
 
     Defaults count as if they were written out. The order of terms counts too: it is the order of the vectors.
 

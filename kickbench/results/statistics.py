@@ -40,7 +40,7 @@ class Estimate(NamedTuple):
 
 
 class TwoProportions(NamedTuple):
-    """Two independent proportions compared: first minus second, its interval, and the test of no difference."""
+    """Two independent proportions compared: first minus second, its interval, the test of no difference."""
 
     difference: float
     interval: Interval
@@ -72,7 +72,7 @@ def wilson(successes: int, n: int) -> Interval:
 
 
 def two_proportions(first: int, n_first: int, second: int, n_second: int) -> TwoProportions:
-    """Two-sided two-proportion z-test (pooled variance), and Newcombe's hybrid score interval of the difference.
+    """Two-sided two-proportion z-test (pooled variance); Newcombe's hybrid score interval of the difference.
 
     With the pooled p = (first + second)/(n_first + n_second): z = (p1 - p2) / sqrt(p (1-p) (1/n_first +
     1/n_second)), which is 0 where p is 0 or 1. The interval is made from the Wilson limits of both
@@ -174,7 +174,9 @@ def _quantile_of_t(dof: int) -> float:
 
 
 def rank_test(first: Sequence[float], second: Sequence[float]) -> float:
-    """P-value of the exact two-sided Mann-Whitney test; with ties, over all ways to share out the ranks, or many.
+    """P-value of the exact two-sided Mann-Whitney test.
+
+    With ties, it is taken over all ways to share out the ranks, or over many of them.
 
     It is at least 2 / C(n + m, n): 0.1 for three seeds against three, 0.0079 for five against five. So three
     seeds can never show a difference at the usual 5 %, whatever they measure.

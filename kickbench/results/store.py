@@ -72,7 +72,7 @@ class RunDirectory:
 
     @property
     def beside(self) -> RunDirectory:
-        """Where a run is made that is to replace the one in this folder: `--force` erases nothing before it ends."""
+        """Where a run is made that is to replace this folder's: `--force` erases nothing before it ends."""
         return RunDirectory(self.path / _BESIDE)
 
     @property
@@ -86,7 +86,7 @@ class RunDirectory:
         return plain_or_packed(self.path / "progress.csv")
 
     def also(self, task: str) -> Path:
-        """The metrics of the run's policy on a task that it was not trained on (not metrics.json: it is no run)."""
+        """Metrics of the run's policy on a task it was not trained on (not metrics.json: it is no run)."""
         return self.path / "also" / f"{task}.json"
 
     @property
@@ -127,7 +127,7 @@ class RunDirectory:
                     self.path.rmdir()
 
     def reopen(self) -> None:
-        """Make a run ready to go on: remove its result and what a kill left half written, keep its training."""
+        """Prepare a run to go on: remove its result and what a kill left half written, keep its training."""
         for file in (self.metrics, self.episodes, self.policy, *self._mended_files()):
             file.unlink(missing_ok=True)
 
@@ -209,7 +209,7 @@ class RunDirectory:
         yield from self._mended_files()
 
     def _mended_files(self) -> Iterator[Path]:
-        """What is made again when a run goes on: results on further tasks, and what a kill left half written."""
+        """What is remade when a run goes on: results on further tasks, and what a kill left half written."""
         yield from (self.path / "also").glob("*.json")
         for folder in (self.path, self.specs, self.checkpoints, self.path / "also"):
             yield from (file for file in folder.glob(f"{TEMPORARY_PREFIX}*") if not file.is_dir())

@@ -184,7 +184,7 @@ def measure_asymmetry(
 
 
 def _legs(both: EpisodeTable) -> LegPreference:
-    """One cluster an episode, or a mirrored pair; clusters without a kick by foot say nothing and are left out."""
+    """One cluster per episode or mirrored pair; those without a kick by foot say nothing and are left out."""
     feet = {
         "same_side": both.kick_foot == np.where(both.start_ball_y >= 0, "left", "right"),
         "left_foot": both.kick_foot == "left",

@@ -1,4 +1,4 @@
-"""The tables of runs that `kickbench table`, `run`, `eval`, `claims` and `compare` print, in plain fixed columns.
+"""Tables of runs that `kickbench table`, `run`, `eval`, `claims` and `compare` print, in plain fixed columns.
 
 And what stands below them: in what runs of one name differ, which repeat others, which do not count and why.
 """
@@ -83,8 +83,8 @@ def mean_and_spread(values: pd.Series, unit: Unit) -> tuple[str, str]:
     """Mean and standard deviation over seeds as text, without the unit.
 
     The divisor is seeds - 1. The thesis gives "mean ± standard deviation calculated across three independent
-    seeds" (Table 4.2) but neither the divisor nor the seeds' own figures: if it divided by the number of seeds,
-    its figures are sqrt(2/3) = 0.82 of what they would be here.
+    seeds" (Table 4.2) but neither the divisor nor the seeds' own figures: if it divided by the number of
+    seeds, its figures are sqrt(2/3) = 0.82 of what they would be here.
     """
     mean, std = (NOTHING if pd.isna(of) else unit.text(of) for of in (values.mean(), values.std()))
     return mean, std
@@ -121,7 +121,7 @@ class Column:
         return probability(value) if self.title == "p" else f"{value:,.0f}"
 
     def summary(self, runs: pd.DataFrame) -> tuple[str, str]:
-        """Mean and standard deviation over seeds as text; of a count the common value, of a p-value nothing."""
+        """Mean and standard deviation over seeds as text; counts: the common value; p-values: nothing."""
         if isinstance(self.of, str):
             values = runs[self.of]
             if self.title == "p":
@@ -172,7 +172,7 @@ _KICK = tuple(
 
 
 def render_table(frame: pd.DataFrame, columns: Literal["success", "kick"] = "success") -> str:
-    """The tables of runs, without a final newline: a block per setting, a line per run, seeds of a method together.
+    """The tables of runs, no final newline: a block per setting, a line per run, seeds of a method together.
 
     Rates are in percent, the gap (in-distribution minus mirrored success) in percentage points, distances in
     metres. Several seeds are followed by their mean and their sample standard deviation; a seed with a star
@@ -262,7 +262,7 @@ def _method_rows(columns: Sequence[Column], runs: pd.DataFrame, summary: bool) -
 
 
 def remark_lines(frame: pd.DataFrame) -> list[str]:
-    """Below a table of runs: in what runs of one name differ, which runs repeat others, and which have no result."""
+    """Below a table: in what runs of one name differ, which runs repeat others, and which have no result."""
     finished = frame[(frame.state == "finished") & (frame.evaluated_on == frame.task)]
     lines = [*difference_lines(finished), *exclusion_lines(finished)]
     return [*lines, *repeat_lines(frame), *left_out_lines(frame)]

@@ -95,7 +95,7 @@ def judge(experiment: LoadedExperiment, measured: pd.DataFrame) -> tuple[Verdict
 
 
 def verdict_lines(experiment: LoadedExperiment, verdicts: Sequence[Verdict]) -> list[str]:
-    """Verdicts as lines of a table: outcome, figure beside what was reported, and below it what is missing."""
+    """Verdicts as lines of a table: outcome, figure beside the reported one, and below it what is missing."""
     if not verdicts:
         return [f"{experiment.name}: no claims"]
     header = ("claim", "verdict", "measured [95 % interval]", "over", "reported")
@@ -143,7 +143,7 @@ def _judge(name: str, claim: AnyClaim, experiment: LoadedExperiment, measured: p
 def judge_parts(
     claim: AnyClaim, contrast: Contrast, parts: Parts
 ) -> tuple[Outcome, Estimated | None, str | None]:
-    """The verdict on a claim, its figure and why there is not enough data, from what each condition's runs give."""
+    """The verdict on a claim, its figure and why there is not enough data, from each condition's runs."""
     if not all(parts.values()):
         return "not enough data", None, None
     seeds = min(map(len, parts.values()))

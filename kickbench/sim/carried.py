@@ -20,7 +20,7 @@ _UNSUPPORTED_DRIVES = {
 
 
 def read_mjcf(file: str) -> mujoco.MjSpec:
-    """Reads an MJCF whose bodies stay apart; what has no name is `body_3`, or `BODY:0`, a body's first joint."""
+    """Reads an MJCF whose bodies stay apart; the unnamed are `body_3`, or `BODY:0`, a body's first joint."""
     spec = mujoco.MjSpec.from_file(file)
     # Bodies that the robot file names would be merged into their parents.
     spec.compiler.fusestatic = False

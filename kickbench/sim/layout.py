@@ -52,7 +52,7 @@ class Servo(NamedTuple):
 
 
 SLIDE = "scene/"
-"""How the names of slides begin on which the env places what is none of the robot; along y they end in `_y`."""
+"""How names of slides begin on which the env places what is not the robot's; along y they end in `_y`."""
 GOAL = "goal"
 """The body of a goal, if the scene has one."""
 

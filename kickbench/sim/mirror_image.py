@@ -1,9 +1,9 @@
-"""The mirror image of a compiled model: a model of the same names in which every part has its partner's figures.
+"""The mirror image of a compiled model: a model of the same names, each part with its partner's figures.
 
 Reflecting every frame of the model and turning its y axis around leaves right-handed frames, and so local
-places and axes that differ in nothing but signs (`symmetry.mirror`). The image moves like the original seen in
-a mirror, whether its sides are equal or not: a table is proved on the two, and what they differ in is what is
-unequal about the robot.
+places and axes that differ in nothing but signs (`symmetry.mirror`). The image moves like the original seen
+in a mirror, whether its sides are equal or not: a table is proved on the two, and what they differ in is what
+is unequal about the robot.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ FIGURES = {
     "jnt_actfrcrange",
     "dof": "dof_damping dof_armature dof_frictionloss dof_solref dof_solimp",
     "qpos": "qpos0 qpos_spring",
-    "geom": "geom_friction geom_solref geom_solimp geom_solmix geom_margin geom_gap geom_condim geom_priority "
-    "geom_contype geom_conaffinity",
+    "geom": "geom_friction geom_solref geom_solimp geom_solmix geom_margin geom_gap geom_condim "
+    "geom_priority geom_contype geom_conaffinity",
     "actuator": "actuator_gainprm actuator_biasprm actuator_dynprm actuator_damping actuator_forcelimited "
     "actuator_forcerange actuator_ctrllimited actuator_ctrlrange",
 }
@@ -40,7 +40,7 @@ _LAWS = {**dict.fromkeys(_PLACES.split(), POLAR), **dict.fromkeys(_TURNS.split()
 
 
 class _Images(NamedTuple):
-    """Rows of a kind of array [n], the rows of their partners (a part without one: its own), and the signs."""
+    """Rows of a kind of array [n], rows of their partners (a part without one: its own), and the signs."""
 
     rows: np.ndarray
     partners: np.ndarray
@@ -62,7 +62,7 @@ def _images(model: mujoco.MjModel, derivation: Derivation) -> dict[str, _Images]
 
 
 def mirror_image(model: mujoco.MjModel, derivation: Derivation) -> mujoco.MjModel:
-    """The mirror image of a compiled model in all parts that the derivation is about: in a scene, the robot's."""
+    """The mirror image of a compiled model in all parts the derivation is about: in a scene, the robot's."""
     images, mirrored = _images(model, derivation), copy(model)
     for kind, (rows, partners, _) in images.items():
         of_kind = [name for name in (*_LAWS, *_FORM.split()) if name.startswith(f"{kind}_")]
@@ -108,8 +108,8 @@ def _turn_ranges(model: mujoco.MjModel, names: tuple[str, ...], rows: np.ndarray
 def twin_models(model: mujoco.MjModel, derivation: Derivation) -> tuple[mujoco.MjModel, mujoco.MjModel]:
     """A copy of a model, and its mirror image, whose motion can be compared.
 
-    Meshes become boxes of their extent: MuJoCo's contacts between hulls do not mirror. Shapes without a mirror
-    image touch nothing, and bodies without one and without a joint weigh nothing.
+    Meshes become boxes of their extent: MuJoCo's contacts between hulls do not mirror. Shapes without a
+    mirror image touch nothing, and bodies without one and without a joint weigh nothing.
     """
     original = copy(model)
     for geom in (shape.row for shape in derivation.parts.shapes if shape.kind == "mesh"):

@@ -78,7 +78,7 @@ class Checkpoints:
 
 
 def save_policy(path: Path, policy: MLPModel, critic: MLPModel | None = None) -> None:
-    """Writes a policy: normaliser, network and standard deviation; and the critic, for a run that begins so."""
+    """Writes a policy: normaliser, network, standard deviation; and the critic, for a run that begins so."""
     content = {"format": _POLICY_FORMAT, "actor_state_dict": policy.state_dict()}
     _write(path, content if critic is None else {**content, "critic_state_dict": critic.state_dict()})
 

@@ -1,1 +1,1 @@
-"""A task with a method, compiled (a trial); experiments, which are many of them; checking specs without running."""
+"""A task with a method, compiled (a trial); experiments, which are many; checking specs without running."""

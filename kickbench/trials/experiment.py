@@ -1,4 +1,4 @@
-"""Experiments as files in `results/reported`: loaded with all their tasks and methods, and checked against them.
+"""Experiments as files in `results/reported`: loaded with all tasks and methods, and checked against them.
 
 Not to be taken for `kickbench.trials.trial`, which compiles one task and one method for one run.
 """
@@ -188,7 +188,7 @@ def _condition(
 
 
 def _point_names(point: Mapping[str, Any]) -> list[str]:
-    """`desired_kl=0.01` for each setting: the last key if it is no other's, in characters of a folder's name."""
+    """`desired_kl=0.01` for each setting: the last key if it is unique, in characters of a folder's name."""
     last = [key.rpartition(".")[2] for key in point]
     names = [own if last.count(own) == 1 else key for key, own in zip(point, last, strict=True)]
     return [

@@ -102,7 +102,7 @@ def load_both(
         loaded_method = load_method(method, of_method)
     if problems:
         raise SpecError(problems)
-    return loaded_task, loaded_method  # pyright: ignore[reportPossiblyUnbound] (no problem, so both are there)
+    return loaded_task, loaded_method  # pyright: ignore[reportPossiblyUnbound] (no problem: both are there)
 
 
 def completed_table(
@@ -116,7 +116,7 @@ def completed_table(
 def symmetry_of(
     task: CompiledTask, representations: Loaded[RepresentationSpec], method: LoadedMethod | None = None
 ) -> Symmetry:
-    """Builds the reflection of a task from the robot's joint table, a representation table and what the terms state.
+    """Builds a task's reflection from the robot's joint table, a representation table and what terms state.
 
     Args:
         task: The task.

@@ -83,7 +83,7 @@ def show(
 
 
 def _interrupt(*_: object) -> None:
-    """Ends the viewer, and the process for certain: Studio may lose the interrupt, or wait for a connection."""
+    """Ends the viewer, and the process for certain: Studio may lose interrupts, or wait for a connection."""
     print("\nstopped", flush=True)
     timer = threading.Timer(_CLOSING, os._exit, (0,))
     timer.daemon = True
