@@ -16,7 +16,8 @@ from kickbench.envs.engines import make_engine
 from kickbench.envs.env import KickEnv
 from kickbench.envs.graph import recorded_call
 from kickbench.sim.cpu import CpuEngine
-from kickbench.sim.engine import Engine, silent
+from kickbench.sim.engine import Engine
+from kickbench.sim.silence import silent
 
 
 def physics_alone(env: KickEnv, threads: int) -> Callable[[list[Tensor]], Callable[[], None]]:

@@ -8,17 +8,19 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from kickbench.config.base import Fraction, NonNegativeRange, PositiveFloat
 from kickbench.config.task import TaskSpec
 from kickbench.config.terms import RandomizationParams
 from kickbench.envs.tensors import Tensors
 from kickbench.envs.term import Field
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 _UNIT, _TURN = (0.0, 1.0), (0.0, 2.0 * math.pi)
 _ROUNDING = 1e-6

@@ -120,7 +120,6 @@ class KickEnv(VecEnv):
         limits = list(task.velocity_limits.values())
         self._limited = torch.tensor([place for place, _ in limits], dtype=torch.int64, device=self.device)
         self._velocity_limit = torch.tensor([limit for _, limit in limits], device=self.device)
-        self._speeding = torch.zeros((), device=self.device)
         self._variation = ModelVariation(task.scene, self.device)
         time = task.spec.simulation
         target, envs = self._default_target, self.num_envs
@@ -265,16 +264,7 @@ class KickEnv(VecEnv):
         self.record.note_touch(state, self.engine.failed, self._has_feet)
         if len(self._limited):
             is_beyond = self.engine.qvel[:, self._limited].abs() > self._velocity_limit
-            self._speeding += is_beyond.any(dim=1).sum()
-
-    def take_speeding(self) -> float | None:
-        """Control steps of all envs that ended with a joint beyond its velocity limit since the last call.
-
-        None: no servo has a limit.
-        """
-        count = float(self._speeding) if len(self._limited) else None
-        self._speeding.zero_()
-        return count
+            self.totals.speeding += is_beyond.any(dim=1).sum()
 
     def _reward(self, state: State) -> Tensor:
         raw = torch.stack([bound(state) for bound, _ in self.task.rewards], dim=1)

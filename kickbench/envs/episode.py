@@ -73,6 +73,7 @@ class Totals(Tensors):
 
     Attributes:
         steps: Their control steps.
+        speeding: Control steps, of running episodes too, that ended with a joint beyond its velocity limit.
         endings: How many ended in each way [3 + T]: any, with success, because their numbers were not finite,
             by each termination.
         by_reward_raw: Unweighted sums of each reward term [R].
@@ -80,6 +81,7 @@ class Totals(Tensors):
     """
 
     steps: Tensor
+    speeding: Tensor
     endings: Tensor
     by_reward_raw: Tensor
     weights: Tensor
@@ -88,8 +90,11 @@ class Totals(Tensors):
     def zeros(terminations: int, weights: Tensor) -> Totals:
         """Nothing counted yet."""
         endings = torch.zeros(3 + terminations, device=weights.device)
-        steps = torch.zeros((), device=weights.device)
-        return Totals(steps=steps, endings=endings, by_reward_raw=torch.zeros_like(weights), weights=weights)
+        steps, speeding = torch.zeros((), device=weights.device), torch.zeros((), device=weights.device)
+        by_reward = torch.zeros_like(weights)
+        return Totals(
+            steps=steps, speeding=speeding, endings=endings, by_reward_raw=by_reward, weights=weights
+        )
 
     def add(self, outcome: Outcome) -> None:
         """Adds the envs that are done."""
@@ -103,18 +108,19 @@ class Totals(Tensors):
         """Returns the sums and sets them to zero.
 
         They are `episodes`, their number; `successes`; `failures`, those whose numbers were not finite;
-        `steps`; `terminations`, those ended by each termination [T]; and the sums of each reward term [R],
-        `raw_rewards` without and `rewards` with its weight.
+        `steps`; `speeding`; `terminations`, those ended by each termination [T]; and the sums of each reward
+        term [R], `raw_rewards` without and `rewards` with its weight.
         """
         names = ("episodes", "successes", "failures")
         finished = Tensors(
             **dict(zip(names, self.endings[: len(names)], strict=True)),
             terminations=self.endings[len(names) :],
             steps=self.steps,
+            speeding=self.speeding,
             raw_rewards=self.by_reward_raw,
             rewards=self.by_reward_raw * self.weights,
         ).clone()
-        for sums in (self.steps, self.endings, self.by_reward_raw):
+        for sums in (self.steps, self.speeding, self.endings, self.by_reward_raw):
             sums.zero_()
         return finished
 

@@ -9,17 +9,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from kickbench.config.task import BallSampling, ObstaclesSpec, TaskSpec
 from kickbench.envs.tensors import across, sides_swapped
 
 if TYPE_CHECKING:
+    from torch import Tensor
+
     from kickbench.envs.compiled_task import CompiledTask
     from kickbench.sim.layout import ObstacleLayout
     from kickbench.symmetry.torch_ops import Mirror
 
-Draw = Callable[..., Tensor]
+Draw = Callable[..., "Tensor"]
 """`draw(low, high, *shape)`: uniform numbers, float64, from the sampler's generator."""
 
 LEAST_FREE = 0.1

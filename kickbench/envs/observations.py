@@ -7,14 +7,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import torch
-from torch import Tensor
 
 from kickbench.config.terms import ObservationParams
 from kickbench.envs.disturbances import Draws, Sampler, uniform
 from kickbench.envs.state import State
 from kickbench.envs.term import Field, observation
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 _POLAR = "trivial + sign + trivial"
 """A position, velocity, force or direction: the reflection y -> -y changes the sign of y."""

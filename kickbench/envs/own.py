@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 from pydantic import ValidationError, create_model
@@ -31,6 +31,9 @@ from kickbench.config.base import NameList, Range
 from kickbench.config.terms import JointName, JointNames, TermParams
 from kickbench.envs.term import COMMON, Kind, Term, observation, reward, termination
 from kickbench.errors import KickbenchError, Mark, Problem, SpecError, shown
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 _TYPES: dict[str, Any] = {
     **{kind.__name__: kind for kind in (float, int, bool, str)},
@@ -63,7 +66,7 @@ class OwnFunction:
     parameters: tuple[str, ...]
     doc: str | None
 
-    def __call__(self, state: Any, params: TermParams) -> torch.Tensor:
+    def __call__(self, state: Any, params: TermParams) -> Tensor:
         """Calls the function, and checks what it returns.
 
         Raises:

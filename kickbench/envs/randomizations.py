@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import torch
 from pydantic import model_validator
-from torch import Tensor
 
 from kickbench.config.base import NonNegativeRange, PositiveFloat, PositiveRange
 from kickbench.config.terms import RandomizationParams
@@ -21,6 +21,9 @@ from kickbench.envs.term import randomization
 from kickbench.sim.build import Scene, servo_law
 from kickbench.sim.engine import ModelField
 from kickbench.sim.layout import NO_SIDE, Servo
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 
 class FootFriction(RandomizationParams):

@@ -6,14 +6,18 @@ negative weights would reward jitter).
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import torch
 from pydantic import Field
-from torch import Tensor
 
 from kickbench.config.base import Fraction, NonNegativeFloat, PositiveFloat
 from kickbench.config.terms import JointName, JointNames, RewardParams
 from kickbench.envs.state import State, length
 from kickbench.envs.term import reward
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 _TINY = 1e-6
 """Keeps directions of vanishing vectors finite."""

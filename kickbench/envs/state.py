@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from kickbench.config.task import EpisodeSpec
 from kickbench.envs.tensors import Tensors
 from kickbench.sim.engine import Engine
 from kickbench.sim.layout import SceneLayout
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 
 class EpisodeState(Tensors):

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import torch
-from torch import Tensor
 
 from kickbench.symmetry.mirror import POLAR
-from kickbench.symmetry.torch_ops import Mirror
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from kickbench.symmetry.torch_ops import Mirror
 
 _SHARED = ("totals", "generator")
 """What all envs have in common: the other tensors have one row an env."""

@@ -72,7 +72,8 @@ class Marker:
         """The term of a function `(state, params)`; one's own function, which is read, stays as it is."""
         if "params" not in function.__annotations__:
             return function
-        params = get_type_hints(function)["params"]
+        # Torch is not imported to read the terms (`kickbench validate`), so that the name may be missing.
+        params = get_type_hints(function, localns={"Tensor": Any})["params"]
         return Term(name=function.__name__, function=function, params=params, **vars(self))
 
 

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
-from torch import Tensor
+from typing import TYPE_CHECKING, Literal
 
 from kickbench.config.base import PositiveFloat
 from kickbench.config.terms import TerminationParams
 from kickbench.envs.state import State
 from kickbench.envs.term import termination
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 
 class TargetRadius(TerminationParams):

@@ -12,8 +12,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from kickbench.sim.engine import HUGE, INERTIAL_FIELDS, Engine, ModelField, silent, usable_cores
+from kickbench.sim.engine import HUGE, INERTIAL_FIELDS, Engine, ModelField, usable_cores
 from kickbench.sim.frames import FrameSensing, runs
+from kickbench.sim.silence import silent
 
 _FULL = mujoco.mjtState.mjSTATE_FULLPHYSICS
 _CTRL = mujoco.mjtState.mjSTATE_CTRL

@@ -5,8 +5,8 @@ from __future__ import annotations
 import importlib.util
 import os
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -24,17 +24,6 @@ HUGE = 1e6
 """A state whose norm (m, rad, m/s, rad/s) reaches this is an explosion, though finite."""
 INERTIAL_FIELDS = ("body_mass", "body_inertia")
 """Fields that MuJoCo derives others from: the inverse weights that scale its constraints."""
-
-
-@contextmanager
-def silent() -> Iterator[None]:
-    """Keeps MuJoCo from writing MUJOCO_LOG.TXT about unstable states, for which callers look themselves."""
-    before = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(lambda message: None)
-    try:
-        yield
-    finally:
-        mujoco.set_mju_user_warning(before)
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import numpy as np
 
 from kickbench.config.base import Vector3
 from kickbench.config.robot import ActuatorSpec
-from kickbench.sim.engine import silent
+from kickbench.sim.silence import silent
 
 _FREE = mujoco.mjtJoint.mjJNT_FREE
 _Geom = mujoco.mjtGeom

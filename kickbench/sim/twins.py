@@ -16,10 +16,10 @@ from kickbench.config.robot import RobotSpec
 from kickbench.errors import KickbenchError
 from kickbench.sim.build import robot_alone
 from kickbench.sim.carried import compile_robot
-from kickbench.sim.engine import silent
 from kickbench.sim.layout import coordinates_of
 from kickbench.sim.mirror_image import twin_models
 from kickbench.sim.read_parts import read_parts
+from kickbench.sim.silence import silent
 from kickbench.symmetry.derive import Derivation, derive
 from kickbench.symmetry.mirror import Coordinate, mirror_qpos, mirror_qvel
 from kickbench.symmetry.representation import Representation

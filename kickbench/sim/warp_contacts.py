@@ -24,7 +24,8 @@ import warp as wp
 from mujoco_warp import Data, OverflowType
 
 from kickbench.errors import KickbenchError
-from kickbench.sim.engine import EngineLoad, frame_size, silent
+from kickbench.sim.engine import EngineLoad, frame_size
+from kickbench.sim.silence import silent
 
 HEADROOM = 1.5
 """Room over the measured 95th percentile."""

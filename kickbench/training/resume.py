@@ -134,7 +134,7 @@ def check_same(
         KickbenchError: The run has no identity, or a damaged one.
     """
     problems = [
-        Problem(None, (key,), f"{value}, but the run has {recorded.get(key)}")
+        Problem(None, (key,), f"{_or_none(value)}, but the run has {_or_none(recorded.get(key))}")
         for key, value in (("seed", seed), ("scale", scale))
         if recorded is not None and value != recorded.get(key)
     ]
@@ -147,6 +147,10 @@ def check_same(
         problems.append(trial.method.document.problem(ITERATIONS, what, hint))
     if problems:
         raise SpecError([Problem(None, (), f"{shown(directory.path)} holds another run"), *problems])
+
+
+def _or_none(value: float | None) -> str:
+    return "none" if value is None else str(value)
 
 
 @dataclass(frozen=True)

@@ -278,6 +278,7 @@ class Trainer:
             return {f"{group}/{name}": value for name, value in zip(names, values, strict=True)}
 
         rewards = [bound.name for bound, _ in task.rewards]
+        samples = self.trial.method.spec.algorithm.steps_per_env * self.env.num_envs
         return {
             "iteration": self.iteration - 1,
             "env_steps": self.env_steps,
@@ -295,7 +296,7 @@ class Trainer:
             **means("reward_raw", rewards, finished.raw_rewards),
             **{f"loss/{name}": loss for name, loss in losses.items()},
             **self._residual_shares(),
-            **self._speeding(),
+            **({"speeding_share": float(finished.speeding) / samples} if task.velocity_limits else {}),
             **self._load(),
             **{f"curriculum/{key}": level for key, level in self._levels.items()},
             **{f"evaluation/{side}": rate for side, rate in self._evaluation().items()},
@@ -310,11 +311,6 @@ class Trainer:
         if self.iteration % protocol.every or not self._ranks.is_main:
             return dict.fromkeys(sides, math.nan)
         return self._evaluate(self.ppo.get_policy())
-
-    def _speeding(self) -> dict[str, float]:
-        speeding = self.env.take_speeding()
-        steps = self.trial.method.spec.algorithm.steps_per_env * self.env.num_envs
-        return {} if speeding is None else {"speeding_share": speeding / steps}
 
     def _load(self) -> dict[str, float]:
         load = self.env.engine.take_load()

@@ -14,7 +14,7 @@ from kickbench.envs.episode import FOOT_NAMES
 from kickbench.errors import KickbenchError
 from kickbench.evaluation.rollouts import Policy
 from kickbench.nets.build import torch_threads
-from kickbench.sim.engine import silent
+from kickbench.sim.silence import silent
 from kickbench.view.session import Session
 from kickbench.view.stage import dress
 
