@@ -21,13 +21,15 @@ from kickbench.results.tables import render_block
 from kickbench.robots.guess import GRAVITY, efforts_of, supports
 from kickbench.robots.stand import ENVS, SECONDS, Standing, stand
 from kickbench.sim.check import read_robot
-from kickbench.sim.plausible import SAFE, Finding, findings, stepped
+from kickbench.sim.plausible import SAFE, Finding, Stepped, findings, stepped
 from kickbench.sim.pose import base_joint, lowest_point, posed, touching_geoms
 from kickbench.sim.sensors import robot_feet
 
 _TIMESTEPS, _INTEGRATORS = (0.002, 0.005), ("euler", "implicitfast")
 _BRISK = 2.0
 """Speed of a joint of a standing robot that is noted, rad/s."""
+_AT_LIMIT = 1e-3
+"""From the end of a range that a joint is said to be at, rad or m."""
 _ROOM = 0.2
 """Around the places of the bodies, m: what their geoms may take."""
 _FEET_TERMS = ("observations.critic.foot_position", "observations.critic.foot_ball_contact")
@@ -54,6 +56,7 @@ class RobotReport:
     Attributes:
         robot: The robot file.
         facts: The page.
+        joints: How near every driven joint is to instability at the task's time step.
         standings: Ways to step the physics, with what came of each.
         task: The task that it stood in.
         box: Half of the side, and height of the box around the robot, m.
@@ -61,6 +64,7 @@ class RobotReport:
 
     robot: Path
     facts: tuple[Fact, ...]
+    joints: tuple[Stepped, ...]
     standings: tuple[Standing, ...]
     task: CompiledTask
     box: tuple[float, float]
@@ -72,13 +76,17 @@ class RobotReport:
 
     def as_json(self) -> dict[str, Any]:
         """The report as plain data."""
-        return {"robot": str(self.robot), "passed": not self.failed, "facts": [*map(asdict, self.facts)]}
+        facts, joints = [*map(asdict, self.facts)], [*map(asdict, self.joints)]
+        return {"robot": str(self.robot), "passed": not self.failed, "facts": facts, "joints": joints}
 
     def lines(self) -> Iterator[str]:
         """The report for people."""
         width = max(len(fact.detail) for fact in self.facts)
         facts = [(f.name, f.value, f.verdict, f.detail.ljust(width)) for f in self.facts]
         yield render_block(f"robot {shown(self.robot)}", _HEADER, [facts], None)
+        joints = [(of.joint, f"{of.damping:.3g}", f"{100 * of.share:.0f} %") for of in self.joints]
+        yield ""
+        yield render_block("", ("joint", "kd dt / I", "of instability"), [joints], None)
         failures = [fact for fact in self.facts if fact.verdict == "FAIL"]
         yield ""
         yield (
@@ -103,16 +111,18 @@ def check_robot(file: Path, task: Path | str = "mini_general") -> RobotReport:
     data = posed(model, robot.spec.initial.position, robot.spec.pose)
     standings = tuple(map(stand, tasks.values()))
     best = next((s for s in reversed(standings) if s.stands), None)
+    joints = tuple(stepped(robot.spec, model, simulation.timestep, simulation.integrator))
     facts = (
         *_sizes(model, data),
         *_found(list(findings(robot, model))),
+        _limits(model, data),
         *_efforts(robot.spec, efforts_of(model)),
         *_ankles(robot.spec, model, data),
-        _steps(robot.spec, model, simulation),
+        _steps(joints, simulation),
         *_standing(standings, base_joint(model) is not None),
         *(() if best is None else (_fastest(own, best),)),
     )
-    return RobotReport(file, facts, standings, own, _box(data))
+    return RobotReport(file, facts, joints, standings, own, _box(data))
 
 
 def _task(file: Path, task: Path | str, timestep: float | None = None, integrator: str = "") -> CompiledTask:
@@ -145,6 +155,13 @@ def _found(found: Sequence[Finding]) -> Iterator[Fact]:
         own = [finding for finding in found if finding.topic == topic]
         verdict = "FAIL" if any(f.surely for f in own) else "warn" if own else "ok"
         yield Fact(name, f"{len(own)} found" if own else "", verdict, own[0].problem.message if own else "")
+
+
+def _limits(model: mujoco.MjModel, data: mujoco.MjData) -> Fact:
+    limited = [joint for joint in range(model.njnt) if model.jnt_limited[joint]]
+    ends = {j: np.abs(data.qpos[model.jnt_qposadr[j]] - model.jnt_range[j]).min() for j in limited}
+    near = [model.joint(joint).name for joint, apart in ends.items() if apart < _AT_LIMIT]
+    return Fact("joints at a limit", str(len(near)), "warn" if near else "ok", ", ".join(near))
 
 
 def _efforts(robot: RobotSpec, limits: Mapping[str, float]) -> Iterator[Fact]:
@@ -180,9 +197,9 @@ def _ankles(robot: RobotSpec, model: mujoco.MjModel, data: mujoco.MjData) -> Ite
         yield Fact("least stiff foot joint", value, verdict, words)
 
 
-def _steps(robot: RobotSpec, model: mujoco.MjModel, simulation: SimulationSpec) -> Fact:
+def _steps(joints: Sequence[Stepped], simulation: SimulationSpec) -> Fact:
     timestep, integrator = simulation.timestep, simulation.integrator
-    worst = max(stepped(robot, model, timestep, integrator), key=lambda joint: joint.share)
+    worst = max(joints, key=lambda joint: joint.share)
     verdict: Verdict = "ok" if worst.share <= SAFE else "warn"
     words = f"'{worst.joint}' comes nearest to instability, which is at 100 %"
     return Fact(
