@@ -125,7 +125,10 @@ class KickEnv(VecEnv):
         target, envs = self._default_target, self.num_envs
         self._setting = Setting(time.timestep, time.decimation, target, envs, self._draws)
         self._samplers = make_samplers(task.groups["actor"], self._setting)
-        self._observer = Observer(task.groups, self.device, noise=self._noise, samplers=self._samplers)
+        signs = layout.joint_signs
+        self._observer = Observer(
+            task.groups, self.device, noise=self._noise, samplers=self._samplers, joint_signs=signs
+        )
 
     def _make_source(self) -> InitialStateSource:
         return self.sampler if self._resident else InitialStatePool(self.sampler, _POOLED * self.num_envs)
@@ -312,11 +315,14 @@ class KickEnv(VecEnv):
                 present[name] = values.clone()
 
     def _observe(self) -> None:
-        self.tensors.observations.copy_(self._observer(self.state(), self._draws))
+        self.tensors.observations.copy_(self._seen(self.state(), self._draws))
+
+    def _seen(self, state: State, draws: Draws) -> dict[str, Tensor]:
+        return self._observer(state, draws, self.tensors.by_side.get("sensor_bias"))
 
     def observations_of(self, state: State, draws: Draws) -> TensorDict:
         """Observations of a state by group, {group: [B, width]}, with noise from `draws`."""
-        return self._group(self._observer(state, draws))
+        return self._group(self._seen(state, draws))
 
     def state_dict(self) -> dict[str, Any]:
         """Everything that later steps depend on, as tensors and plain numbers, in dicts by part.

@@ -9,6 +9,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
+import numpy as np
 import torch
 
 from kickbench.config.terms import ObservationParams
@@ -147,7 +148,7 @@ class Observer:
     """Evaluates all observation groups of a task on a state.
 
     Groups share most of their fields. Each is evaluated once; only noise and clipping are a group's own, and
-    what the actor's fields have lost on the way (`Sampler`).
+    what the actor's sensors are off by (`sensor_bias`) and its fields have lost on the way (`Sampler`).
     """
 
     def __init__(
@@ -157,6 +158,7 @@ class Observer:
         *,
         noise: bool = True,
         samplers: Mapping[str, Sampler] | None = None,
+        joint_signs: np.ndarray | None = None,
     ) -> None:
         """Finds what the groups share.
 
@@ -165,24 +167,32 @@ class Observer:
             device: Where the observations live.
             noise: Whether noise applies.
             samplers: Through which the group `actor` sees fields, by `Field.key`; the others it sees at once.
+            joint_signs: As in `SceneLayout`; needed where sensors are biased.
         """
         self._samplers = samplers or {}
+        self._biased = [field.key for field in groups.get("actor", ()) if field.name == joint_pos.name]
+        if joint_signs is not None:
+            self._joint_signs = torch.as_tensor(joint_signs, dtype=torch.float32, device=device)
         self._bounds = {field.key: field.bound for fields in groups.values() for field in fields}
         self._groups = {
             name: ([field.key for field in fields], Disturbance(fields, device, noise=noise))
             for name, fields in groups.items()
         }
 
-    def __call__(self, state: State, generator: Draws) -> dict[str, Tensor]:
+    def __call__(self, state: State, generator: Draws, bias: Tensor | None = None) -> dict[str, Tensor]:
         """Observations by group, {group: [B, width]}; not to be written to.
 
         Args:
             state: The state.
             generator: Source of the noise.
+            bias: Of the sensors of the left and right joints [B, 2], rad; None: none.
         """
         fields = {key: bound(state) for key, bound in self._bounds.items()}
-        seen = {key: sample(fields[key], state.episode.step) for key, sample in self._samplers.items()}
-        by_group = {"actor": {**fields, **seen}}
+        seen = dict(fields)
+        if bias is not None:
+            seen |= {key: fields[key] + bias.float() @ self._joint_signs for key in self._biased}
+        seen |= {key: sample(seen[key], state.episode.step) for key, sample in self._samplers.items()}
+        by_group = {"actor": seen}
         return {
             name: disturb(torch.cat([by_group.get(name, fields)[key] for key in keys], dim=1), generator)
             for name, (keys, disturb) in self._groups.items()

@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING
 import torch
 from pydantic import model_validator
 
-from kickbench.config.base import NonNegativeRange, PositiveFloat, PositiveRange
-from kickbench.config.terms import RandomizationParams
+from kickbench.config.base import NonNegativeRange, PositiveFloat, PositiveRange, Range
+from kickbench.config.task import TaskSpec
+from kickbench.config.terms import ObservationParams, RandomizationParams
 from kickbench.envs.disturbances import ActionDelay, DelayLine, Pushes, PushSchedule, Setting
 from kickbench.envs.initial_states import Draw, InitialStates
 from kickbench.envs.term import randomization
@@ -50,8 +51,8 @@ class FactorsBySide(RandomizationParams):
     """Range of the factor of trunk, head and other parts in the middle."""
 
     @model_validator(mode="after")
-    def _changes_something(self) -> FactorsBySide:
-        if {*self.left, *self.right, *self.middle} == {1.0}:
+    def _says_something(self) -> FactorsBySide:
+        if not self.model_fields_set:
             raise ValueError("every factor is 1: give `left`, `right` or `middle` a range or a number")
         return self
 
@@ -87,6 +88,37 @@ def motor_strength(states: InitialStates, params: FactorsBySide, draw: Draw) -> 
     `servo_damping`.
     """
     return states.varied("motor_strength", params.draw(draw, len(states)))
+
+
+class SensorBias(RandomizationParams):
+    """Parameters of `sensor_bias`."""
+
+    left: Range = (0.0, 0.0)
+    """Range of the bias of the left side, rad."""
+    right: Range = (0.0, 0.0)
+    """Range of the bias of the right side, rad."""
+
+    @model_validator(mode="after")
+    def _says_something(self) -> SensorBias:
+        if not self.model_fields_set:
+            raise ValueError("every bias is 0: give `left` or `right` a range or a number")
+        return self
+
+    def misfits(self, task: TaskSpec) -> Iterator[tuple[str, str]]:
+        """A bias of sensors that nobody reads."""
+        if "joint_pos" not in task.observations.actor.active(ObservationParams):
+            yield "left", "the actor does not observe joint_pos, the only field that is biased"
+
+
+@randomization("5.1 (future work: asymmetric hardware)", units="rad")
+def sensor_bias(states: InitialStates, params: SensorBias, draw: Draw) -> InitialStates:
+    """Bias of the joint positions of a side as the actor observes them, drawn for every side and episode.
+
+    Equal biases of both sides are symmetric: a joint on the right whose mirror image has the other sign has
+    the bias with that sign. Joints in the middle have none, and the critic observes exact positions.
+    """
+    sides = (params.left, params.right)
+    return states.varied("sensor_bias", torch.cat([draw(*bounds, len(states), 1) for bounds in sides], dim=1))
 
 
 class JointPosition(RandomizationParams):

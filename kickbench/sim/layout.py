@@ -97,6 +97,8 @@ class SceneLayout:
         joint_qpos: Their places in qpos.
         joint_qvel: Their places in qvel.
         joint_range: Lowest and highest position of each [joints, 2]; infinite without limits.
+        joint_signs: What they are multiplied by where they are of the left side, and of the right side, so that
+            equal values of both sides are mirror images; 0 where they are not of that side [2, joints].
         ball_qpos: First place of the ball in qpos (position 3, quaternion 4).
         ball_qvel: First place of the ball in qvel (linear 3, angular 3).
         default_qpos: The whole model in its default pose, ball at the origin [nq].
@@ -124,6 +126,7 @@ class SceneLayout:
     joint_qpos: Indices
     joint_qvel: Indices
     joint_range: np.ndarray
+    joint_signs: np.ndarray
     ball_qpos: int
     ball_qvel: int
     default_qpos: np.ndarray
@@ -183,6 +186,7 @@ def read_layout(
         joint_qpos=model.jnt_qposadr[joints].astype(np.int64),
         joint_qvel=model.jnt_dofadr[joints].astype(np.int64),
         joint_range=joint_ranges(model, joints),
+        joint_signs=_joint_signs(robot, observed),
         ball_qpos=by_name["ball"].qpos,
         ball_qvel=by_name["ball"].qvel,
         default_qpos=default,
@@ -269,6 +273,13 @@ def _joint_sides(robot: RobotSpec) -> dict[str, int]:
     pairs = (robot.symmetry.regular, robot.symmetry.regular_sign)
     left, right = ({joint for pair in pairs for joint in getattr(pair, side)} for side in SIDES)
     return dict.fromkeys(left, LEFT) | dict.fromkeys(right, RIGHT)
+
+
+def _joint_signs(robot: RobotSpec, joints: Sequence[str]) -> np.ndarray:
+    sides, image = _joint_sides(robot), robot.symmetry.image()
+    left = [float(sides.get(joint) == LEFT) for joint in joints]
+    right = [float(image[joint][1]) if sides.get(joint) == RIGHT else 0.0 for joint in joints]
+    return np.array([left, right])
 
 
 def _body_sides(model: mujoco.MjModel, joint_sides: Mapping[str, int]) -> Indices:

@@ -173,7 +173,7 @@ def _condition(
         if said.get(key) is not None:
             raise document.error(("sweep",), f"the experiment says {key}, too: {said[key]}")
     return Condition(
-        name=POINT.join((name, *_point_names(point))),
+        name=_at_point(name, point, spec),
         task=task,
         method=method,
         seeds=condition.seeds or spec.seeds,
@@ -187,14 +187,19 @@ def _condition(
     )
 
 
-def _point_names(point: Mapping[str, Any]) -> list[str]:
-    """`desired_kl=0.01` for each setting: the last key if it is unique, in characters of a folder's name."""
-    last = [key.rpartition(".")[2] for key in point]
-    names = [own if last.count(own) == 1 else key for key, own in zip(point, last, strict=True)]
-    return [
-        f"{name}={re.sub(r'[^A-Za-z0-9_.+-]+', '_', flow_yaml(value)).strip('_')}"
-        for name, value in zip(names, point.values(), strict=True)
-    ]
+def _at_point(name: str, point: Mapping[str, Any], spec: ExperimentSpec) -> str:
+    """`baseline,desired_kl=0.01`: a condition at a point of the sweep, in characters of a folder's name.
+
+    Of a key only as many of the last parts are named as tell it from the sweep's other keys.
+    """
+    keys = {f".{key}" for each in spec.points() for key in each}
+    names = [name]
+    for key, value in point.items():
+        parts = key.split(".")
+        ends = (".".join(parts[first:]) for first in reversed(range(len(parts))))
+        own = next(end for end in ends if sum(other.endswith(f".{end}") for other in keys) == 1)
+        names.append(f"{own}={re.sub(r'[^A-Za-z0-9_.+-]+', '_', flow_yaml(value)).strip('_')}")
+    return POINT.join(names)
 
 
 def _initial(
@@ -216,7 +221,7 @@ def _initial(
             raise document.error(place, f"a circle: {' -> '.join([*chain, source])}")
         chain.append(source)
         source = spec.conditions[source].init_from
-    return POINT.join((chain[1], *_point_names(point)))
+    return _at_point(chain[1], point, spec)
 
 
 @contextmanager

@@ -160,8 +160,52 @@ def test_all_factors_at_once_mirror_into_the_mirrored_motion():
     assert not np.allclose(wrong.engine.model_field("body_mass"), env.engine.model_field("body_mass"))
 
 
+BIAS = ("randomization.sensor_bias.left=[0.02, 0.1]", "randomization.sensor_bias.right=[-0.1, -0.02]")
+
+
+def field(env: KickEnv, group: str, name: str) -> torch.Tensor:
+    """A field of the present observations [B, size]."""
+    found = next(field for field in env.task.groups[group] if field.name == name)
+    return env.get_observations()[group][:, found.first : found.first + found.size]
+
+
+def test_biased_sensors_move_the_actors_joint_positions_and_nothing_else():
+    env, exact = environment(*BIAS), environment()
+    snapshot = env.snapshot()
+    bias = snapshot.by_side.pop("sensor_bias").float()
+    assert (bias[:, 0] > 0.0).all() and (bias[:, 1] < 0.0).all() and len(set(bias[:, 0].tolist())) == WORLDS
+    exact.restore(snapshot)
+    off = dict(
+        zip(
+            env.task.scene.layout.joint_names,
+            (field(env, "actor", "joint_pos") - field(exact, "actor", "joint_pos")).unbind(dim=1),
+            strict=True,
+        )
+    )
+    for joint, expected in {
+        "Left_Knee_Pitch": bias[:, 0],
+        "Right_Knee_Pitch": bias[:, 1],
+        "Left_Hip_Yaw": bias[:, 0],
+        "Right_Hip_Yaw": -bias[:, 1],
+        "AAHead_yaw": torch.zeros(WORLDS),
+    }.items():
+        torch.testing.assert_close(off[joint], expected, rtol=0, atol=1e-6)
+    for group, name in (("actor", "joint_vel"), ("critic", "joint_pos")):
+        torch.testing.assert_close(field(env, group, name), field(exact, group, name), rtol=0, atol=0)
+
+
+def test_observations_of_biased_sensors_mirror_with_their_sides():
+    symmetry = k1(*QUIET, *BIAS).symmetry
+    env, image = environment(*BIAS), environment(*BIAS)
+    env.step(0.3 * torch.randn(WORLDS, 22, generator=torch.Generator().manual_seed(0)))
+    maps = (Mirror(part) for part in (symmetry.qpos, symmetry.qvel, symmetry.actions))
+    image.restore(env.snapshot().mirrored(*maps))
+    seen, expected = image.get_observations()["actor"], env.get_observations()["actor"]
+    torch.testing.assert_close(seen, Mirror(symmetry.groups["actor"].representation)(expected), rtol=0, atol=1e-5)
+
+
 def test_a_nominal_factor_changes_nothing():
-    env, nominal = environment("randomization.motor_strength.left=[0.999999999, 1.0]"), environment()
+    env, nominal = environment("randomization.motor_strength.left=1.0"), environment()
     actions = 0.5 * torch.randn(WORLDS, 22, generator=torch.Generator().manual_seed(0))
     starts = nominal.sampler.sample(WORLDS)
     for each in (env, nominal):
@@ -170,12 +214,19 @@ def test_a_nominal_factor_changes_nothing():
     torch.testing.assert_close(env.engine.qpos, nominal.engine.qpos, rtol=0, atol=1e-6)
 
 
+def test_a_bias_of_sensors_that_the_actor_does_not_observe_is_an_error():
+    with pytest.raises(SpecError, match="the actor does not observe joint_pos"):
+        k1("randomization.sensor_bias.left=0.1", "observations.actor.joint_pos=null")
+
+
 @pytest.mark.parametrize(
     ("override", "message"),
     [
         ("link_mass.left=[0.0, 1.0]", "expected numbers above 0, found 0"),
         ("servo_damping.right=-1", "expected numbers above 0, found -1"),
         ("motor_strength={}", "every factor is 1: give `left`, `right` or `middle` a range or a number"),
+        ("sensor_bias={}", "every bias is 0: give `left` or `right` a range or a number"),
+        ("sensor_bias.middle=0.1", "unknown key 'middle'"),
     ],
 )
 def test_a_factor_that_makes_no_sense_is_an_error(override, message):
