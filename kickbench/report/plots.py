@@ -133,6 +133,31 @@ def _draw_slope(axes: Any, place: float, sides: pd.DataFrame, runs: pd.DataFrame
         axes.plot(x, mean, look.marker, color=look.colour, ms=7, mfc=face, zorder=5)
 
 
+def over_setting(estimates: pd.DataFrame, setting: str, looks: Looks, width: float) -> Figure:
+    """Success over a setting that was swept, a line per condition: means over seeds, with 95 % intervals.
+
+    Args:
+        estimates: Rows of `Study.swept`, of success.
+        setting: The setting's key.
+        looks: The look of each condition of the experiment's file.
+        width: CSS pixels.
+    """
+    figure, ((axes,),) = subplots(width, 300)
+    values = sorted(estimates.value.unique())
+    # Side by side, so that intervals do not hide each other.
+    step = 0.012 * (values[-1] - values[0])
+    for number, (condition, own) in enumerate(estimates.sort_values("value").groupby("of", sort=False)):
+        look, mean = looks[condition], 100 * own["mean"]
+        ends = [mean - 100 * own.low, 100 * own.high - mean]
+        places = own.value + step * (number - (len(looks) - 1) / 2)
+        axes.errorbar(
+            places, mean, yerr=ends, fmt=look.marker, linestyle=look.line, color=look.colour, label=condition
+        )
+    axes.set(xlabel=setting, ylabel="success, %", ylim=(-2, 102), xticks=values)
+    figure.legend(loc="outside upper left", ncols=4)
+    return figure
+
+
 def learning_curves(curves: pd.DataFrame, looks: Looks) -> Figure:
     """A row per quantity: up to iteration 300, from there on, and over the samples.
 

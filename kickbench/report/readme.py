@@ -96,7 +96,16 @@ def pictures(results: Sequence[Study]) -> dict[str, Picture]:
     planned = plots.both_sides(
         estimates[estimates.study.isin([study.name for study in results if study.plans])]
     )
-    return {
+    swept = {
+        study.name: Picture(
+            f"Success over {next(iter(study.sweep))}",
+            plots.over_setting(rows, *study.sweep, looks_of(rows.of), _WIDTH),
+            _means(rows, SUCCESS),
+        )
+        for study in results
+        if len(rows := study.swept(SUCCESS))
+    }
+    return swept | {
         "home-field": Picture(
             "Success in distribution (left end) and from the mirror images of the same starts (right end)",
             plots.slopes(planned, runs, looks, _WIDTH),
@@ -133,7 +142,10 @@ def summary(results: Sequence[Study], drawn: dict[str, Picture]) -> str:
 
 def section(results: Sequence[Study], drawn: dict[str, Picture]) -> str:
     """The text between the marks of `results/README.md`: tables, verdicts, and what does not count."""
-    return "\n\n".join([*map(_study_text, results), _image("success", drawn, "pictures")])
+    parts = list[str]()
+    for study in results:
+        parts += [_study_text(study), *[_image(study.name, drawn, "pictures")] * (study.name in drawn)]
+    return "\n\n".join([*parts, _image("success", drawn, "pictures")])
 
 
 def _image(name: str, drawn: dict[str, Picture], folder: str) -> str:

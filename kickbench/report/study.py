@@ -10,10 +10,10 @@ from typing import Any
 
 import pandas as pd
 
-from kickbench.config.experiment import Side
+from kickbench.config.experiment import POINT, Side
 from kickbench.errors import KickbenchError, shown
 from kickbench.results.episode_table import read_episodes
-from kickbench.results.frame import SIDES, load_runs, runs_of
+from kickbench.results.frame import HOME, SIDES, load_runs, runs_of
 from kickbench.results.progress_table import read_progress
 from kickbench.results.quantities import Quantity, over_seeds
 from kickbench.results.store import RunDirectory
@@ -86,6 +86,27 @@ class Study:
             found[name] = pd.Series([getattr(of, column, None) for of in reported], keys, dtype=float)
         known = (found["mean"].notna() | found.reported.notna()).groupby("side").transform("any")
         return self._labelled(found[known].reset_index())
+
+    def swept(self, quantity: Quantity) -> pd.DataFrame:
+        """A figure over the one number that the experiment sweeps; empty if it sweeps none, or several.
+
+        Returns:
+            Rows of `estimates` in distribution, with the columns of, the condition in the experiment's file,
+            and value, that of the setting.
+        """
+        rows = self.estimates(quantity)
+        rows = rows[(rows.side == HOME) & (rows.seeds > 0)]
+        settings = {name: condition.settings for name, condition in self.plans.items()}
+        texts = {name: own[0].partition("=")[2] for name, own in settings.items() if len(own) == 1}
+        values = pd.to_numeric(rows.condition.map(texts), errors="coerce")
+        found = rows.assign(of=rows.condition.str.partition(POINT)[0], value=values)
+        is_one_number = isinstance(self.sweep, dict) and len(self.sweep) == 1 and values.notna().all()
+        return found if is_one_number else found.iloc[:0]
+
+    @property
+    def sweep(self) -> Any:
+        """What the experiment sweeps; None: nothing."""
+        return self.experiment and self.experiment.spec.sweep
 
     def _labelled(self, rows: pd.DataFrame) -> pd.DataFrame:
         mirrored = rows.side.map({"in_distribution": "", "mirrored": ", mirrored"})

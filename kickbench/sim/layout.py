@@ -97,8 +97,8 @@ class SceneLayout:
         joint_qpos: Their places in qpos.
         joint_qvel: Their places in qvel.
         joint_range: Lowest and highest position of each [joints, 2]; infinite without limits.
-        joint_signs: What they are multiplied by where they are of the left side, and of the right side, so that
-            equal values of both sides are mirror images; 0 where they are not of that side [2, joints].
+        joint_signs: Of each side the factors with which equal values of the joints of both sides are mirror
+            images: 1 on the left, 1 or -1 on the right, 0 for joints of another side [2, joints].
         ball_qpos: First place of the ball in qpos (position 3, quaternion 4).
         ball_qvel: First place of the ball in qvel (linear 3, angular 3).
         default_qpos: The whole model in its default pose, ball at the origin [nq].

@@ -173,7 +173,9 @@ def test_biased_sensors_move_the_actors_joint_positions_and_nothing_else():
     env, exact = environment(*BIAS), environment()
     snapshot = env.snapshot()
     bias = snapshot.by_side.pop("sensor_bias").float()
-    assert (bias[:, 0] > 0.0).all() and (bias[:, 1] < 0.0).all() and len(set(bias[:, 0].tolist())) == WORLDS
+    assert (bias[:, 0] > 0.0).all()
+    assert (bias[:, 1] < 0.0).all()
+    assert len(set(bias[:, 0].tolist())) == WORLDS
     exact.restore(snapshot)
     off = dict(
         zip(
@@ -201,7 +203,9 @@ def test_observations_of_biased_sensors_mirror_with_their_sides():
     maps = (Mirror(part) for part in (symmetry.qpos, symmetry.qvel, symmetry.actions))
     image.restore(env.snapshot().mirrored(*maps))
     seen, expected = image.get_observations()["actor"], env.get_observations()["actor"]
-    torch.testing.assert_close(seen, Mirror(symmetry.groups["actor"].representation)(expected), rtol=0, atol=1e-5)
+    torch.testing.assert_close(
+        seen, Mirror(symmetry.groups["actor"].representation)(expected), rtol=0, atol=1e-5
+    )
 
 
 def test_a_nominal_factor_changes_nothing():

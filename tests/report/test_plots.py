@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
@@ -12,7 +13,9 @@ from kickbench.report import plots
 from kickbench.report.study import Study, studies
 from kickbench.report.style import Picture, looks_of, style, subplots
 from kickbench.results.quantities import DISTANCE, SUCCESS, over_seeds
+from kickbench.trials.experiment import load_experiment
 
+ROOT = Path(__file__).parents[2]
 SVG = "{http://www.w3.org/2000/svg}"
 HIT = "termination/target_hit"
 
@@ -48,6 +51,40 @@ def test_estimates_hold_every_condition_and_side(study):
     assert found["mean"].tolist() == pytest.approx([2 / 3] * 4)
     assert found["std"][:2].tolist() == pytest.approx([0.0, 0.0])
     assert study.estimates(DISTANCE)["mean"][0] == pytest.approx(np.mean([0.8, 0.2, 0.2]))
+
+
+def test_success_over_a_swept_setting_has_a_line_per_condition():
+    experiment = load_experiment(ROOT / "results/reported/mini_unequal_motors.yaml")
+    rows = pd.concat(
+        runs(rate, rate + 0.02).assign(
+            condition=f"{of},left={value}", task="a", evaluated_on="a", counted=True
+        )
+        for of, rate in (("baseline", 0.4), ("equivariant", 0.6))
+        for value in ("1.0", "0.55", "0.7")
+    )
+    study = Study("a", rows, (), (), pd.DataFrame(), pd.DataFrame(), experiment)
+    swept = study.swept(SUCCESS)
+    assert set(zip(swept.of, swept.value, swept["mean"].round(2), strict=True)) == {
+        (of, value, rate)
+        for of, rate in (("baseline", 0.41), ("equivariant", 0.61))
+        for value in (1.0, 0.7, 0.55)
+    }
+    with style():
+        figure = plots.over_setting(swept, *study.sweep, looks_of(swept.of), 640)
+    (axes,) = figure.axes
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["baseline", "equivariant"]
+    assert axes.get_xlabel() == "randomization.motor_strength.left"
+    lines = [list(container.lines[0].get_ydata()) for container in axes.containers]
+    assert lines == [pytest.approx([41.0] * 3), pytest.approx([61.0] * 3)]
+
+
+def test_other_sweeps_and_none_have_no_such_figure(study):
+    assert study.swept(SUCCESS).empty
+    other = load_experiment(ROOT / "results/reported/mini_unequal_sides.yaml")
+    rows = runs(0.4, 0.5).assign(
+        condition="baseline,link_mass.left=1.3", task="a", evaluated_on="a", counted=True
+    )
+    assert Study("a", rows, (), (), pd.DataFrame(), pd.DataFrame(), other).swept(SUCCESS).empty
 
 
 def test_the_interval_over_seeds_is_students():
