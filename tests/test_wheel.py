@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -21,6 +23,40 @@ def installed(tmp_path_factory) -> Path:
     (wheel,) = folder.glob("kickbench-*.whl")
     subprocess.run([*pip, "install", "--no-deps", "--target", str(folder / "site"), str(wheel)], check=True)
     return folder / "site"
+
+
+TINY = ("--iterations", "1", "--num-envs", "16", "--set", "evaluation.episodes=8")
+
+
+def interpreters(name: str) -> Iterator[str]:
+    """Interpreters of this name that start: on the path, or those of pyenv."""
+    found = [
+        shutil.which(name),
+        *Path.home().glob(f".pyenv/versions/{name.removeprefix('python')}.*/bin/{name}"),
+    ]
+    for path in filter(None, found):
+        if subprocess.run([path, "-c", ""], capture_output=True, check=False).returncode == 0:
+            yield str(path)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["python3.12", "python3.13"])
+def test_other_interpreters_install_and_train(name, tmp_path):
+    python = next(interpreters(name), None)
+    if python is None:
+        pytest.skip(f"no {name} here")
+    subprocess.run([python, "-m", "venv", str(tmp_path / "venv")], check=True)
+    bin = tmp_path / "venv/bin"
+    pinned = ("-c", str(ROOT / "constraints.txt"), str(ROOT))
+    subprocess.run(
+        [bin / "pip", "install", "--quiet", "--no-compile", "--disable-pip-version-check", *pinned],
+        check=True,
+    )
+    own = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+    train = [bin / "kickbench", "run", "mini_home_field", "equivariant", *TINY, "--out", "run"]
+    done = subprocess.run(train, cwd=tmp_path, env=own, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "run/metrics.json").is_file()
 
 
 @pytest.mark.slow
@@ -44,8 +80,7 @@ def test_names_work_from_an_empty_folder(installed, tmp_path):
         "show", "mini_home_field"
     )
     assert kickbench("new", "task", "mine", "--from", "mini_home_field") == "mine.yaml\n"
-    tiny = ("--iterations", "1", "--num-envs", "16", "--set", "evaluation.episodes=8")
-    kickbench("run", "mine.yaml", "equivariant", *tiny)
+    kickbench("run", "mine.yaml", "equivariant", *TINY)
     run = tmp_path / "runs/mine/equivariant/seed0"
     assert (run / "metrics.json").is_file()
     kickbench("eval", str(run))
