@@ -17,8 +17,7 @@ if TYPE_CHECKING:
 
     from kickbench.launch.jobs import Jobs
     from kickbench.launch.plan import Plan
-    from kickbench.launch.record import PlanRecord
-    from kickbench.launch.state import RunState
+    from kickbench.launch.state import PlanRecord, RunState
 
 DEMO = "mini_home_field"
 CONDITIONS = ("baseline", "augmentation", "equivariant")
@@ -164,14 +163,14 @@ def _print_results(plan: Plan) -> None:
 
 def _exit_code(jobs: Jobs) -> int:
     """0, or another number if a run has failed or not ended; which is printed."""
-    from kickbench.launch.work import last_lines
+    from kickbench.launch.local import last_lines
 
-    failed = [job for job in jobs.jobs if job.outcome.value == "failed"]
+    failed = [job for job in jobs.jobs if job.outcome == "failed"]
     for job in failed:
         log = job.run.directory.log
         print(f"{job.run.name} failed: {job.reason} ({shown(log)})", file=sys.stderr)
         print(textwrap.indent(last_lines(log, 5), "    "), file=sys.stderr)
-    if jobs.interrupted:
+    if jobs.interruptions:
         print("stopped; the same command goes on", file=sys.stderr)
         return 130
     return 1 if failed else 0
@@ -260,8 +259,7 @@ def _pictures(folder: Path) -> Iterator[str]:
 @cli.verb("Train", "status runs/mini_home_field")
 def status(root: Path = cli.argument("Folder of runs.", "DIR", **cli.FOLDER)) -> None:
     """Print how far the runs of a folder are."""
-    from kickbench.launch.record import read_record
-    from kickbench.launch.state import State, counts, run_table, time_left
+    from kickbench.launch.state import counts, read_record, run_table, time_left
 
     record = read_record(root)
     runs = list(_states(root, record))
@@ -270,8 +268,8 @@ def status(root: Path = cli.argument("Folder of runs.", "DIR", **cli.FOLDER)) ->
     print(run_table(record.title(shown(root)) if record else shown(root), runs))
     states = [state for _, state, _ in runs]
     print(f"\n{counts(states)}")
-    if any(state.state is not State.FINISHED for state in states):
-        running = sum(state.state is State.RUNNING for state in states)
+    if any(state.state != "finished" for state in states):
+        running = sum(state.state == "running" for state in states)
         # Without a plan the folder above a seed's is the nearest thing to a condition.
         conditions = [(str(Path(name).parent), state) for name, state, _ in runs]
         print(f"time left: {time_left(conditions, max(1, running))}")
@@ -279,16 +277,16 @@ def status(root: Path = cli.argument("Folder of runs.", "DIR", **cli.FOLDER)) ->
 
 def _states(root: Path, record: PlanRecord | None) -> Iterator[tuple[str, RunState, str]]:
     """Name, state and remark: first the runs of the plan, then others that are there."""
-    from kickbench.launch.state import RunState, State, state_of
-    from kickbench.results.frame import load_runs, runs_of
+    from kickbench.launch.state import RunState, state_of
+    from kickbench.results.frame import load_runs, run_path, runs_of
     from kickbench.results.store import RunDirectory
 
     frame = load_runs(root)
     found = {run.path.relative_to(root): run for _, run in runs_of(frame).iterrows()}
-    planned = {run.folder: run for run in record.runs} if record else {}
+    planned = {run_path(Path(), run.arm, run.seed): run for run in record.runs} if record else {}
     for folder, run in planned.items():
         there = folder in found
-        state = state_of(found[folder], run.iterations) if there else RunState(State.NEW, 0, run.iterations)
+        state = state_of(found[folder], run.iterations) if there else RunState("not begun", 0, run.iterations)
         missing = [task for task in run.also if not RunDirectory(root / folder).also(task).is_file()]
         is_due = missing and there and found[folder].state == "finished"
         remarks = [f"not evaluated on {', '.join(missing)}"] if is_due else []

@@ -13,14 +13,16 @@ import platform
 import signal
 import uuid
 from collections.abc import Mapping
+from contextlib import chdir
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 from kickbench.errors import KickbenchError, require
+from kickbench.launch.local import perform
 from kickbench.launch.plan import PlannedRun
-from kickbench.launch.work import perform
+from kickbench.launch.run import RunRequest
 from kickbench.results.provenance import package_versions, portable_command
 from kickbench.results.specs import spec_differences, write_specs
 from kickbench.results.store import RunDirectory
@@ -39,32 +41,6 @@ def require_ray() -> Any:
         KickbenchError: It is not installed.
     """
     return require("ray", "--on ray", "ray")
-
-
-class RayRun:
-    """A run on a Ray cluster."""
-
-    def __init__(self, ray: Any, task: Any, home: RunDirectory) -> None:
-        self._ray, self._task, self._home = ray, task, home
-
-    def poll(self) -> str | None:
-        """Why it failed, empty if it did not; None while it runs or waits. What it sends home is unpacked."""
-        if not self._ray.wait([self._task], timeout=0)[0]:
-            return None
-        try:
-            failure, files = self._ray.get(self._task)
-        except self._ray.exceptions.TaskCancelledError:
-            return ""
-        except self._ray.exceptions.RayError as error:
-            return " ".join(str(getattr(error, "cause", error)).split())[:200]
-        if files:
-            _unpack(files, self._home.beside.path)
-            self._home.take_over(unfinished=True)
-        return failure
-
-    def stop(self, at_once: bool = False) -> None:
-        """Asks it to end, with a checkpoint after the present iteration; or kills its worker."""
-        self._ray.cancel(self._task, force=at_once)
 
 
 class RayExecutor:
@@ -90,12 +66,12 @@ class RayExecutor:
             where = f"no cluster at {address}" if address else "it does not start here"
             raise KickbenchError(f"--on ray: {where}: {error}") from None
         # A worker is one run's: what torch and MuJoCo leave behind ends with it.
-        options = {"num_cpus": cpus, "num_gpus": gpus, "max_calls": 1}
-        self._perform = self._ray.remote(**options)(_perform_there)
-        self._contents: dict[str, Any] = {}
+        self._perform = self._ray.remote(num_cpus=cpus, num_gpus=gpus, max_calls=1)(_perform_there)
+        self._contents, self._tasks = dict[str, Any](), dict[str, Any]()
         # Whoever finds this text at this path sees the folder, and not another of the same name.
-        self._mark, self._text = folder.resolve() / ".kickbench-ray", uuid.uuid4().hex
-        self._mark.write_text(self._text if is_shared else "")
+        self._mark, text = folder.resolve() / ".kickbench-ray", uuid.uuid4().hex
+        self._mark.write_text(text if is_shared else "")
+        self._shared = (self._mark, text)
 
     @property
     def at_a_time(self) -> int:
@@ -103,18 +79,35 @@ class RayExecutor:
         there = self._ray.cluster_resources()
         return max(1, *[min(int(there.get(of, 0) // count) for of, count in self._needs.items() if count)])
 
-    def start(self, run: PlannedRun) -> RayRun:
+    def start(self, run: PlannedRun) -> None:
         """Gives Ray a run, with all that it reads."""
-        key, home, request = run.record.arm, run.directory, run.request
+        key, folder, initial, sent = run.record.arm, run.directory, run.request.init_from, _sent(run)
         if key not in self._contents:
-            self._contents[key] = self._ray.put(_content(run))
-        begun = _packed(home.path, "begun") if home.holds_a_run else {}
-        initial = _packed(request.init_from, "initial") if request.init_from else {}
-        command, out = portable_command(request.command_line), home.path.resolve()
-        sent = replace(run, request=replace(request, command=command, out=out))
-        shared = (self._mark, self._text)
-        task = self._perform.remote(sent, self._contents[key], begun | initial, shared, package_versions())
-        return RayRun(self._ray, task, home)
+            self._contents[key] = self._ray.put(_content(run, sent))
+        files = _packed(folder.path, "begun") if folder.holds_a_run else {}
+        files |= _packed(initial, "initial") if initial else {}
+        task = self._perform.remote(sent, self._contents[key], files, self._shared, package_versions())
+        self._tasks[run.name] = task
+
+    def poll(self, run: PlannedRun) -> str | None:
+        """Why it failed, empty if it did not; None while it runs or waits. What it sends home is unpacked."""
+        task, home = self._tasks[run.name], run.directory
+        if not self._ray.wait([task], timeout=0)[0]:
+            return None
+        try:
+            failure, files = self._ray.get(task)
+        except self._ray.exceptions.TaskCancelledError:
+            return ""
+        except self._ray.exceptions.RayError as error:
+            return " ".join(str(getattr(error, "cause", error)).split())[:200]
+        if files:
+            _unpack(files, home.beside.path)
+            home.take_over(unfinished=True)
+        return failure
+
+    def stop(self, run: PlannedRun, at_once: bool = False) -> None:
+        """Asks it to end, with a checkpoint after the present iteration; or kills its worker."""
+        self._ray.cancel(self._tasks[run.name], force=at_once)
 
     def close(self) -> None:
         """Leaves the cluster, which kills what still runs for this process."""
@@ -122,7 +115,22 @@ class RayExecutor:
         self._ray.shutdown()
 
 
-def _content(run: PlannedRun) -> Files:
+def _sent(run: PlannedRun) -> PlannedRun:
+    """A run that reads only what is sent with it, from the working directory."""
+    request = replace(
+        run.request,
+        task=Path(f"own/specs/task/{run.record.task}.yaml"),
+        method=Path(f"own/specs/method/{run.record.method}.yaml"),
+        overrides=(),
+        init_from=run.request.init_from and Path("initial"),
+        out=run.directory.path.resolve(),
+        command=portable_command(run.request.command_line),
+    )
+    transfer = {task: Path(f"transfer/{task}/specs/task/{task}.yaml") for task in run.transfer}
+    return replace(run, request=request, transfer=transfer)
+
+
+def _content(run: PlannedRun, sent: PlannedRun) -> Files:
     """Task and method, and the transfer tasks, as a run's folder has them: nothing else is read."""
     request = run.request
     trials = {"own": load_trial(request.task, request.method, request.overrides)}
@@ -130,6 +138,11 @@ def _content(run: PlannedRun) -> Files:
     with TemporaryDirectory(prefix="kickbench-") as folder:
         for name, trial in trials.items():
             write_specs(RunDirectory(Path(folder, name)), trial)
+        for path in (sent.request.task, sent.request.method, *sent.transfer.values()):
+            # Tasks and methods are called as their files are.
+            file = Path(folder, path)
+            file.parent.mkdir()
+            file.write_text(f"extends: ../{file.parent.name}.yaml\n", encoding="utf-8")
         return _packed(Path(folder))
 
 
@@ -137,63 +150,31 @@ def _perform_there(
     run: PlannedRun, content: Files, files: Files, mark: tuple[Path, str], versions: Mapping[str, str]
 ) -> tuple[str, Files]:
     """Does a run on a node; why it failed, and its folder if the plan's is not seen from there."""
-    # Nodes that a shell has started in the background ignore it, and with it `RayRun.stop`.
+    # Nodes that a shell has started in the background ignore it, and with it `RayExecutor.stop`.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     path, text = mark
     is_shared = path.is_file() and path.read_text() == text
-    with TemporaryDirectory(prefix="kickbench-") as name:
-        _unpack(content | files, Path(name))
-        try:
-            _check_versions(versions)
-            there = _brought_here(run, Path(name), is_shared)
-        except KickbenchError as error:
-            return str(error), {}
-        failure = perform(there)
-        return failure, {} if is_shared else _packed(there.directory.path)
+    with TemporaryDirectory(prefix="kickbench-") as name, chdir(name):
+        _unpack(content | files, Path())
+        _check_comparable(run.request, versions)
+        if not is_shared:
+            run = replace(run, request=replace(run.request, out=Path("begun")))
+        return perform(run), {} if is_shared else _packed(run.directory.path)
 
 
-def _check_versions(theirs: Mapping[str, str]) -> None:
-    own = package_versions()
-    unlike = [
-        f"{name} {own.get(name)}, here {theirs.get(name)}"
-        for name in _COMPARED
-        if own.get(name) != theirs.get(name)
-    ]
-    if unlike:
-        raise KickbenchError(
-            f"the node {platform.node()} has {'; '.join(unlike)}: results would not be comparable"
-        )
-
-
-def _brought_here(run: PlannedRun, root: Path, is_shared: bool) -> PlannedRun:
-    """A run with the paths of what was sent with it.
+def _check_comparable(request: RunRequest, theirs: Mapping[str, str]) -> None:
+    """Refuses to run on a node that is unlike the sender's.
 
     Raises:
-        KickbenchError: What was sent is another task or method here.
+        KickbenchError: It has other versions, or compiles another task or method.
     """
-    own = RunDirectory(root / "own")
-    request = replace(
-        run.request,
-        task=_named(own.task_spec, run.record.task),
-        method=_named(own.method_spec, run.record.method),
-        overrides=(),
-        init_from=run.request.init_from and root / "initial",
-        out=run.request.out if is_shared else root / "begun",
-    )
-    if unlike := spec_differences(own, load_trial(request.task, request.method)):
-        raise KickbenchError(
-            f"the node {platform.node()} compiles another trial from the same files: {unlike[0]}"
-        )
-    transfer = {task: _named(RunDirectory(root / "transfer" / task).task_spec, task) for task in run.transfer}
-    return replace(run, request=request, transfer=transfer)
-
-
-def _named(spec: Path, name: str) -> Path:
-    """A file that is a spec by another name: tasks and methods are called as their files are."""
-    file = spec.parent / spec.stem / f"{name}.yaml"
-    file.parent.mkdir()
-    file.write_text(f"extends: ../{spec.name}\n", encoding="utf-8")
-    return file
+    own, node = package_versions(), f"the node {platform.node()}"
+    unlike = [name for name in _COMPARED if own.get(name) != theirs.get(name)]
+    if unlike:
+        versions = "; ".join(f"{name} {own.get(name)}, here {theirs.get(name)}" for name in unlike)
+        raise KickbenchError(f"{node} has {versions}: results would not be comparable")
+    if differences := spec_differences(RunDirectory("own"), load_trial(request.task, request.method)):
+        raise KickbenchError(f"{node} compiles another trial from the same files: {differences[0]}")
 
 
 def _packed(folder: Path, name: str = "") -> Files:

@@ -1,7 +1,8 @@
-"""Runs on this machine, each in a process of its own, which does not outlive its starter.
+"""Runs on this machine: what doing one is, and an executor that gives each a process of its own.
 
-If the starter is killed by SIGKILL, the kernel sends the process a SIGTERM: a training then ends after its
-present iteration, with a checkpoint, and its folder is free for whoever goes on.
+A process does not outlive its starter. If that is killed by SIGKILL, the kernel sends the process a SIGTERM:
+a training then ends after its present iteration, with a checkpoint, and its folder is free for whoever goes
+on.
 """
 
 from __future__ import annotations
@@ -9,37 +10,29 @@ from __future__ import annotations
 import ctypes
 import multiprocessing
 import os
+import platform
+import shlex
 import signal
 import sys
+import time
+import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime
 from multiprocessing.process import BaseProcess
+from pathlib import Path
 
+import torch
+
+from kickbench.errors import KickbenchError
 from kickbench.launch.plan import PlannedRun
-from kickbench.launch.work import last_lines, perform
+from kickbench.launch.run import evaluate, run
+from kickbench.results.integrity import write_also
+from kickbench.results.metrics import metrics_bytes
+from kickbench.training.trained import load_run
 
+_POLL_SECONDS = 0.5
 _PR_SET_PDEATHSIG = 1
-
-
-class LocalRun:
-    """A run in a process on this machine."""
-
-    def __init__(self, process: BaseProcess, run: PlannedRun) -> None:
-        self._process, self._log = process, run.directory.log
-
-    def poll(self) -> str | None:
-        """Why it failed, empty if it did not; None while it runs."""
-        code = self._process.exitcode
-        if code is None or code == 0:
-            return None if code is None else ""
-        if code < 0:
-            return f"killed by {signal.Signals(-code).name}"
-        return last_lines(self._log) or f"exit code {code}"
-
-    def stop(self, at_once: bool = False) -> None:
-        """Asks it to end, with a checkpoint after the present iteration; or kills it."""
-        if at_once:
-            self._process.kill()
-        else:
-            self._process.terminate()
 
 
 class LocalExecutor:
@@ -51,20 +44,33 @@ class LocalExecutor:
 
     def __init__(self, at_a_time: int = 1) -> None:
         self.at_a_time = at_a_time
-        self._processes: list[BaseProcess] = []
+        self._processes: dict[str, BaseProcess] = {}
 
-    def start(self, run: PlannedRun) -> LocalRun:
+    def start(self, run: PlannedRun) -> None:
         """Starts a run, out of reach of the terminal's Ctrl-C: the caller decides what that means."""
         process = multiprocessing.get_context("spawn").Process(target=_main, args=(run, os.getpid()))
         process.start()
-        self._processes.append(process)
-        return LocalRun(process, run)
+        self._processes[run.name] = process
+
+    def poll(self, run: PlannedRun) -> str | None:
+        """Why it failed, empty if it did not; None while it runs."""
+        code = self._processes[run.name].exitcode
+        if not code:
+            return None if code is None else ""
+        if code < 0:
+            return f"killed by {signal.Signals(-code).name}"
+        return last_lines(run.directory.log) or f"exit code {code}"
+
+    def stop(self, run: PlannedRun, at_once: bool = False) -> None:
+        """Asks it to end, with a checkpoint after the present iteration; or kills it."""
+        process = self._processes[run.name]
+        (process.kill if at_once else process.terminate)()
 
     def close(self) -> None:
         """Stops what still runs, and waits for its end."""
-        for process in self._processes:
+        for process in self._processes.values():
             process.terminate()
-        for process in self._processes:
+        for process in self._processes.values():
             process.join()
 
 
@@ -75,3 +81,63 @@ def _main(run: PlannedRun, starter: int) -> None:
     if os.getppid() != starter:
         sys.exit(f"process {starter}, which has started this one, is gone")
     sys.exit(1 if perform(run) else 0)
+
+
+def perform(planned: PlannedRun) -> str:
+    """Does what is left of a run, after whoever still runs in its folder.
+
+    Returns:
+        Why it failed; empty: it is done, or was interrupted.
+    """
+    while planned.directory.is_occupied:
+        time.sleep(_POLL_SECONDS)
+    with _output_to(planned.directory.log):
+        began = datetime.now(UTC).isoformat(timespec="seconds")
+        print(f"--- {began} {platform.node()}: {shlex.join(planned.request.command_line)}", flush=True)
+        torch.set_num_threads(planned.request.threads or 1)
+        try:
+            _train_and_evaluate(planned)
+        except KeyboardInterrupt:
+            print("interrupted")
+        except KickbenchError as error:
+            print(error)
+            return str(error)
+        except Exception as error:
+            traceback.print_exc()
+            return f"{type(error).__name__}: {error}"
+    return ""
+
+
+def _train_and_evaluate(planned: PlannedRun) -> None:
+    if planned.read_state().state != "finished" and run(planned.request).metrics is None:
+        raise KeyboardInterrupt
+    for name in planned.missing_evaluations:
+        loaded = load_run(planned.directory.path, planned.transfer[name])
+        figures = evaluate(loaded, episodes=planned.record.episodes, threads=planned.request.threads)
+        metrics = loaded.metrics.model_copy(update={"task": name, "evaluation": figures})
+        with planned.directory.occupied():
+            write_also(planned.directory, f"also/{name}.json", metrics_bytes(metrics))
+
+
+def last_lines(log: Path, count: int = 1) -> str:
+    """The last lines of a log that are not empty."""
+    text = log.read_text(encoding="utf-8", errors="replace") if log.is_file() else ""
+    return "\n".join([line.strip() for line in text.split("\n") if line.strip()][-count:])
+
+
+@contextmanager
+def _output_to(log: Path) -> Iterator[None]:
+    """Appends all that this process writes to a file."""
+    log.parent.mkdir(parents=True, exist_ok=True)
+    before = [(number, os.dup(number)) for number in (1, 2)]
+    try:
+        with open(log, "ab") as file:
+            for number, _ in before:
+                os.dup2(file.fileno(), number)
+        yield
+    finally:
+        for stream in (sys.stdout, sys.stderr):
+            stream.flush()
+        for number, copy in before:
+            os.dup2(copy, number)
+            os.close(copy)

@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import zip_longest
 from pathlib import Path
 
 from kickbench.errors import KickbenchError, Problem, SpecError, did_you_mean
-from kickbench.launch.record import PlanRecord, RunRecord
 from kickbench.launch.run import RunRequest
-from kickbench.launch.state import RunState, State, read_state
+from kickbench.launch.state import PlanRecord, RunRecord, RunState, read_state
+from kickbench.results.frame import run_path
 from kickbench.results.metrics import load_metrics
 from kickbench.results.provenance import ExperimentRef
 from kickbench.results.store import RunDirectory
 from kickbench.training.resume import begin_from, check_same
 from kickbench.training.trained import load_run
 from kickbench.trials.experiment import Condition, LoadedExperiment
-from kickbench.trials.trial import Trial, load_trial
+from kickbench.trials.trial import Trial
 
 
 @dataclass(frozen=True)
@@ -57,33 +56,31 @@ class PlannedRun:
         record: What it is.
         request: How it is trained, and where it lies.
         transfer: Paths of the transfer tasks of its evaluation, by name.
-        after: Name of the run of the plan whose policy it begins with; None: none.
     """
 
     record: RunRecord
     request: RunRequest
     transfer: Mapping[str, Path]
-    after: str | None = None
 
     @property
     def name(self) -> str:
         """`baseline/seed0`: condition and seed."""
-        return self.record.folder.as_posix()
+        return run_path(Path(), self.record.arm, self.record.seed).as_posix()
 
     @property
     def directory(self) -> RunDirectory:
         """Where it is."""
-        return RunDirectory(self.request.out or self.record.folder)
+        return RunDirectory(self.request.out or self.name)
 
     @property
     def missing_evaluations(self) -> tuple[str, ...]:
-        """The transfer tasks that there is no valid evaluation on."""
-        return tuple(name for name in self.transfer if not _is_valid(self.directory.also(name)))
+        """The transfer tasks that it is not evaluated on; a damaged evaluation is damage of the run."""
+        return tuple(name for name in self.transfer if not self.directory.also(name).is_file())
 
     @property
     def is_done(self) -> bool:
         """Whether it is finished, with all evaluations."""
-        return self.read_state().state is State.FINISHED and not self.missing_evaluations
+        return self.read_state().state == "finished" and not self.missing_evaluations
 
     def read_state(self) -> RunState:
         """How far it is now."""
@@ -118,16 +115,14 @@ def make_plan(experiment: LoadedExperiment, selection: Selection) -> Plan:
     chosen, columns = _chosen(experiment, selection), list[list[PlannedRun]]()
     records, problems = list[RunRecord](), list[Problem]()
     for condition in experiment.conditions.values():
-        trial = load_trial(
-            condition.task.document.file,
-            condition.method.document.file,
-            (*condition.overrides, *selection.overrides),
-            selection.scale,
-        )
-        asked = chosen.get(condition.name, ())
-        own = {seed: _record(condition, trial, seed) for seed in dict.fromkeys((*condition.seeds, *asked))}
-        records += own.values()
-        columns.append([_planned(experiment, selection, condition, folder, own[seed]) for seed in asked])
+        request = _request(experiment, condition, selection)
+        trial, asked = request.load(), chosen.get(condition.name, ())
+        runs = {
+            seed: _planned(replace(request, seed=seed), condition, trial, folder)
+            for seed in dict.fromkeys((*condition.seeds, *asked))
+        }
+        records += [run.record for run in runs.values()]
+        columns.append([runs[seed] for seed in asked])
         problems += [problem for run in columns[-1] for problem in _differences(run, trial)]
     if problems:
         raise SpecError([*problems, Problem(None, (), "--out takes another folder")])
@@ -141,15 +136,14 @@ def make_plan(experiment: LoadedExperiment, selection: Selection) -> Plan:
 def _chosen(experiment: LoadedExperiment, selection: Selection) -> dict[str, tuple[int, ...]]:
     """Seeds of the conditions that are asked for, and of those whose policies they begin with."""
     conditions = experiment.conditions
+    asked = [] if selection.only else list(conditions)
     for name in selection.only:
-        if not any(condition.is_meant_by(name) for condition in conditions.values()):
+        meant = [own for own, condition in conditions.items() if condition.is_meant_by(name)]
+        if not meant:
             what = f"{experiment.name} has no such condition; it has: {', '.join(conditions)}"
             raise SpecError.of(f"--only {name}", what, did_you_mean(name, conditions))
-    chosen = {
-        name: selection.seeds or condition.seeds
-        for name, condition in conditions.items()
-        if not selection.only or any(map(condition.is_meant_by, selection.only))
-    }
+        asked += meant
+    chosen = {name: selection.seeds or conditions[name].seeds for name in asked}
     for name in list(chosen):
         source = conditions[name].init_from
         while isinstance(source, str):
@@ -158,41 +152,37 @@ def _chosen(experiment: LoadedExperiment, selection: Selection) -> dict[str, tup
     return chosen
 
 
-def _record(condition: Condition, trial: Trial, seed: int) -> RunRecord:
-    return RunRecord(
+def _request(experiment: LoadedExperiment, condition: Condition, selection: Selection) -> RunRequest:
+    """What all runs of a condition share."""
+    return RunRequest(
+        task=condition.task.document.file,
+        method=condition.method.document.file,
+        overrides=(*condition.overrides, *selection.overrides),
+        scale=selection.scale,
+        device=selection.device,
+        threads=selection.threads,
+        resume=True,
+        init_std=condition.init_std,
+        experiment=ExperimentRef(name=experiment.name, claims=experiment.claims_hash),
+    )
+
+
+def _planned(request: RunRequest, condition: Condition, trial: Trial, folder: Path) -> PlannedRun:
+    record = RunRecord(
         arm=condition.name,
-        seed=seed,
+        seed=request.seed,
         task=trial.task.name,
         method=trial.method.name,
         iterations=trial.method.spec.algorithm.iterations,
         episodes=trial.task.spec.evaluation.episodes,
         also=tuple(condition.transfer),
     )
-
-
-def _planned(
-    experiment: LoadedExperiment, selection: Selection, condition: Condition, folder: Path, record: RunRecord
-) -> PlannedRun:
-    source, after = condition.init_from, None
+    source = condition.init_from
     if isinstance(source, str):
-        after = f"{source}/seed{record.seed}"
-        source = folder / after
-    request = RunRequest(
-        task=condition.task.document.file,
-        method=condition.method.document.file,
-        seed=record.seed,
-        overrides=(*condition.overrides, *selection.overrides),
-        scale=selection.scale,
-        out=folder / record.folder,
-        device=selection.device,
-        threads=selection.threads,
-        resume=True,
-        init_from=source,
-        init_std=condition.init_std,
-        experiment=ExperimentRef(name=experiment.name, claims=experiment.claims_hash),
-    )
+        source = run_path(folder, source, record.seed)
     transfer = {name: task.document.file for name, task in condition.transfer.items()}
-    return PlannedRun(record, request, transfer, after)
+    out = run_path(folder, record.arm, record.seed)
+    return PlannedRun(record, replace(request, out=out, init_from=source), transfer)
 
 
 def _differences(run: PlannedRun, trial: Trial) -> Iterable[Problem]:
@@ -200,7 +190,7 @@ def _differences(run: PlannedRun, trial: Trial) -> Iterable[Problem]:
     request, directory = run.request, run.directory
     # What is new or damaged fails by itself, and keeps no other from running; a running one may just write
     # its specs.
-    if run.read_state().state in (State.NEW, State.DAMAGED, State.RUNNING):
+    if run.read_state().state in ("not begun", "damaged", "running"):
         return []
     recorded = load_metrics(directory.metrics).model_dump() if directory.is_finished else None
     try:
@@ -212,9 +202,3 @@ def _differences(run: PlannedRun, trial: Trial) -> Iterable[Problem]:
     except KickbenchError as error:
         return [Problem(None, (), str(error))]
     return []
-
-
-def _is_valid(path: Path) -> bool:
-    with suppress(KickbenchError):
-        return bool(load_metrics(path))
-    return False

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,14 +13,14 @@ import torch
 from rsl_rl.models import MLPModel
 
 from kickbench.config.shipped import find, find_method
-from kickbench.envs.compiled_task import CompiledTask, read_task
+from kickbench.envs.compiled_task import read_task
 from kickbench.envs.engines import make_engine
 from kickbench.envs.env import KickEnv
 from kickbench.errors import KickbenchError, SpecError, shown
 from kickbench.evaluation.grid import evaluate_grid
-from kickbench.evaluation.rollouts import Policy, PolicySymmetry, run_sides, success_by_side
+from kickbench.evaluation.rollouts import Policy, run_sides, success_by_side
 from kickbench.nets.build import build_actor, update_threads
-from kickbench.results.episode_table import EpisodeSides, write_episodes
+from kickbench.results.episode_table import write_episodes
 from kickbench.results.metrics import Evaluation, Metrics, load_metrics
 from kickbench.results.provenance import ExperimentRef, RunHistory, earlier_parts
 from kickbench.results.specs import update_specs
@@ -35,6 +35,9 @@ from kickbench.training.trained import Run, load_run
 from kickbench.training.trainer import Trainer, TrainingResult
 from kickbench.trials.experiment import load_experiment
 from kickbench.trials.trial import Trial, load_trial
+
+_SAID = ("seed", "scale", "init_from", "init_std", "iterations", "num_envs")
+"""What a command line says of a run beside task, method and overrides: all that the result depends on."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,7 +72,7 @@ class RunRequest:
     iterations: int | None = None
     scale: float | None = None
     num_envs: int | None = None
-    out: Path | None = None
+    out: Path | str | None = None
     device: str = "cpu"
     no_graph: bool = False
     threads: int | None = None
@@ -83,18 +86,11 @@ class RunRequest:
     @property
     def command_line(self) -> Sequence[str]:
         """The command, or a `kickbench run` that makes the same run."""
-        values = {
-            "--seed": self.seed,
-            "--scale": self.scale,
-            "--init-from": self.init_from,
-            "--init-std": self.init_std,
-            "--iterations": self.iterations,
-            "--num-envs": self.num_envs,
-        }
-        options = [(flag, str(value)) for flag, value in values.items() if value is not None]
-        options += [("--set", override) for override in self.overrides]
-        own = ("kickbench", "run", str(self.task), str(self.method))
-        return self.command or [*own, *(text for option in options for text in option)]
+        values = [(name, getattr(self, name)) for name in _SAID]
+        values = [(name, value) for name, value in values if value is not None]
+        values += [("set", override) for override in self.overrides]
+        options = [text for name, of in values for text in (f"--{name.replace('_', '-')}", str(of))]
+        return self.command or ["kickbench", "run", str(self.task), str(self.method), *options]
 
     def load(self) -> Trial:
         """The trial, with the overrides that have flags of their own.
@@ -139,23 +135,20 @@ def run(request: RunRequest) -> RunOutcome:
     if request.init_from is not None:
         trial, initial = begin_from(trial, load_run(request.init_from), request.init_std)
         if initial.critic is None and ranks.is_main:
-            print(
-                f"{shown(request.init_from)}: no critic was kept that fits; a new one is trained",
-                file=sys.stderr,
-            )
+            what = "no critic was kept that fits; a new one is trained"
+            print(f"{shown(request.init_from)}: {what}", file=sys.stderr)
     with joined(ranks), directory.occupied() if ranks.is_main else nullcontext():
-        taken = _open_together(request, directory, trial, ranks, initial)
+        taken = _open(request, directory, trial, ranks, initial)
         if taken.finished:
             metrics = load_metrics(directory.metrics) if ranks.is_main else None
             return RunOutcome(directory, None, metrics, ranks.is_main)
         threads = request.threads or max(1, usable_cores() // ranks.local_size)
-        history = _history(request, trial, ranks, threads, initial, taken)
-        trainer = _make_trainer(request, trial, taken.directory or directory, ranks, threads, history)
-        _start(trainer, taken, initial)
+        part = _Part(request, trial, ranks, threads, initial, taken)
+        trainer = part.make_trainer()
         training = trainer.train(trial.method.spec.algorithm.iterations)
         if training.interrupted or not ranks.is_main:
             return RunOutcome(directory, training, None, ranks.is_main)
-        metrics = _evaluate(trainer, training, taken.directory or directory, history, threads)
+        metrics = part.evaluate(trainer, training)
         directory.take_over()
         return RunOutcome(directory, training, metrics)
 
@@ -176,145 +169,128 @@ def _check_feasible(request: RunRequest, trial: Trial, ranks: Ranks) -> None:
         raise KickbenchError(f"{shown(str(request.out))}: {what}") from None
 
 
-def _open(request: RunRequest, directory: RunDirectory, trial: Trial, initial: Initial | None) -> Resume:
-    directory.take_over()  # in case the process that was to do it has been killed
-    if not request.resume:
-        return begin(directory.prepare(request.force), trial, initial)
-    extend = request.iterations is not None
-    return take_up(directory, trial, request.seed, scale=request.scale, extend=extend, initial=initial)
-
-
-def _open_together(
+def _open(
     request: RunRequest, directory: RunDirectory, trial: Trial, ranks: Ranks, initial: Initial | None
 ) -> Resume:
     """Rank 0 looks into the directory, and sends the others what it has found."""
-    taken, refusal = Resume(), None
-    if ranks.is_main:
-        try:
-            taken = _open(request, directory, trial, initial)
-        except KickbenchError as error:
-            refusal = error
+    taken, refusal = Resume(directory), None
+    try:
+        if ranks.is_main:
+            directory.take_over()  # in case the process that was to do it has been killed
+            if request.resume:
+                size = {"scale": request.scale, "extend": request.iterations is not None}
+                taken = take_up(directory, trial, request.seed, initial=initial, **size)
+            else:
+                taken = begin(directory.prepare(request.force), trial, initial)
+    except KickbenchError as error:
+        refusal = error
     if ranks.any(refusal is not None):
         raise refusal or SystemExit(2)  # rank 0 says why
-    found = ranks.broadcast({"state": taken.state, "finished": taken.finished})
-    return Resume(found["state"], found["finished"], taken.directory)
+    return replace(taken, **ranks.broadcast({"state": taken.state, "finished": taken.finished}))
 
 
-def _history(
-    request: RunRequest, trial: Trial, ranks: Ranks, threads: int, initial: Initial | None, taken: Resume
-) -> RunHistory:
-    experiment = request.experiment
-    if isinstance(experiment, Path):
-        loaded = load_experiment(experiment)
-        experiment = ExperimentRef(name=loaded.name, claims=loaded.claims_hash)
-    return RunHistory(
-        trial.task.name,
-        trial.method.name,
-        request.seed,
-        scale=request.scale,
-        num_threads=threads,
-        num_processes=ranks.size,
-        device=request.device,
-        argv=request.command_line,
-        experiment=experiment,
-        initial=initial.ref if initial else None,
-        earlier=earlier_parts(taken.state["run"]) if taken.state else (),
-    )
+@dataclass(frozen=True)
+class _Part:
+    """What this process does of a run that it has opened: the part since the last interruption."""
 
+    request: RunRequest
+    trial: Trial
+    ranks: Ranks
+    threads: int
+    initial: Initial | None
+    taken: Resume
 
-def _make_trainer(
-    request: RunRequest,
-    trial: Trial,
-    directory: RunDirectory,
-    ranks: Ranks,
-    threads: int,
-    history: RunHistory,
-) -> Trainer:
-    """Seeds everything and builds environments, networks and progress displays."""
-    seed, task, method = ranks.seed(request.seed), trial.task, trial.method.spec
-    torch.manual_seed(seed)
-    num_envs = ranks.share(method.algorithm.num_envs)
-    env = KickEnv(task, make_engine(task, num_envs, str(ranks.device), num_threads=threads), seed)
+    def make_trainer(self) -> Trainer:
+        """Seeds everything, builds environments, networks and displays, and goes to where the run stands."""
+        trial, ranks, made = self.trial, self.ranks, self.taken.directory
+        history, seed, method = self._history(), ranks.seed(self.request.seed), trial.method.spec
+        torch.manual_seed(seed)
+        num_envs = ranks.share(method.algorithm.num_envs)
+        engine = make_engine(trial.task, num_envs, str(ranks.device), num_threads=self.threads)
+        trainer = Trainer(
+            trial,
+            KickEnv(trial.task, engine, seed),
+            RunProgress(made.progress, made.tensorboard) if ranks.is_main else Progress(),
+            Checkpoints(made.checkpoints),
+            history,
+            update_threads(method, self.threads),
+            graph=not self.request.no_graph,
+            ranks=ranks,
+            evaluate=self._success,
+        )
+        self._restore(trainer)
+        return trainer
 
-    def success(trained: MLPModel) -> dict[str, float]:
+    def _history(self) -> RunHistory:
+        request, experiment, state = self.request, self.request.experiment, self.taken.state
+        if isinstance(experiment, Path):
+            loaded = load_experiment(experiment)
+            experiment = ExperimentRef(name=loaded.name, claims=loaded.claims_hash)
+        return RunHistory(
+            self.trial.task.name,
+            self.trial.method.name,
+            request.seed,
+            scale=request.scale,
+            num_threads=self.threads,
+            num_processes=self.ranks.size,
+            device=request.device,
+            argv=request.command_line,
+            experiment=experiment,
+            initial=self.initial.ref if self.initial else None,
+            earlier=earlier_parts(state["run"]) if state else (),
+        )
+
+    def _success(self, trained: MLPModel) -> dict[str, float]:
         """Success of the policy in training; changes nothing of it."""
+        symmetry = self.trial.symmetry
         with torch.random.fork_rng(devices=[]):
-            policy = build_actor(method, trial.symmetry.groups["actor"], trial.symmetry.actions).eval()
+            policy = build_actor(self.trial.method.spec, symmetry.groups["actor"], symmetry.actions).eval()
         policy.load_state_dict(trained.state_dict())
-        return success_by_side(task, policy, threads)
+        return success_by_side(self.trial.task, policy, self.threads)
 
-    return Trainer(
-        trial,
-        env,
-        RunProgress(directory.progress, directory.tensorboard) if ranks.is_main else Progress(),
-        Checkpoints(directory.checkpoints),
-        history,
-        update_threads(method, threads),
-        graph=not request.no_graph,
-        ranks=ranks,
-        evaluate=success,
-    )
+    def _restore(self, trainer: Trainer) -> None:
+        if self.initial is not None:
+            trainer.ppo.get_policy().load_state_dict(self.initial.policy.state_dict())
+            if self.initial.critic is not None:
+                trainer.ppo.critic.load_state_dict(self.initial.critic.state_dict())
+        if self.taken.state:
+            trainer.load_state_dict(self.taken.state)
+            if self.ranks.is_main:
+                self.taken.directory.reopen()
+                update_specs(self.taken.directory, self.trial)
 
-
-def _start(trainer: Trainer, taken: Resume, initial: Initial | None) -> None:
-    """Brings a trainer to where the run stands."""
-    if initial is not None:
-        trainer.ppo.get_policy().load_state_dict(initial.policy.state_dict())
-        if initial.critic is not None:
-            trainer.ppo.critic.load_state_dict(initial.critic.state_dict())
-    if taken.state:
-        trainer.load_state_dict(taken.state)
-        if taken.directory is not None:
-            taken.directory.reopen()
-            update_specs(taken.directory, trainer.trial)
-
-
-def _evaluate(
-    trainer: Trainer, training: TrainingResult, made: RunDirectory, history: RunHistory, threads: int
-) -> Metrics | None:
-    """Evaluates a trained policy and writes the result; None if that is interrupted."""
-    # Wherever a policy was trained, the CPU's engine evaluates it: figures compare, and `eval` gives them
-    # again.
-    policy, trial = trainer.ppo.get_policy().eval().cpu(), trainer.trial
-    save_policy(made.policy, policy, trainer.ppo.critic)
-    try:
-        sides, symmetry = run_sides(trial.task, policy, trial.symmetry, num_threads=threads)
-    except KeyboardInterrupt:
-        return None
-    write_episodes(made.episodes, sides)
-    metrics = Metrics(
-        **history.labels,
-        iterations=training.iterations,
-        env_steps=training.env_steps,
-        training_seconds=round(training.seconds, 3),
-        schedule_iterations=training.horizon if training.iterations > training.horizon else None,
-        evaluation=_summary(trial.task, sides, symmetry),
-        provenance=history.provenance(training.env_steps),
-    )
-    made.finish(metrics)
-    return metrics
+    def evaluate(self, trainer: Trainer, training: TrainingResult) -> Metrics | None:
+        """Evaluates the trained policy and writes the result; None if that is interrupted."""
+        # Wherever a policy was trained, the CPU's engine evaluates it: figures compare, and `eval` gives them
+        # again.
+        policy, task, made = trainer.ppo.get_policy().eval().cpu(), self.trial.task, self.taken.directory
+        save_policy(made.policy, policy, trainer.ppo.critic)
+        try:
+            sides, symmetry = run_sides(task, policy, self.trial.symmetry, num_threads=self.threads)
+        except KeyboardInterrupt:
+            return None
+        write_episodes(made.episodes, sides)
+        metrics = Metrics(
+            **trainer.history.labels,
+            iterations=training.iterations,
+            env_steps=training.env_steps,
+            training_seconds=round(training.seconds, 3),
+            schedule_iterations=training.horizon if training.iterations > training.horizon else None,
+            evaluation=summarise_sides(sides, task.spec.simulation.control_interval, *symmetry),
+            provenance=trainer.history.provenance(training.env_steps),
+        )
+        made.finish(metrics)
+        return metrics
 
 
-def _summary(task: CompiledTask, sides: EpisodeSides, symmetry: PolicySymmetry) -> Evaluation:
-    return summarise_sides(sides, task.spec.simulation.control_interval, *symmetry)
-
-
-def train(
-    task: Path | str,
-    method: Path | str,
-    *,
-    overrides: Sequence[str] = (),
-    out: Path | str | None = None,
-    **options: Any,
-) -> Run:
+def train(task: Path | str, method: Path | str, *, overrides: Sequence[str] = (), **options: Any) -> Run:
     """Trains and evaluates a run, as `kickbench run` does, and loads it.
 
     Args:
         task: Path or name of a task: `mini_home_field`.
         method: Path or name of a method: `mini/equivariant`.
         overrides: `key.path=value` texts.
-        out: Run directory; default: `runs/<task>/<method>/seed<k>`.
-        options: `seed`, `iterations`, `num_envs`, `device`, `resume` and the others of `RunRequest`.
+        options: `seed`, `iterations`, `num_envs`, `device`, `out`, `resume` and the others of `RunRequest`.
 
     Raises:
         SpecError: A specification is wrong; nothing has been written.
@@ -323,10 +299,7 @@ def train(
     """
     task = find(task, "task")
     method = find_method(method, task, overrides)
-    request = RunRequest(
-        task=task, method=method, overrides=overrides, out=None if out is None else Path(out), **options
-    )
-    outcome = run(request)
+    outcome = run(RunRequest(task=task, method=method, overrides=overrides, **options))
     if outcome.training is not None and outcome.training.interrupted:
         raise KeyboardInterrupt
     return load_run(outcome.directory.path)
@@ -369,5 +342,5 @@ def evaluate(
         raise TypeError("evaluate: a policy that is no run needs a `task`")
     if grid:
         return evaluate_grid(compiled, function, episodes=episodes or 1, seed=seed, num_threads=threads)
-    figures = run_sides(compiled, function, symmetry, episodes=episodes, seed=seed, num_threads=threads)
-    return _summary(compiled, *figures)
+    sides, of = run_sides(compiled, function, symmetry, episodes=episodes, seed=seed, num_threads=threads)
+    return summarise_sides(sides, compiled.spec.simulation.control_interval, *of)

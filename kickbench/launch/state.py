@@ -1,4 +1,4 @@
-"""How far runs are, read from the files in their folders alone, and as a table.
+"""Which runs a folder is to hold (`plan.json`), and how far they are, by the files in their folders alone.
 
 Torch is not imported: the answer comes at once.
 """
@@ -6,34 +6,79 @@ Torch is not imported: the answer comes at once.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import Enum
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
 import pandas as pd
+from pydantic import Field, NonNegativeInt, PositiveInt, ValidationError
 
+from kickbench.errors import KickbenchError
 from kickbench.evaluation.progress_bar import EVALUATING, duration, percent
+from kickbench.results.atomic import Record, atomic_write_text
 from kickbench.results.frame import known, load_runs, runs_of
 from kickbench.results.progress_table import last_rows
 from kickbench.results.store import RunDirectory
 from kickbench.results.tables import NOTHING, Row, render_block
 from kickbench.training.checkpoint import Checkpoints, is_whole, iteration_of
 
+FILE = "plan.json"
 _PACE_ROWS = 20
 _OF_THE_PACE = ["iteration", "steps_per_second", "success_rate", "collect_seconds", "update_seconds"]
 _HEADER = ("run", "state", "iteration", "success", "steps/s", "time left", "")
+State = Literal["finished", "running", "interrupted", "not begun", "damaged"]
+"""Where a run stands, in the order in which they are counted."""
 
 
-class State(Enum):
-    """Where a run stands, in the order in which they are counted."""
+class RunRecord(Record):
+    """One run of a plan; `run_path` says where it lies in the plan's folder."""
 
-    FINISHED = "finished"
-    RUNNING = "running"
-    INTERRUPTED = "interrupted"
-    NEW = "not begun"
-    DAMAGED = "damaged"
+    arm: str
+    seed: NonNegativeInt
+    task: str
+    method: str
+    iterations: PositiveInt
+    episodes: PositiveInt = Field(description="evaluation episodes a side")
+    also: tuple[str, ...] = Field(default=(), description="further tasks that the policy is evaluated on")
+
+
+class PlanRecord(Record):
+    """What an experiment asks of a folder: all its runs, whether or not they have been asked for yet."""
+
+    schema_version: Literal[1] = 1
+    experiment: str
+    scale: float | None = Field(default=None, gt=0, lt=1, description="as in metrics.json")
+    overrides: tuple[str, ...] = Field(default=(), description="`--set` texts beyond the experiment's file")
+    runs: tuple[RunRecord, ...]
+    sha256: str | None = Field(default=None, description="of the other fields, in files of older versions")
+
+    def title(self, folder: str) -> str:
+        """The experiment, in what the runs differ from it, and where they are."""
+        scaled = [f"scaled down to {self.scale:g}"] if self.scale else []
+        changed = [f"with --set {override}" for override in self.overrides]
+        return f"{', '.join([self.experiment, *scaled, *changed])}: {folder}"
+
+
+def write_record(folder: Path, record: PlanRecord) -> None:
+    """Writes a folder's plan, atomically."""
+    atomic_write_text(folder / FILE, record.model_dump_json(indent=2, exclude={"sha256"}) + "\n")
+
+
+def read_record(folder: Path) -> PlanRecord | None:
+    """Reads a folder's plan; None if it has none.
+
+    Raises:
+        KickbenchError: It is not valid.
+    """
+    path = folder / FILE
+    try:
+        return PlanRecord.model_validate_json(path.read_bytes())
+    except FileNotFoundError:
+        return None
+    except (OSError, ValidationError) as error:
+        raise KickbenchError(f"{path}: no valid plan of an experiment: {error}") from error
 
 
 @dataclass(frozen=True)
@@ -46,8 +91,8 @@ class RunState:
         total: Iterations wanted; None: not known.
         success: Success in distribution if it is finished, else the last iteration's; NaN: not known.
         steps_per_second: Control steps of the last iterations over their time, 1/s; NaN: not known.
-        seconds_per_iteration: Measured pace of training, s; None: nothing has been measured.
-        evaluation_seconds: Measured time of its evaluation, s; None: it is not finished.
+        seconds_per_iteration: Measured pace of training, s; NaN: nothing has been measured.
+        evaluation_seconds: Measured time of its evaluation, s; NaN: it is not finished.
         note: What a person should know beside that.
     """
 
@@ -56,15 +101,15 @@ class RunState:
     total: int | None = None
     success: float = math.nan
     steps_per_second: float = math.nan
-    seconds_per_iteration: float | None = None
-    evaluation_seconds: float | None = None
+    seconds_per_iteration: float = math.nan
+    evaluation_seconds: float = math.nan
     note: str = ""
 
     @property
     def seconds_left(self) -> float:
         """Expected time to the end of training, s; NaN: nothing has been measured."""
-        pace = self.seconds_per_iteration
-        return math.nan if pace is None or self.total is None else pace * max(0, self.total - self.done)
+        left = math.nan if self.total is None else max(0, self.total - self.done)
+        return self.seconds_per_iteration * left
 
     @property
     def iteration(self) -> str:
@@ -81,7 +126,7 @@ def read_state(directory: RunDirectory, total: int | None = None) -> RunState:
     """
     runs = load_runs(directory.path)
     own = runs_of(runs[runs.path == directory.path])
-    return RunState(State.NEW, 0, total) if own.empty else state_of(own.iloc[0], total)
+    return RunState("not begun", 0, total) if own.empty else state_of(own.iloc[0], total)
 
 
 def state_of(run: pd.Series, total: int | None = None) -> RunState:
@@ -96,51 +141,39 @@ def state_of(run: pd.Series, total: int | None = None) -> RunState:
         total = int(stored)
     if run.state == "running":
         # What runs with --force is made beside the run that it replaces.
-        made = directory.beside if directory.beside.path.is_dir() else directory
-        return _training(State.RUNNING, made, None, total)
+        progress = read_tail((directory.beside if directory.beside.path.is_dir() else directory).progress)
+        is_trained = total is not None and progress.get("done", 0) >= total
+        return RunState("running", total=total, note=EVALUATING if is_trained else "", **progress)
     is_short = total is not None and run.iterations < total
     # What has a result, but no checkpoint to go on from, stays as long as it is.
     if run.state == "finished" and not (is_short and Checkpoints(directory.checkpoints).files()):
         return RunState(
-            state=State.FINISHED,
+            state="finished",
             done=int(run.iterations),
             total=total,
             success=run.success_rate,
-            seconds_per_iteration=run.training_seconds / run.iterations if run.iterations else None,
+            seconds_per_iteration=run.training_seconds / run.iterations if run.iterations else math.nan,
             evaluation_seconds=max(0.0, run.provenance.seconds - run.training_seconds),
             note=f"stopped at {int(run.iterations):,} of {total:,} iterations" if is_short else "",
         )
-    if run.state == "damaged":
-        return _training(State.DAMAGED, directory, 0, total, run.damage)
-    return _unfinished(directory, total)
+    state, done, note = "damaged", 0, run.damage
+    if run.state != "damaged":
+        state, done, note = _kept(directory, total)
+    return RunState(state, total=total, note=note, **{**read_tail(directory.progress), "done": done})
 
 
-def _training(
-    state: State, directory: RunDirectory, done: int | None, total: int | None, note: str = ""
-) -> RunState:
-    """A run without a result, as its progress table shows it; if `done` is None, also how far it is."""
-    figures = read_tail(directory.progress)
-    if done is not None:
-        figures["done"] = done
-    if state is State.RUNNING and total is not None and figures.get("done", 0) >= total:
-        note = EVALUATING
-    return RunState(state, total=total, note=note, **figures)
-
-
-def _unfinished(directory: RunDirectory, total: int | None) -> RunState:
-    """A run that is where its last checkpoint is that is whole."""
-    files, note = Checkpoints(directory.checkpoints).files()[::-1], ""
+def _kept(directory: RunDirectory, total: int | None) -> tuple[State, int, str]:
+    """State, iterations and note of a run without a result: it is where its last whole checkpoint is."""
+    files = Checkpoints(directory.checkpoints).files()[::-1]
     for file in filter(is_whole, files):
         done = iteration_of(file)
-        if file != files[0]:
-            note = f"the newest checkpoint is damaged: {files[0].name}"
-        elif done == total:
-            note = "trained, not evaluated"
-        return _training(State.INTERRUPTED, directory, done, total, note)
-    if files or any(file.exists() for file in (directory.progress, directory.policy, directory.metrics)):
-        reason = f"every checkpoint is damaged: {files[0].name}" if files else "no checkpoint"
-        return _training(State.DAMAGED, directory, 0, total, reason)
-    return RunState(State.NEW, 0, total)
+        note = "trained, not evaluated" if done == total else ""
+        damage = f"the newest checkpoint is damaged: {files[0].name}"
+        return "interrupted", done, note if file == files[0] else damage
+    if files:
+        return "damaged", 0, f"every checkpoint is damaged: {files[0].name}"
+    has_begun = any(file.exists() for file in (directory.progress, directory.policy, directory.metrics))
+    return ("damaged", 0, "no checkpoint") if has_begun else ("not begun", 0, "")
 
 
 def read_tail(path: Path) -> dict[str, Any]:
@@ -160,14 +193,25 @@ def read_tail(path: Path) -> dict[str, Any]:
 
 def run_table(title: str, runs: Sequence[tuple[str, RunState, str]]) -> str:
     """One line a run: name, how far it is, and a remark."""
-    rows = [(name, state.state.value, *_figures(state, remark)) for name, state, remark in runs]
-    return render_block(title, _HEADER, [[row] for row in rows], groups=None)
+    rows = [[_row(*run)] for run in runs]
+    return render_block(title, _HEADER, rows, groups=None)
+
+
+def _row(name: str, state: RunState, remark: str) -> Row:
+    """The cells of a run as far as they are known and mean something."""
+    running, pace = state.state == "running", state.steps_per_second
+    return (
+        *(name, state.state, state.iteration, percent(state.success)),
+        f"{pace:,.0f}" if running and math.isfinite(pace) else NOTHING,
+        duration(state.seconds_left) if running else NOTHING,
+        "; ".join(text for text in (state.note, remark) if text),
+    )
 
 
 def counts(states: Sequence[RunState]) -> str:
     """`3 finished, 1 interrupted, 5 not begun`."""
-    number = {state: sum(found.state is state for found in states) for state in State}
-    return ", ".join(f"{count} {state.value}" for state, count in number.items() if count)
+    number = Counter(state.state for state in states)
+    return ", ".join(f"{number[state]} {state}" for state in get_args(State) if number[state])
 
 
 def time_left(runs: Sequence[tuple[str, RunState]], at_a_time: int = 1) -> str:
@@ -180,30 +224,13 @@ def time_left(runs: Sequence[tuple[str, RunState]], at_a_time: int = 1) -> str:
         runs: Condition and state of all runs, those that are finished among them.
         at_a_time: How many run at a time.
     """
-    fields = ("seconds_per_iteration", "evaluation_seconds")
-    measured = pd.DataFrame(
-        [[getattr(s, field) for field in fields] for _, s in runs], columns=["pace", "evaluation"]
-    )
-    means = measured.astype(float).groupby([condition for condition, _ in runs]).mean()
-    left = [(condition, state) for condition, state in runs if state.state is not State.FINISHED]
-    if left and means.pace.isna().all():
+    table = pd.DataFrame([{"condition": condition, **vars(state)} for condition, state in runs])
+    means = table.groupby("condition")[["seconds_per_iteration", "evaluation_seconds"]].mean()
+    rest = table[table.state != "finished"]
+    if len(rest) and means.seconds_per_iteration.isna().all():
         return "unknown until the first iterations have been timed"
-    also = "" if not left or means.evaluation.notna().any() else " and evaluation"
-    means = means.fillna(means.mean()).fillna(0.0)
-    seconds = [
-        means.pace[condition] * max(0, (state.total or 0) - state.done) + means.evaluation[condition]
-        for condition, state in left
-    ]
+    also = "" if rest.empty or means.evaluation_seconds.notna().any() else " and evaluation"
+    each = means.fillna(means.mean()).fillna(0.0).loc[rest.condition].set_index(rest.index)
+    left = (rest.total.fillna(0) - rest.done).clip(lower=0)
+    seconds = each.seconds_per_iteration * left + each.evaluation_seconds
     return f"about {duration(max(sum(seconds) / at_a_time, max(seconds, default=0.0)))}{also}"
-
-
-def _figures(state: RunState, remark: str) -> Row:
-    """The cells of a run as far as they are known and mean something."""
-    running = state.state is State.RUNNING
-    return (
-        state.iteration,
-        percent(state.success),
-        f"{state.steps_per_second:,.0f}" if running and math.isfinite(state.steps_per_second) else NOTHING,
-        duration(state.seconds_left) if running else NOTHING,
-        "; ".join(text for text in (state.note, remark) if text),
-    )

@@ -32,14 +32,14 @@ class Resume:
     """Where a run stands.
 
     Attributes:
+        directory: Where it is made.
         state: Its last checkpoint, as `Trainer.state_dict` made it; None: nothing has been trained.
         finished: Whether nothing is left to do.
-        directory: The run directory; None: another process knows it.
     """
 
+    directory: RunDirectory
     state: Mapping[str, Any] | None = None
     finished: bool = False
-    directory: RunDirectory | None = None
 
 
 def begin(directory: RunDirectory, trial: Trial, initial: Initial | None = None) -> Resume:
@@ -52,7 +52,7 @@ def begin(directory: RunDirectory, trial: Trial, initial: Initial | None = None)
     except BaseException:
         directory.clear()
         raise
-    return Resume(directory=directory)
+    return Resume(directory)
 
 
 def take_up(
@@ -96,7 +96,7 @@ def take_up(
         recorded = load_metrics(directory.metrics)
         check_same(directory, trial, seed, scale, recorded.model_dump(), extend=extend)
         if recorded.iterations >= trial.method.spec.algorithm.iterations:
-            return Resume(finished=True, directory=directory)
+            return Resume(directory, finished=True)
     state = Checkpoints(directory.checkpoints).load()
     if state is None:
         if any(file.exists() for file in (directory.progress, directory.policy, directory.metrics)):
@@ -107,7 +107,7 @@ def take_up(
         return begin(directory, trial, initial)
     check_same(directory, trial, seed, scale, state["run"], extend=extend)
     rows_before(directory.progress, state["iteration"])  # before anything is removed
-    return Resume(state, directory=directory)
+    return Resume(directory, state)
 
 
 def check_same(

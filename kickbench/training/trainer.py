@@ -99,7 +99,7 @@ class Trainer:
         self._growth = Growth(curriculum) if curriculum else None
         self._update_threads = update_threads
         self._horizon, self._seconds = 0, 0.0
-        self._checkpoints, self._history = checkpoints, history
+        self._checkpoints, self.history = checkpoints, history
         self._every = _CHECKPOINT_EVERY
         self._kept: TrainingResult | None = None
         self._steps_per_iteration = trial.method.spec.algorithm.steps_per_env * env.num_envs * ranks.size
@@ -177,7 +177,7 @@ class Trainer:
     def state_dict(self) -> dict[str, Any]:
         """Everything that later iterations depend on, and what the run is: tensors and plain values."""
         return {
-            "run": self._history.state_dict(self.env_steps),
+            "run": self.history.state_dict(self.env_steps),
             "iteration": self.iteration,
             "horizon": self._horizon,
             "seconds": self._seconds,

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import signal
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from kickbench.cli import main
-from kickbench.launch.cluster import Files, _content, _packed, _perform_there, _unpack
+from kickbench.errors import KickbenchError
+from kickbench.launch.cluster import Files, _content, _packed, _perform_there, _sent, _unpack
+from kickbench.launch.local import perform
 from kickbench.launch.plan import PlannedRun, Selection, make_plan
-from kickbench.launch.work import perform
 from kickbench.results.metrics import load_metrics
 from kickbench.results.provenance import package_versions
 
@@ -44,12 +44,9 @@ def here(tmp_path_factory, experiment) -> list[PlannedRun]:
 
 def sent(run: PlannedRun, mark: Path, *, initial: Path | None = None, **versions: str) -> tuple[str, Files]:
     """Does a run as a node does that was sent it."""
-    content, files = _content(run), _packed(initial, "initial") if initial else {}
-    # Nothing of the sender's files may be read.
-    lost = Path("/nowhere")
-    request = replace(run.request, task=lost, method=lost, init_from=initial and lost)
-    away = replace(run, request=request, transfer=dict.fromkeys(run.transfer, lost))
-    return _perform_there(away, content, files, (mark, "text"), package_versions() | versions)
+    # By paths of files that were sent: nothing of the sender's may be read.
+    away, files = _sent(run), _packed(initial, "initial") if initial else {}
+    return _perform_there(away, _content(run, away), files, (mark, "text"), package_versions() | versions)
 
 
 def test_a_run_that_comes_home_from_a_node_is_that_of_this_machine(here, experiment, tmp_path):
@@ -80,16 +77,19 @@ def test_a_run_on_a_node_that_sees_the_folder_lies_there_and_begins_with_the_pol
 
 def test_a_node_with_another_version_is_refused(experiment, tmp_path):
     (run, _) = runs_in(tmp_path, experiment)
-    failure, files = sent(run, tmp_path / "mark", torch="1.0")
-    assert f"has torch {package_versions()['torch']}, here 1.0: results would not be comparable" in failure
-    assert files == {}
+    with pytest.raises(KickbenchError) as refusal:
+        sent(run, tmp_path / "mark", torch="1.0")
+    own = package_versions()["torch"]
+    assert f"has torch {own}, here 1.0: results would not be comparable" in str(refusal.value)
+    assert not run.directory.path.exists()
 
 
 def test_a_node_that_a_shell_has_started_in_the_background_hears_ctrl_c(experiment, tmp_path):
     (run, _) = runs_in(tmp_path, experiment)
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # as such a shell does
     try:
-        sent(run, tmp_path / "mark", torch="1.0")
+        with pytest.raises(KickbenchError):
+            sent(run, tmp_path / "mark", torch="1.0")
         assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
     finally:
         signal.signal(signal.SIGINT, before)
@@ -97,12 +97,13 @@ def test_a_node_that_a_shell_has_started_in_the_background_hears_ctrl_c(experime
 
 def test_a_node_that_compiles_another_task_from_the_files_refuses_it(experiment, tmp_path):
     (run, _) = runs_in(tmp_path, experiment)
-    content = _content(run)
+    away = _sent(run)
+    content = _content(run, away)
     content["own/specs/task.yaml"] = content["own/specs/task.yaml"].replace(
         b"max_steps: 20", b"max_steps: 21"
     )
-    failure, _ = _perform_there(run, content, {}, (tmp_path / "mark", "text"), package_versions())
-    assert "compiles another trial from the same files: task: " in failure
+    with pytest.raises(KickbenchError, match="compiles another trial from the same files: task: "):
+        _perform_there(away, content, {}, (tmp_path / "mark", "text"), package_versions())
 
 
 def test_without_ray_the_extra_is_named_and_nothing_is_written(tmp_path, monkeypatch, capsys):

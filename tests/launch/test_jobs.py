@@ -13,11 +13,10 @@ import pytest
 
 from kickbench.launch import jobs as module
 from kickbench.launch.jobs import Jobs, Outcome
-from kickbench.launch.local import LocalExecutor
+from kickbench.launch.local import LocalExecutor, last_lines
 from kickbench.launch.plan import PlannedRun
-from kickbench.launch.record import RunRecord
 from kickbench.launch.run import RunRequest
-from kickbench.launch.work import last_lines
+from kickbench.launch.state import RunRecord
 from kickbench.results.integrity import write_also
 from kickbench.results.metrics import metrics_bytes
 
@@ -29,6 +28,11 @@ def planned(folder: Path, seed: int) -> PlannedRun:
     record = RunRecord(arm="a", seed=seed, task="t", method="m", iterations=5, episodes=100)
     request = RunRequest(task=Path("t.yaml"), method=Path("m.yaml"), seed=seed, out=folder / f"a/seed{seed}")
     return PlannedRun(record, request, {})
+
+
+def beginning_with(first: PlannedRun, second: PlannedRun) -> PlannedRun:
+    """The second run, to begin with the policy of the first."""
+    return replace(second, request=replace(second.request, init_from=first.directory.path))
 
 
 @pytest.fixture
@@ -43,39 +47,32 @@ class Played:
         self.at_a_time, self.failures = at_a_time, failures
         self.started: list[str] = []
         self.stops: list[bool] = []
-        self.alive = self.most = 0
+        self.looks: dict[str, int] = {}
+        self.ended: dict[str, str] = {}
+        self.most = 0
         self.closed = False
 
-    def start(self, run: PlannedRun) -> Played.One:
+    def start(self, run: PlannedRun) -> None:
         self.started.append(run.name)
-        self.alive += 1
-        self.most = max(self.most, self.alive)
-        return self.One(self, run)
+        self.looks[run.name] = 0
+        self.most = max(self.most, len(self.started) - len(self.ended))
+
+    def poll(self, run: PlannedRun) -> str | None:
+        self.looks[run.name] += 1
+        if self.looks[run.name] == 3 and run.name not in self.ended:
+            self.ended[run.name] = failure = self.failures.get(run.directory.path.name, "")
+            if not failure:
+                write_result(run.directory.path, make_metrics(5))
+                for task in run.transfer:
+                    write_also(run.directory, f"also/{task}.json", metrics_bytes(make_metrics(5, task=task)))
+        return self.ended.get(run.name)
+
+    def stop(self, run: PlannedRun, at_once: bool = False) -> None:
+        self.stops.append(at_once)
+        self.ended[run.name] = ""
 
     def close(self) -> None:
         self.closed = True
-
-    class One:
-        def __init__(self, all_of_them: Played, run: PlannedRun) -> None:
-            self.all, self.run, self.looks = all_of_them, run, 0
-            self.failure: str | None = None
-
-        def poll(self) -> str | None:
-            self.looks += 1
-            if self.failure is None and self.looks == 3:
-                self.failure = self.all.failures.get(self.run.directory.path.name, "")
-                self.all.alive -= 1
-                if not self.failure:
-                    write_result(self.run.directory.path, make_metrics(5))
-                    for task in self.run.transfer:
-                        metrics = metrics_bytes(make_metrics(5, task=task))
-                        write_also(self.run.directory, f"also/{task}.json", metrics)
-            return self.failure
-
-        def stop(self, at_once: bool = False) -> None:
-            self.all.stops.append(at_once)
-            self.all.alive -= 1
-            self.failure = ""
 
 
 def no_sleep(_: float) -> None:
@@ -95,7 +92,7 @@ def outcomes(jobs: Jobs) -> list[Outcome]:
 @pytest.mark.parametrize("at_a_time", [1, 2, 3])
 def test_so_many_run_at_a_time_in_the_order_of_the_plan(runs, capsys, at_a_time):
     executor = Played(at_a_time)
-    assert outcomes(carried_out(runs, executor)) == [Outcome.DONE] * 4
+    assert outcomes(carried_out(runs, executor)) == ["done"] * 4
     assert executor.most == at_a_time
     assert executor.started == [f"a/seed{k}" for k in range(4)]
     assert executor.closed
@@ -107,12 +104,12 @@ def test_what_is_finished_is_not_run_again(runs):
     executor = Played()
     carried_out(runs, executor)
     assert len(executor.started) == 3
-    assert outcomes(Jobs(runs)) == [Outcome.DONE] * 4
+    assert outcomes(Jobs(runs)) == ["done"] * 4
 
 
 def test_a_run_that_fails_does_not_stop_the_others(runs, capsys):
     jobs = carried_out(runs, Played(2, seed1="a reason", seed2="killed by SIGKILL"))
-    assert outcomes(jobs) == [Outcome.DONE, Outcome.FAILED, Outcome.FAILED, Outcome.DONE]
+    assert outcomes(jobs) == ["done", "failed", "failed", "done"]
     assert [job.reason for job in jobs.jobs[1:3]] == ["a reason", "killed by SIGKILL"]
     assert "a/seed1: failed: a reason; its output:" in capsys.readouterr().out
 
@@ -121,7 +118,7 @@ def test_what_leaves_nothing_has_failed_and_is_not_repeated_for_ever(runs, monke
     monkeypatch.setattr(f"{__name__}.write_result", lambda *what: None)
     executor = Played()
     jobs = carried_out(runs[:1], executor)
-    assert outcomes(jobs) == [Outcome.FAILED]
+    assert outcomes(jobs) == ["failed"]
     assert jobs.jobs[0].reason == "it has ended without a result"
     assert len(executor.started) == 1
 
@@ -130,23 +127,23 @@ def test_a_run_is_done_when_it_is_evaluated_on_the_transfer_tasks(runs):
     run = replace(runs[0], transfer={"near": Path("near.yaml"), "far": Path("far.yaml")})
     write_result(run.directory.path, make_metrics(5))
     executor = Played()
-    assert outcomes(carried_out([run], executor)) == [Outcome.DONE]
+    assert outcomes(carried_out([run], executor)) == ["done"]
     assert executor.started == ["a/seed0"]
-    assert outcomes(Jobs([run])) == [Outcome.DONE]
+    assert outcomes(Jobs([run])) == ["done"]
 
 
 def test_a_run_begins_after_the_one_whose_policy_it_begins_with(runs):
-    second = replace(runs[1], after=runs[0].name)
+    second = beginning_with(runs[0], runs[1])
     executor = Played(2)
-    assert outcomes(carried_out([second, runs[0]], executor)) == [Outcome.DONE] * 2
+    assert outcomes(carried_out([second, runs[0]], executor)) == ["done"] * 2
     assert executor.started == ["a/seed0", "a/seed1"]
     assert executor.most == 1
 
 
 def test_a_run_whose_first_policy_is_not_made_fails(runs):
-    second = replace(runs[1], after=runs[0].name)
+    second = beginning_with(runs[0], runs[1])
     jobs = carried_out([runs[0], second], Played(seed0="a reason"))
-    assert outcomes(jobs) == [Outcome.FAILED] * 2
+    assert outcomes(jobs) == ["failed"] * 2
     assert jobs.jobs[1].reason == "a/seed0, which it begins with, has failed"
 
 
@@ -162,9 +159,9 @@ def test_a_run_that_another_process_is_at_is_waited_for(runs):
         with pytest.raises(Interrupted):
             jobs.carry_out(Played(), sleep)
     assert set(naps) == {"another process runs in it"}
-    assert outcomes(jobs) == [Outcome.WAITING, Outcome.DONE]
+    assert outcomes(jobs) == ["waiting", "done"]
     jobs.carry_out(Played(), no_sleep)
-    assert outcomes(jobs) == [Outcome.DONE, Outcome.DONE]
+    assert outcomes(jobs) == ["done", "done"]
 
 
 class Interrupted(Exception):
@@ -176,7 +173,7 @@ class Interrupted(Exception):
 def test_one_signal_stops_every_run_and_starts_no_other_and_a_second_kills(
     runs, monkeypatch, capsys, number, times
 ):
-    monkeypatch.setattr(Played.One, "stop", lambda one, at_once: one.all.stops.append(at_once))
+    monkeypatch.setattr(Played, "stop", lambda self, run, at_once: self.stops.append(at_once))
     jobs, executor, sent = Jobs(runs), Played(2), []
     before = signal.getsignal(number)
 
@@ -185,13 +182,12 @@ def test_one_signal_stops_every_run_and_starts_no_other_and_a_second_kills(
             sent.append(number)
             signal.raise_signal(number)
         elif len(sent) == times:
-            for job in jobs.jobs[:2]:
-                job.execution.looks, job.execution.failure = 9, ""
+            executor.ended = dict.fromkeys(executor.started, "")
 
     jobs.carry_out(executor, sleep)
-    assert outcomes(jobs) == [Outcome.STOPPED] * 4
+    assert outcomes(jobs) == ["stopped"] * 2 + ["waiting"] * 2
     assert (len(executor.started), executor.stops) == (2, [False, False, True, True][: 2 * times])
-    assert jobs.interrupted
+    assert jobs.interruptions == times
     assert "stopping" in capsys.readouterr().out
     assert signal.getsignal(number) is before
 
@@ -233,11 +229,12 @@ def perform(run):
 local.perform = perform
 
 class Run:
-    class directory:
-        log = None
+    name = "run"
 
 if __name__ == "__main__":
-    print(local.LocalExecutor().start(Run())._process.pid, flush=True)
+    executor = local.LocalExecutor()
+    executor.start(Run())
+    print(executor._processes["run"].pid, flush=True)
     time.sleep(1000)
 """
 
@@ -271,8 +268,8 @@ def test_a_process_dies_with_its_starter(tmp_path):
 def test_a_run_that_raises_says_why_in_its_log(tmp_path):
     executor, run = LocalExecutor(), planned(tmp_path, 0)
     for _ in range(2):
-        execution = executor.start(run)
-        while (failure := execution.poll()) is None:
+        executor.start(run)
+        while (failure := executor.poll(run)) is None:
             time.sleep(0.05)
         assert "no such file: '" in failure
     executor.close()

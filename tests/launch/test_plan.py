@@ -9,7 +9,7 @@ import pytest
 from kickbench.cli import main
 from kickbench.errors import SpecError
 from kickbench.launch.plan import Plan, Selection, make_plan
-from kickbench.launch.record import read_record, write_record
+from kickbench.launch.state import read_record, write_record
 from kickbench.results.identity import identity_of
 from kickbench.results.metrics import load_metrics
 from kickbench.results.specs import write_specs

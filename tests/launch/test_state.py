@@ -6,19 +6,19 @@ import math
 
 import pytest
 
-from kickbench.launch.state import State, read_state, read_tail, time_left
+from kickbench.launch.state import read_state, read_tail, time_left
 
 
 def test_a_folder_without_a_run_is_not_begun(make_run):
     state = read_state(make_run(), 450)
-    assert (state.state, state.done, state.total) == (State.NEW, 0, 450)
+    assert (state.state, state.done, state.total) == ("not begun", 0, 450)
     assert math.isnan(state.success)
     assert math.isnan(state.seconds_left)
 
 
 def test_an_interrupted_run_is_where_its_last_checkpoint_is(make_run):
     state = read_state(make_run(rows=117, checkpoints=(50, 100)), 450)
-    assert (state.state, state.done, state.note) == (State.INTERRUPTED, 100, "")
+    assert (state.state, state.done, state.note) == ("interrupted", 100, "")
     assert state.success == pytest.approx(0.116)
     assert state.seconds_left == pytest.approx(350 * 2.0)
 
@@ -28,42 +28,42 @@ def test_a_damaged_checkpoint_counts_for_nothing(make_run):
     newest = run.checkpoints / "iteration_000100.pt"
     newest.write_bytes(newest.read_bytes()[:-30])
     state = read_state(run, 450)
-    assert (state.state, state.done) == (State.INTERRUPTED, 50)
+    assert (state.state, state.done) == ("interrupted", 50)
     assert "newest checkpoint is damaged" in state.note
     (run.checkpoints / "iteration_000050.pt").write_bytes(b"")
     state = read_state(run, 450)
     assert (state.state, state.note) == (
-        State.DAMAGED,
+        "damaged",
         "every checkpoint is damaged: iteration_000100.pt",
     )
 
 
 def test_a_run_that_has_trained_but_has_no_checkpoint_is_damaged(make_run):
-    assert read_state(make_run(rows=3), 450).state is State.DAMAGED
+    assert read_state(make_run(rows=3), 450).state == "damaged"
 
 
 def test_a_run_that_is_trained_and_not_evaluated_says_so(make_run):
     state = read_state(make_run(rows=450, checkpoints=(400, 450)), 450)
-    assert (state.state, state.note) == (State.INTERRUPTED, "trained, not evaluated")
+    assert (state.state, state.note) == ("interrupted", "trained, not evaluated")
 
 
 def test_a_finished_run_has_its_result(make_run):
     state = read_state(make_run(rows=450, checkpoints=(450,), finished=450), 450)
-    assert (state.state, state.done, state.success) == (State.FINISHED, 450, 0.4)
+    assert (state.state, state.done, state.success) == ("finished", 450, 0.4)
     assert state.seconds_per_iteration == pytest.approx(100 / 450)
 
 
 def test_a_result_of_fewer_iterations_than_wanted_is_not_finished(make_run):
     run = make_run(rows=450, checkpoints=(450,), finished=450)
-    assert read_state(run, 900).state is State.INTERRUPTED
-    assert read_state(run).state is State.FINISHED, "without a plan the result says what was wanted"
+    assert read_state(run, 900).state == "interrupted"
+    assert read_state(run).state == "finished", "without a plan the result says what was wanted"
 
 
 def test_a_damaged_result_is_damage_and_says_where(make_run):
     run = make_run(rows=450, checkpoints=(450,), finished=450)
     run.metrics.write_text("{")
     state = read_state(run, 450)
-    assert (state.state, state.done) == (State.DAMAGED, 0)
+    assert (state.state, state.done) == ("damaged", 0)
     assert state.note.startswith("metrics.json: damaged")
 
 
@@ -71,8 +71,8 @@ def test_a_run_whose_folder_is_locked_is_running(make_run):
     run = make_run(rows=117, checkpoints=(100,))
     with run.occupied():
         state = read_state(run, 450)
-        assert (state.state, state.done) == (State.RUNNING, 117)
-    assert read_state(run, 450).state is State.INTERRUPTED
+        assert (state.state, state.done) == ("running", 117)
+    assert read_state(run, 450).state == "interrupted"
 
 
 def test_a_look_at_the_lock_keeps_no_run_out(make_run):

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from kickbench.cli import main
-from kickbench.launch.record import PlanRecord, RunRecord, write_record
+from kickbench.launch.state import PlanRecord, RunRecord, write_record
 from kickbench.results.atomic import atomic_write_text
 
 from ..made_up import write_result
@@ -74,6 +74,14 @@ def test_a_folder_without_runs_or_with_a_damaged_plan_is_an_error(tmp_path, caps
     (tmp_path / "plan.json").write_text("{")
     assert main(["status", str(tmp_path)]) == 2
     assert "no valid plan" in capsys.readouterr().err
+
+
+def test_a_plan_of_an_older_version_has_a_hash(make_run, tmp_path, capsys):
+    make_plan(tmp_path)
+    text = (tmp_path / "plan.json").read_text()
+    (tmp_path / "plan.json").write_text(text.replace("{", '{"sha256": "0a1b2c", ', 1))
+    assert main(["status", str(tmp_path)]) == 0
+    assert "4 not begun" in capsys.readouterr().out
 
 
 def test_status_needs_no_torch(make_run):

@@ -68,12 +68,10 @@ def test_a_wrong_sweep_is_an_error_with_its_place(tmp_path, text, complaint):
 def test_what_begins_with_a_condition_is_planned_after_it_at_the_same_point_and_seed(tmp_path):
     experiment = load(tmp_path, "sweep: {algorithm.gamma: [0.9]}", two=", init_from: one, init_std: 0.4")
     plan = make_plan(experiment, Selection(only=("two",), seeds=(1,), out=tmp_path / "out"))
-    assert {run.name: run.after for run in plan.runs} == {
-        "one,gamma=0.9/seed1": None,
-        "two,gamma=0.9/seed1": "one,gamma=0.9/seed1",
-    }
-    request = plan.runs[-1].request
-    assert (request.init_from, request.init_std) == (tmp_path / "out/one,gamma=0.9/seed1", 0.4)
+    first, second = plan.runs
+    assert (first.name, first.request.init_from) == ("one,gamma=0.9/seed1", None)
+    assert (second.name, second.request.init_from) == ("two,gamma=0.9/seed1", first.directory.path)
+    assert second.request.init_std == 0.4
 
 
 def test_a_run_s_folder_is_relative_to_the_file(tmp_path):
