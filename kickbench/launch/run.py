@@ -129,6 +129,9 @@ def run(request: RunRequest) -> RunOutcome:
     """
     check_device(request.device)
     ranks, trial = read_ranks(request.device), request.load()
+    if isinstance(request.experiment, Path):
+        loaded = load_experiment(request.experiment)
+        request = replace(request, experiment=ExperimentRef(name=loaded.name, claims=loaded.claims_hash))
     _check_feasible(request, trial, ranks)
     default = Path("runs", trial.task.name, trial.method.name, f"seed{request.seed}")
     directory, initial = RunDirectory(request.out or default), None
@@ -223,9 +226,7 @@ class _Part:
 
     def _history(self) -> RunHistory:
         request, experiment, state = self.request, self.request.experiment, self.taken.state
-        if isinstance(experiment, Path):
-            loaded = load_experiment(experiment)
-            experiment = ExperimentRef(name=loaded.name, claims=loaded.claims_hash)
+        assert not isinstance(experiment, Path)
         return RunHistory(
             self.trial.task.name,
             self.trial.method.name,
@@ -300,7 +301,8 @@ def train(task: Path | str, method: Path | str, *, overrides: Sequence[str] = ()
     task = find(task, "task")
     method = find_method(method, task, overrides)
     outcome = run(RunRequest(task=task, method=method, overrides=overrides, **options))
-    if outcome.training is not None and outcome.training.interrupted:
+    is_interrupted = outcome.training is not None and outcome.training.interrupted
+    if is_interrupted or (outcome.is_main and outcome.metrics is None):
         raise KeyboardInterrupt
     return load_run(outcome.directory.path)
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import yaml
 
+import kickbench
 from kickbench.cli import main
 from kickbench.results.episode_table import read_episodes
 from kickbench.results.metrics import load_metrics
@@ -124,6 +125,24 @@ def test_the_figures_on_another_task_are_kept_beside_the_run_and_go_when_it_is_r
     assert "needs --task" in capsys.readouterr().err
     RunDirectory(run).reopen()
     assert not (run / "also/mini_general.json").exists()
+
+
+def test_an_experiment_that_is_wrong_is_refused_before_anything_is_written(tmp_path, capsys):
+    (tmp_path / "wrong.yaml").write_text("seeds: [0]\nconditons: {}\n")
+    out = tmp_path / "run"
+    command = ["run", TASK, METHOD, *QUICK, "--out", str(out), "--experiment", str(tmp_path / "wrong.yaml")]
+    assert main(command) == 2
+    assert "wrong.yaml:2:1" in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_train_raises_if_its_evaluation_is_interrupted(tmp_path, monkeypatch):
+    def interrupted(*_, **__) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("kickbench.launch.run.run_sides", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        kickbench.train(TASK, METHOD, out=tmp_path / "run", iterations=1, num_envs=16)
 
 
 def test_a_finished_run_is_not_overwritten_without_force(finished, capsys):
