@@ -264,7 +264,7 @@ def difference_lines(finished: pd.DataFrame) -> list[str]:
         for (*_, name), rows in finished.groupby(keys, sort=False):
             first = rows.drop_duplicates(label)
             if len(first) > 1:
-                numbers = " and ".join(of.removeprefix(name).strip() for of in first[label])
+                numbers = " and ".join(of.removeprefix(str(name)).strip() for of in first[label])
                 unequal = [*_specs(first), *(_sizes(first) if label == "group" else [])]
                 lines.append(f"{name} {numbers} differ: {'; '.join(unequal)}")
     return lines
