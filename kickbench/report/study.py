@@ -142,7 +142,7 @@ def _files(runs: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
     curves, episodes = [], []
     unfinished = runs.state.isin(["unfinished", "running"]) & runs.deviation.isna()
     for _, run in runs[runs.counted | unfinished].iterrows():
-        directory, own = RunDirectory(run.path), dict(run[list(nothing)])
+        directory, own = RunDirectory(run.path), {name: run[name] for name in nothing}
         if directory.progress.exists():
             curves.append(read_progress(directory.progress).assign(**own))
         if directory.episodes.exists():

@@ -344,7 +344,7 @@ def _with_groups(frame: pd.DataFrame) -> pd.DataFrame:
     identities = finished.identity.fillna(finished.task + "/" + finished.method)
     groups = identities + " " + finished.iterations.astype(str) + " " + finished.scale.fillna(1.0).astype(str)
     # A point of a sweep is called as its folder is: it differs from the others in what the name says.
-    folders = finished.path.map(lambda path: path.parent.name)
+    folders = pd.Series([path.parent.name for path in finished.path], finished.index, dtype=object)
     methods = finished.method.where(~folders.str.contains(POINT, regex=False), folders)
     names = {
         "setting_name": _numbered(finished.task, settings, pd.Series("", finished.index)),

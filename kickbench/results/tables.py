@@ -47,14 +47,14 @@ def render_block(title: str, header: Row, blocks: Sequence[Sequence[Row]], group
         groups: for each column the heading of a group of columns that begins there, or nothing; None: no such
             line.
     """
-    blocks = [[[" ".join(printable(cell).split("\n")) for cell in row] for row in block] for block in blocks]
-    body = [row for block in blocks for row in block]
+    texts = [[[" ".join(printable(cell).split("\n")) for cell in row] for row in block] for block in blocks]
+    body = [row for block in texts for row in block]
     widths = [max(map(len, column)) for column in zip(header, *body, strict=True)]
     heading = _line(header, widths)
     lines = [printable(title)] if title else []
     lines += [] if groups is None else [_group_line(groups, widths)]
     lines += [heading, "-" * len(heading)]
-    for block, following in zip_longest(blocks, blocks[1:]):
+    for block, following in zip_longest(texts, texts[1:]):
         lines += [_line(row, widths) for row in block]
         lines += [""] if len(block) > 1 and following else []
     return "\n".join(lines)
