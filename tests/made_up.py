@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from kickbench.results.atomic import atomic_write_bytes
-from kickbench.results.identity import Identity, _digest, write_identity
+from kickbench.results.identity import Identity, _sha256, write_identity
 from kickbench.results.metrics import Evaluation, Metrics, metrics_bytes
 from kickbench.results.store import RunDirectory
 
@@ -61,8 +61,8 @@ def write_result(path: Path, metrics: Metrics, identity: Identity | None = None)
         metrics: Its result.
         identity: Its identity; default: one that runs share whose task and method have the same names.
     """
-    parts = {"task": _digest(metrics.task), "method": _digest(metrics.method), "model": _digest({})}
-    made_up = Identity(fingerprint=_digest(parts), parts=parts, model_arrays={})
+    parts = {"task": _sha256(metrics.task), "method": _sha256(metrics.method), "model": _sha256({})}
+    made_up = Identity(fingerprint=_sha256(parts), parts=parts, model_arrays={})
     directory = RunDirectory(path)
     write_identity(directory.path, identity or made_up)
     directory.finish(metrics)

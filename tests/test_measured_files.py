@@ -97,7 +97,7 @@ def check_side_success(success: SideSuccess, sides: list[EvaluationMetrics]) -> 
     assert left + right == sum(count_of(side.success_rate, side.episodes) for side in sides)
     test = two_proportions(left, success.left_episodes, right, success.right_episodes)
     assert (success.difference, success.z) == pytest.approx((test.difference, test.z))
-    assert success.difference_ci == pytest.approx(test.interval)
+    assert success.difference_ci == pytest.approx(test.difference_ci)
     assert success.p_value == pytest.approx(test.p_value)
 
 

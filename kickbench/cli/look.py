@@ -96,7 +96,7 @@ def report(
     if folder is None:
         raise KickbenchError("expected a folder of runs: kickbench report DIR, or kickbench report --readme")
     file = find(experiment, "reported") if experiment else None
-    from kickbench.report.write import write_report
+    from kickbench.report.page import write_report
     from kickbench.trials.experiment import load_experiment
 
     out = out or folder / "report.html"

@@ -241,7 +241,7 @@ def _part(method: str, home: float, away: float) -> str:
 
 def _pictures(folder: Path) -> Iterator[str]:
     """Writes the page and a film of the mirrored side, where this machine can; what has been written."""
-    from kickbench.report.write import write_report
+    from kickbench.report.page import write_report
     from kickbench.training.trained import load_run
     from kickbench.view.pictures import film_runs
 

@@ -24,8 +24,7 @@ from kickbench.envs.initial_states import InitialStates, InitialStateSampler
 from kickbench.evaluation.probes import EquivarianceProbe, KickRecord, StateTrack, twin_distances
 from kickbench.evaluation.progress_bar import EVALUATING, Steps
 from kickbench.nets.build import torch_threads
-from kickbench.results.episode_table import NON_FINITE, EpisodeSides, EpisodeTable, episode_table
-from kickbench.results.frame import SIDES
+from kickbench.results.episode_table import NON_FINITE, SIDES, EpisodeSides, EpisodeTable, episode_table
 from kickbench.results.metrics import EquivarianceError, TwinDistance
 from kickbench.symmetry.torch_ops import Mirror
 from kickbench.trials.trial import Symmetry, state_symmetry

@@ -14,12 +14,13 @@ from pathlib import Path
 import pandas as pd
 
 from kickbench.errors import KickbenchError
-from kickbench.report import plots, tables
+from kickbench.report import contents, plots
+from kickbench.report.contents import evidence, verdict_words, warnings
 from kickbench.report.study import Study, studies
 from kickbench.report.style import Picture, looks_of, style
-from kickbench.report.tables import evidence, verdict_words, warnings
 from kickbench.results.atomic import atomic_write_text
-from kickbench.results.frame import HOME, SIDES
+from kickbench.results.episode_table import SIDES
+from kickbench.results.frame import HOME
 from kickbench.results.quantities import DISTANCE, SUCCESS, Quantity
 from kickbench.results.verdicts import Verdict
 from kickbench.trials.experiment import load_experiment
@@ -155,9 +156,9 @@ def _image(name: str, drawn: dict[str, Picture], folder: str) -> str:
 def _study_text(study: Study) -> str:
     question = f": {_plain(study.experiment.spec.description)}" if study.experiment else ""
     lines = [f"**`{_plain(study.name)}`**{question}", ""]
-    table = tables.comparison(study)
+    table = contents.comparison(study)
     lines += _table(_with_effort(study, table.set_index(table.Method)))
-    if len(further := tables.further(study)):
+    if len(further := contents.further(study)):
         lines += ["", "The same policies on tasks they were not trained on:", ""]
         lines += _table(_with_effort(study, further))
     if study.verdicts:
@@ -170,9 +171,9 @@ def _study_text(study: Study) -> str:
 
 def _claim_lines(verdicts: Sequence[Verdict]) -> list[str]:
     """The claims that something was measured for, and how many others there are."""
-    told = [of for of in verdicts if of.figure is not None]
-    lines = [f"{_plain(of.claim.statement)}: **{verdict_words(of)}**, {_plain(evidence(of))}" for of in told]
-    rest = len(verdicts) - len(told)
+    known = [of for of in verdicts if of.figure is not None]
+    lines = [f"{_plain(of.claim.statement)}: **{verdict_words(of)}**, {_plain(evidence(of))}" for of in known]
+    rest = len(verdicts) - len(known)
     more = f"{rest} more {'claim is' if rest == 1 else 'claims are'} about runs that are missing."
     return [f"- {line}" for line in [*lines, *[more] * bool(rest)]]
 
@@ -186,17 +187,21 @@ def _with_effort(study: Study, table: pd.DataFrame) -> pd.DataFrame:
 
 def _effort(study: Study, condition: str) -> dict[str, str]:
     runs = study.counted(condition)
+    times = runs.training_seconds.agg(["min", "max"])
     columns = {
-        "Iterations": [tables.iterations_text(study, run) for _, run in runs.iterrows()],
+        "Iterations": [_iterations(study, run) for _, run in runs.iterrows()],
         "Steps a run": [f"{steps:,.0f}" for steps in runs.env_steps],
-        "Training a run": [
-            tables.hours(of) for of in (runs.training_seconds.min(), runs.training_seconds.max())
-        ],
-        "Hardware": [tables.hardware(of) for of in runs.provenance],
-        "Commit": [tables.commit_text(of) for of in runs.provenance],
+        "Training a run": [" to ".join(dict.fromkeys(times.map(contents.hours)))],
+        "Hardware": [contents.hardware(of) for of in runs.provenance],
+        "Commit": [contents.commit_text(of) for of in runs.provenance],
     }
-    separators = {"Training a run": " to "}
-    return {name: separators.get(name, "; ").join(dict.fromkeys(values)) for name, values in columns.items()}
+    return {name: "; ".join(dict.fromkeys(values)) for name, values in columns.items()}
+
+
+def _iterations(study: Study, run: pd.Series) -> str:
+    """`390`, or `45 of 390` where the experiment plans another number."""
+    planned = run.iterations_planned if study.plans else run.iterations
+    return f"{run.iterations:,.0f}" + (f" of {planned:,.0f}" if planned != run.iterations else "")
 
 
 def _table(table: pd.DataFrame) -> list[str]:

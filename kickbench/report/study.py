@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -12,8 +12,8 @@ import pandas as pd
 
 from kickbench.config.experiment import POINT, Side
 from kickbench.errors import KickbenchError, shown
-from kickbench.results.episode_table import read_episodes
-from kickbench.results.frame import HOME, SIDES, load_runs, runs_of
+from kickbench.results.episode_table import SIDES, read_episodes
+from kickbench.results.frame import HOME, load_runs, runs_of
 from kickbench.results.progress_table import read_progress
 from kickbench.results.quantities import Quantity, over_seeds
 from kickbench.results.store import RunDirectory
@@ -131,22 +131,17 @@ def studies(root: Path, experiment: LoadedExperiment | None = None) -> list[Stud
         raise KickbenchError(f"{root}: no such folder")
     frame = load_runs(root, experiment)
     if experiment is not None:
-        return [_planned_study(root, frame, experiment)]
+        rows, problems = frame[frame.condition.notna()], unplanned_lines(frame)
+        return [_study(root, experiment.name, rows, problems, experiment, judge(experiment, frame))]
     if frame.empty:
         raise KickbenchError(f"{root}: no run in it, finished or not")
     frame["condition"] = frame.group.fillna(frame.method)
-    settings, finished, found = frame.setting_name.fillna(frame.task), frame[frame.state == "finished"], []
-    for name in dict.fromkeys(settings):
-        own, rows = finished[finished.setting_name == name], frame[settings == name]
-        problems = difference_lines(finished[finished.task.isin(own.task)])
-        found.append(_study(root, name, rows.sort_values("seed", kind="stable"), problems))
+    finished, found = frame[frame.state == "finished"], []
+    for name, rows in frame.groupby(frame.setting_name.fillna(frame.task), sort=False):
+        tasks = finished.task[finished.setting_name == name]
+        problems = difference_lines(finished[finished.task.isin(tasks)])
+        found.append(_study(root, str(name), rows.sort_values("seed", kind="stable"), problems))
     return found
-
-
-def _planned_study(root: Path, frame: pd.DataFrame, experiment: LoadedExperiment) -> Study:
-    rows = frame[frame.condition.notna()]
-    study = _study(root, experiment.name, rows, unplanned_lines(frame), experiment)
-    return replace(study, verdicts=judge(experiment, frame))
 
 
 def _study(
@@ -155,43 +150,34 @@ def _study(
     rows: pd.DataFrame,
     problems: list[str],
     experiment: LoadedExperiment | None = None,
+    verdicts: tuple[Verdict, ...] = (),
 ) -> Study:
-    notes = _notes(root, rows.path.unique())
     lines = (line.replace(f"{shown(root)}/", "") for line in problems)
-    return Study(name, rows, tuple(lines), notes, *_files(runs_of(rows)), experiment)
-
-
-def _place(root: Path, path: Path) -> str:
-    """A run's folder relative to the page's."""
-    return path.relative_to(root).as_posix() if path != root else path.resolve().name
+    notes = _notes(root, rows.path.unique())
+    return Study(name, rows, tuple(lines), notes, *_files(runs_of(rows)), experiment, verdicts)
 
 
 def _files(runs: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Curves and episodes of runs that count, or are not finished and may."""
+    nothing = pd.DataFrame(columns=["condition", "seed", "path"])
     curves, episodes = [], []
     unfinished = runs.state.isin(["unfinished", "running"]) & runs.deviation.isna()
     for _, run in runs[runs.counted | unfinished].iterrows():
-        directory, own = RunDirectory(run.path), {name: run[name] for name in ("condition", "seed", "path")}
+        directory, own = RunDirectory(run.path), {name: run[name] for name in nothing}
         if directory.progress.exists():
             curves.append(read_progress(directory.progress).assign(**own))
-        sides = read_episodes(directory.episodes) if directory.episodes.exists() else ()
-        for side, table in zip(SIDES, sides, strict=False):
-            if table is not None:
-                episodes.append(table.assign(**own, side=side))
-    return _joined(curves), _joined(episodes)
-
-
-def _joined(found: list[pd.DataFrame]) -> pd.DataFrame:
-    return (
-        pd.concat(found, ignore_index=True) if found else pd.DataFrame(columns=["condition", "seed", "path"])
-    )
+        if directory.episodes.exists():
+            sides = zip(SIDES, read_episodes(directory.episodes), strict=True)
+            episodes += [table.assign(**own, side=side) for side, table in sides if table is not None]
+    first, second = (pd.concat(of, ignore_index=True) if of else nothing for of in (curves, episodes))
+    return first, second
 
 
 def _notes(root: Path, runs: Iterable[Path]) -> tuple[tuple[str, str], ...]:
-    """Texts beside the runs and in the folders between them and the root."""
-    files = [
-        file
-        for file in sorted(root.rglob("README.md"))
+    """Texts beside the runs and in the folders between them and the root, with their places."""
+    files = sorted(root.rglob("README.md"))
+    return tuple(
+        (file.relative_to(root).as_posix(), file.read_text(encoding="utf-8", errors="replace"))
+        for file in files
         if any(run.is_relative_to(file.parent) for run in runs)
-    ]
-    return tuple((_place(root, file), file.read_text(encoding="utf-8", errors="replace")) for file in files)
+    )

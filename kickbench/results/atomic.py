@@ -14,16 +14,13 @@ import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import IO, Annotated
+from typing import IO
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError
 
 from kickbench.errors import KickbenchError
 
 TEMPORARY_PREFIX = ".partial-"
-
-Fraction = Annotated[float, Field(ge=0, le=1)]
-"""A share, from 0 to 1."""
 
 
 class Record(BaseModel):

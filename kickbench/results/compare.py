@@ -11,7 +11,7 @@ from itertools import combinations
 
 import pandas as pd
 
-from kickbench.results.quantities import DISTANCE, SUCCESS, Quantity, Unit, non_finite_note
+from kickbench.results.quantities import DISTANCE, P_VALUE, SUCCESS, Quantity, Unit, non_finite_note
 from kickbench.results.statistics import holm, rank_test, welch
 from kickbench.results.tables import (
     GAP,
@@ -20,7 +20,6 @@ from kickbench.results.tables import (
     Row,
     mean_and_spread,
     pairs_of,
-    probability,
     remark_lines,
     render_block,
 )
@@ -90,8 +89,8 @@ def _pairs(scores: Mapping[str, list[float]], unit: Unit) -> str:
         (
             f"{first} - {second}",
             unit.text(*welch(scores[first], scores[second])),
-            probability(p),
-            probability(adjusted),
+            P_VALUE.text(p),
+            P_VALUE.text(adjusted),
         )
         for (first, second), p, adjusted in zip(pairs, p_values, holm(p_values), strict=True)
     ]

@@ -20,8 +20,8 @@ import numpy as np
 import pandas as pd
 
 from kickbench.config.experiment import AnyClaim, Compared, NearReported, Operand, Ratio
-from kickbench.results.quantities import Figure, figure_of, pair_correlation, row_of
-from kickbench.results.statistics import Interval, student, welch
+from kickbench.results.quantities import figure_of, pair_correlation, row_of
+from kickbench.results.statistics import Estimate, Interval, student, welch
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ class Term(NamedTuple):
 
     weight: float
     operand: Operand
-    figure: Figure
+    figure: Estimate
 
 
 class RunTerms(NamedTuple):

@@ -30,11 +30,12 @@ from __future__ import annotations
 
 import io
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 import pandas as pd
 from numpy.typing import ArrayLike
 
+from kickbench.config.experiment import Side
 from kickbench.errors import KickbenchError
 from kickbench.results.atomic import atomic_write_text, read_text
 
@@ -49,7 +50,7 @@ _KINDS: dict[str, Any] = {
     **{"kick_foot": str, "kick_step": int, "peak_ball_speed": float},
     **{"touches": int, "walked_after_touch": float, "launch_speed": float, "direction_error": float},
 }
-_SIDES = ("in_distribution", "mirrored")
+SIDES: tuple[Side, ...] = get_args(Side)
 _DECIMALS = 6
 
 EpisodeTable = pd.DataFrame
@@ -90,7 +91,7 @@ def write_episodes(path: Path, sides: EpisodeSides) -> None:
         path: the file; `.gz` is compressed.
         sides: the episodes.
     """
-    both = {side: table for side, table in zip(_SIDES, sides, strict=True) if table is not None}
+    both = {side: table for side, table in zip(SIDES, sides, strict=True) if table is not None}
     whole = pd.concat(both, names=["side"]).reset_index("side").astype({"success": int})
     # Adding zero turns the -0.0 that rounding leaves into 0.0.
     floats = whole.select_dtypes("float")
@@ -113,7 +114,7 @@ def read_episodes(path: Path) -> EpisodeSides:
     try:
         text = io.StringIO(read_text(path))
         whole = pd.read_csv(text, keep_default_na=False, na_values=["nan"], float_precision="round_trip")
-        home, mirrored = (episode_table(**whole[whole["side"] == side]) for side in _SIDES)
+        home, mirrored = (episode_table(**whole[whole["side"] == side]) for side in SIDES)
     except (OSError, ValueError, KeyError) as error:
         raise KickbenchError(f"{path}: cannot read the episode table: {error}") from error
     home, mirrored = home.reset_index(drop=True), mirrored.reset_index(drop=True)

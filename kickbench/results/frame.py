@@ -30,19 +30,18 @@ import hashlib
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from functools import cached_property
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
-import numpy as np
 import pandas as pd
 from pydantic import BaseModel
 
 from kickbench.config.experiment import POINT, Side
 from kickbench.config.load import load_method
 from kickbench.errors import KickbenchError, shown
-from kickbench.results.episode_table import NON_FINITE
-from kickbench.results.identity import read_identity
+from kickbench.results.episode_table import NON_FINITE, SIDES
+from kickbench.results.identity import Identity, read_identity
 from kickbench.results.integrity import check
 from kickbench.results.metrics import Asymmetry, EvaluationMetrics, Metrics, load_metrics
 from kickbench.results.progress_table import read_done
@@ -52,7 +51,6 @@ if TYPE_CHECKING:
     from kickbench.results.specs import Specs
     from kickbench.trials.experiment import Condition, LoadedExperiment
 
-SIDES: tuple[Side, ...] = get_args(Side)
 HOME: Side = "in_distribution"
 
 Row = dict[str, Any]
@@ -85,7 +83,8 @@ def load_runs(root: Path | str | Sequence[Path], experiment: LoadedExperiment | 
         SpecError: A task and a method of the experiment do not fit together.
     """
     roots = [Path(root)] if isinstance(root, str | Path) else list(root)
-    rows = [row for folder in roots for row in _planned_rows(folder, experiment)] if experiment else []
+    conditions = experiment.conditions.values() if experiment else ()
+    rows = [row for folder in roots for condition in conditions for row in _planned_rows(folder, condition)]
     planned = {row["path"].resolve() for row in rows}
     found: dict[Path, RunDirectory] = {}
     for run in (run for folder in roots for run in find_begun_runs(folder)):
@@ -119,9 +118,7 @@ def run_path(folder: Path, condition: str, seed: int) -> Path:
 def known(row: pd.Series, name: str) -> Any:
     """A value of a row; None if there is none."""
     value = row.get(name)
-    return (
-        None if value is None or value is pd.NA or (isinstance(value, float) and np.isnan(value)) else value
-    )
+    return None if pd.isna(value) else value
 
 
 def unfinished_words(row: pd.Series) -> str:
@@ -136,34 +133,31 @@ def unfinished_words(row: pd.Series) -> str:
 
 def _table(rows: Sequence[Row]) -> pd.DataFrame:
     """Rows as a table with every column, None in texts and NaN in numbers where there is nothing."""
-    own = [*_TEXT, "seed", "counted", *_NUMBERS, *_columns(EvaluationMetrics), *_columns(Asymmetry)]
-    others = dict.fromkeys(name for row in rows for name in row if name not in own)
-    frame = pd.DataFrame({name: [row.get(name) for row in rows] for name in (*own, *others)}, dtype=object)
-    numbers = [name for name in frame if name not in (*_TEXT, "counted", "seed")]
-    shares = [name for name in others if str(name).startswith("termination/")]
+    figures = {**_flat(EvaluationMetrics), **_flat(Asymmetry)}
+    names = dict.fromkeys([*_TEXT, "seed", "counted", *_NUMBERS, *figures, *(n for row in rows for n in row)])
+    frame = pd.DataFrame({name: [row.get(name) for row in rows] for name in names}, dtype=object)
+    numbers = [name for name in names if name not in (*_TEXT, "seed", "counted")]
     frame = frame.astype(dict.fromkeys(numbers, float) | {"counted": bool, "seed": "Int64"})
     # A termination that ended no episode is not in a result's table.
+    shares = [name for name in numbers if name.startswith("termination/")]
     frame[shares] = frame[shares].where(frame.episodes.isna(), frame[shares].fillna(0.0))
     return frame
 
 
-def _columns(model: type[BaseModel], prefix: str = "") -> Iterator[str]:
-    """The columns that `_flat` makes of a model."""
+def _flat(model: type[BaseModel], values: Mapping[str, Any] | None = None, prefix: str = "") -> Row:
+    """Figures of a model as columns: `a: {b: 1}` is `a/b`, `x_ci: (0, 1)` is `x_low` and `x_high`.
+
+    What there is no value of is None.
+    """
+    flat: Row = {}
     for name, info in model.model_fields.items():
+        value = (values or {}).get(name)
         kinds = (info.annotation, *get_args(info.annotation))
         inner = next((kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel)), None)
         if inner is not None:
-            yield from _columns(inner, f"{prefix}{name}/")
-        elif name != "terminations":
-            yield from _flat({name: None}, prefix)
-
-
-def _flat(values: Mapping[str, Any], prefix: str = "") -> Row:
-    """Nested figures as columns: `a: {b: 1}` is `a/b`, and `x_ci: (0, 1)` is `x_low` and `x_high`."""
-    flat: Row = {}
-    for name, value in values.items():
-        if isinstance(value, Mapping):
-            flat |= _flat(value, f"{prefix}{name.replace('terminations', 'termination')}/")
+            flat |= _flat(inner, value, f"{prefix}{name}/")
+        elif name == "terminations":
+            flat |= {f"termination/{ending}": share for ending, share in (value or {}).items()}
         elif name.endswith("_ci"):
             low, high = value or (None, None)
             flat |= {f"{prefix}{name[:-3]}_low": low, f"{prefix}{name[:-3]}_high": high}
@@ -173,55 +167,54 @@ def _flat(values: Mapping[str, Any], prefix: str = "") -> Row:
 
 
 def _result_rows(metrics: Metrics) -> list[Row]:
-    """A row a side of a result."""
-    evaluation = metrics.evaluation
+    """A row per side of a result."""
+    evaluation = metrics.evaluation.model_dump(include={*SIDES, "asymmetry"})
     own = {
         **metrics.model_dump(exclude={"schema_version", "evaluation", "provenance"}),
-        **(_flat(evaluation.asymmetry.model_dump(exclude_none=True)) if evaluation.asymmetry else {}),
+        **_flat(Asymmetry, evaluation["asymmetry"]),
         "evaluated_on": metrics.task,
         "provenance": metrics.provenance,
         "state": "finished",
         "counted": True,
     }
-    sides = {side: getattr(evaluation, side) for side in SIDES}
-    return [{**own, "side": side, **_side_figures(of)} for side, of in sides.items() if of is not None]
+    return [{**own, "side": side, **_side_figures(evaluation[side])} for side in SIDES if evaluation[side]]
 
 
-def _side_figures(side: EvaluationMetrics) -> Row:
+def _side_figures(side: Mapping[str, Any]) -> Row:
     """The figures of a side; distances of episodes that all became non-finite mean nothing."""
-    figures = _flat(side.model_dump())
-    figures["non_finite"] = side.terminations.get(NON_FINITE, 0.0)
-    return figures | (dict.fromkeys(_DISTANCES) if figures["non_finite"] == 1 else {})
+    non_finite = side["terminations"].get(NON_FINITE, 0.0)
+    return (
+        _flat(EvaluationMetrics, side)
+        | (dict.fromkeys(_DISTANCES) if non_finite == 1 else {})
+        | {"non_finite": non_finite}
+    )
 
 
 def _rows(directory: RunDirectory) -> list[Row]:
-    """The rows of one run."""
-    row, metrics = _read(directory)
-    if metrics is None:
-        return [row]
+    """The rows of one run: a single one without figures if it has no result that can be trusted."""
+    is_running = directory.is_occupied
+    is_finished = directory.metrics.exists() and not is_running
+    row: Row = {
+        **_named_by_place(directory.path),
+        "path": directory.path,
+        "side": HOME,
+        "counted": False,
+        "iterations": read_done(directory.progress),
+        "iterations_planned": _stored_iterations(directory),
+        "state": "running" if is_running else "unfinished" if directory.holds_a_run else "missing",
+    }
+    try:
+        if not is_running:
+            check(directory.path)
+        with suppress(*() if is_finished else [KickbenchError]):  # what has only begun may have none
+            row |= _identity_columns(directory)
+        if not is_finished:
+            return [row]
+        metrics = load_metrics(directory.metrics)
+    except KickbenchError as error:
+        return [row | _damaged(directory, error)]
     rows = [{**row, **figures} for figures in _result_rows(metrics)]
     return [*rows, *_transfer_rows(directory, rows[0], metrics)]
-
-
-def _read(directory: RunDirectory) -> tuple[Row, Metrics | None]:
-    """What every row of a run says, and its result if there is one that can be trusted."""
-    row = _named_by_place(directory.path) | {"path": directory.path, "side": HOME, "counted": False}
-    row |= {"iterations_planned": _stored_iterations(directory), "iterations": read_done(directory.progress)}
-    is_occupied = directory.is_occupied
-    is_finished = directory.metrics.exists() and not is_occupied
-    if not is_finished:
-        begun = "unfinished" if directory.holds_a_run else "missing"
-        row["state"] = "running" if is_occupied else begun
-        with suppress(KickbenchError):  # what has only begun may have none
-            row |= _identity_columns(directory)
-    try:
-        if not is_occupied:
-            check(directory.path)
-        if is_finished:
-            return row | _identity_columns(directory), load_metrics(directory.metrics)
-    except KickbenchError as error:
-        row |= _damaged(directory, error)
-    return row, None
 
 
 def _damaged(directory: RunDirectory, error: KickbenchError) -> Row:
@@ -265,75 +258,59 @@ def _transfer_rows(directory: RunDirectory, own: Row, metrics: Metrics) -> Itera
             yield row | _damaged(directory, error)
 
 
-def _planned_rows(root: Path, experiment: LoadedExperiment) -> Iterator[Row]:
-    """The rows of every planned run, compared with the plan."""
-    for condition in experiment.conditions.values():
-        planned = _Planned(condition)
-        for seed in condition.seeds:
-            rows = _rows(RunDirectory(run_path(root, condition.name, seed)))
-            found, trained = rows[0]["seed"], {"condition": condition.name, "seed": seed}
-            trained["iterations_planned"] = condition.iterations
-            if rows[0]["state"] != "finished":
-                task = condition.task.name
-                trained |= {"task": task, "evaluated_on": task, "method": condition.method.name}
-            elif words := planned.deviation(rows[0], found, seed):
-                trained["deviation"] = words
-            for row in rows:
-                row |= trained
-                if row["state"] == "finished":
-                    row["counted"] = found == seed and planned.is_of(row)
-                yield row
+def _planned_rows(root: Path, condition: Condition) -> Iterator[Row]:
+    """The rows of the planned runs of a condition, which is compiled only if there is a run of it."""
+    planned = cache(partial(_planned_specs, condition))
+    for seed in condition.seeds:
+        first, *_ = rows = _rows(RunDirectory(run_path(root, condition.name, seed)))
+        own: Row = {"condition": condition.name, "seed": seed, "iterations_planned": condition.iterations}
+        if first["state"] != "finished":
+            task, method = condition.task.name, condition.method.name
+            yield first | own | {"task": task, "evaluated_on": task, "method": method}
+            continue
+        is_planned = _is_of(first, condition, planned().identity)
+        unequal = [] if first["seed"] == seed else [f"its seed is {first['seed']}"]
+        is_counted = is_planned and not unequal
+        unequal += size_differences(first, iterations=condition.iterations, episodes=condition.episodes)
+        unequal += [] if is_planned else _differences(RunDirectory(first["path"]), planned())
+        own["deviation"] = ", ".join(unequal) or None
+        yield from (row | own | {"counted": row["counted"] and is_counted} for row in rows)
 
 
-class _Planned:
-    """A condition as planned; it is compiled only if there is a run to compare with it."""
+def _planned_specs(condition: Condition) -> Specs:
+    from kickbench.results.specs import specs_of
+    from kickbench.trials.trial import load_trial
 
-    def __init__(self, condition: Condition) -> None:
-        self._condition = condition
+    task, method = condition.task.document.file, condition.method.document.file
+    return specs_of(load_trial(task, method, condition.overrides))
 
-    @cached_property
-    def specs(self) -> Specs:
-        """Its specs and its identity."""
-        from kickbench.results.specs import specs_of
-        from kickbench.trials.trial import load_trial
 
-        task, method = self._condition.task.document.file, self._condition.method.document.file
-        return specs_of(load_trial(task, method, self._condition.overrides))
+def _is_of(row: Row, condition: Condition, planned: Identity) -> bool:
+    """Whether a run has the planned identity, and began with the policy of the planned run."""
+    source, initial = condition.init_from, row["provenance"].initial
+    if source is None:
+        return row["identity"] == planned.fingerprint
+    of = source if isinstance(source, Path) else run_path(row["path"].parents[1], source, row["seed"])
+    with suppress(KickbenchError):
+        parts = dict(read_identity(row["path"]).parts)
+        if initial is not None and parts.pop("initial_policy", None) is not None:
+            same_start = (initial.fingerprint, initial.std) == (
+                read_identity(of).fingerprint,
+                condition.init_std,
+            )
+            return same_start and parts == planned.parts
+    return False
 
-    def is_of(self, row: Row) -> bool:
-        """Whether a run has the planned identity, and began with the policy of the planned run."""
-        source, path = self._condition.init_from, Path(row["path"])
-        if source is None:
-            return row["identity"] == self.specs.identity.fingerprint
-        with suppress(KickbenchError):
-            parts, initial = dict(read_identity(path).parts), row["provenance"].initial
-            of = source if isinstance(source, Path) else run_path(path.parents[1], source, row["seed"])
-            if initial is None or parts.pop("initial_policy", None) is None:
-                return False
-            same = initial.std == self._condition.init_std
-            same &= initial.fingerprint == read_identity(of).fingerprint
-            return same and parts == self.specs.identity.parts
-        return False
 
-    def deviation(self, row: Row, seed: int, planned_seed: int) -> str | None:
-        """In what a finished run differs from the plan, in words; None: in nothing."""
-        parts = [] if seed == planned_seed else [f"its seed is {seed}"]
-        parts += size_differences(
-            row, iterations=self._condition.iterations, episodes=self._condition.episodes
-        )
-        if not self.is_of(row):
-            parts += self._differences(RunDirectory(row["path"]))
-        return ", ".join(parts) or None
+def _differences(directory: RunDirectory, planned: Specs) -> list[str]:
+    """In what the specs of a run of another identity differ; the number of episodes is named apart."""
+    from kickbench.results.specs import EPISODES, differences, stored_specs
 
-    def _differences(self, directory: RunDirectory) -> list[str]:
-        """In what the specs of a run of another identity differ; the number of episodes is named apart."""
-        from kickbench.results.specs import EPISODES, differences, stored_specs
-
-        try:
-            found = stored_specs(directory)
-        except KickbenchError:
-            return ["another identity"]
-        return differences([found, self.specs], "{0[0]} (planned {0[1]})".format, without=(EPISODES,))
+    try:
+        found = stored_specs(directory)
+    except KickbenchError:
+        return ["another identity"]
+    return differences([found, planned], "{0[0]} (planned {0[1]})".format, without=(EPISODES,))
 
 
 def size_differences(run: Mapping[str, Any] | pd.Series, **planned: float | None) -> list[str]:
@@ -351,40 +328,36 @@ def size_differences(run: Mapping[str, Any] | pd.Series, **planned: float | None
 
 def _with_repeats(frame: pd.DataFrame) -> pd.DataFrame:
     """Marks runs of an identity and seed that an earlier row has: of both, that one counts."""
-    runs = runs_of(frame)
-    runs = runs[(runs.state == "finished") & (runs.condition.isna() | runs.counted)]
-    same = runs.groupby(["identity", "iterations", "scale", "seed"], dropna=False, sort=False)
-    first = dict(zip(runs.path, same.path.transform("first"), strict=True))
-    earlier = [first[path] if first.get(path, path) != path else None for path in frame.path]
-    frame["repeats"] = pd.Series(earlier, frame.index, dtype=object)
-    frame["counted"] &= frame.repeats.isna()
+    found = frame[(frame.state == "finished") & (frame.condition.isna() | frame.counted)]
+    same = found.groupby(["identity", "iterations", "scale", "seed"], dropna=False, sort=False)
+    first = same.path.transform("first")
+    repeats = first[first != found.path].reindex(frame.index)
+    frame["repeats"] = repeats.astype(object).where(repeats.notna(), None)
+    frame["counted"] &= repeats.isna()
     return frame
 
 
 def _with_groups(frame: pd.DataFrame) -> pd.DataFrame:
     """Names the settings and groups of finished runs, without namesakes."""
     finished = frame[frame.state == "finished"]
-    rows = [row for _, row in finished.iterrows()]
-    settings = [row.setting or row.task for row in rows]
-    groups = [
-        f"{row.identity or f'{row.task}/{row.method}'} {known(row, 'iterations')} {known(row, 'scale')}"
-        for row in rows
-    ]
+    settings = finished.setting.fillna(finished.task)
+    identities = finished.identity.fillna(finished.task + "/" + finished.method)
+    groups = identities + " " + finished.iterations.astype(str) + " " + finished.scale.fillna(1.0).astype(str)
     # A point of a sweep is called as its folder is: it differs from the others in what the name says.
-    folders = [Path(row.path).parent.name for row in rows]
-    methods = [folder if POINT in folder else row.method for folder, row in zip(folders, rows, strict=True)]
+    folders = pd.Series([path.parent.name for path in finished.path], finished.index, dtype=object)
+    methods = finished.method.where(~folders.str.contains(POINT, regex=False), folders)
     names = {
-        "setting_name": _numbered(finished.task, settings, [""] * len(rows)),
-        "group": _numbered(pd.Series(methods, finished.index), groups, settings),
+        "setting_name": _numbered(finished.task, settings, pd.Series("", finished.index)),
+        "group": _numbered(methods, groups, settings),
     }
     return frame.assign(**{name: labels.reindex(frame.index) for name, labels in names.items()})
 
 
-def _numbered(names: pd.Series, keys: Sequence[str], wholes: Sequence[str]) -> pd.Series:
+def _numbered(names: pd.Series, keys: pd.Series, wholes: pd.Series) -> pd.Series:
     """The first name of each key, numbered where several keys of one whole share it."""
-    first = pd.DataFrame({"name": list(names), "key": keys, "whole": wholes}, dtype=object)
+    first = pd.DataFrame({"name": names, "key": keys, "whole": wholes}, dtype=object)
     first = first.drop_duplicates("key").set_index("key")
     namesakes = first.groupby(["whole", "name"])["name"]
     numbers, counts = (namesakes.cumcount() + 1).astype(str), namesakes.transform("size")
     labels = first["name"].where(counts == 1, first["name"] + " (" + numbers + ")")
-    return pd.Series([labels[key] for key in keys], names.index, dtype=object)
+    return keys.map(labels).astype(object)

@@ -61,13 +61,13 @@ def identity_of(experiment: Trial) -> Identity:
     """Computes the identity of a run of an experiment."""
     task, method = experiment.loaded_task, experiment.method
     dynamics = dynamics_arrays(experiment.task.scene)
-    arrays = {name: _digest(_plain(value))[:16] for name, value in dynamics if np.size(value)}
-    parts = {name: _digest(_canonical(of.spec, ())) for name, of in loaded_specs(task, method).items()}
+    arrays = {name: _sha256(_plain(value))[:16] for name, value in dynamics if np.size(value)}
+    parts = {name: _sha256(_canonical(of.spec, ())) for name, of in loaded_specs(task, method).items()}
     own = [canonical_source(Path(task.spec.terms))] if task.spec.terms else []
-    parts |= {"model": _digest(arrays), "terms": _digest(own)}
+    parts |= {"model": _sha256(arrays), "terms": _sha256(own)}
     if experiment.initial_policy is not None:
-        parts["initial_policy"] = _digest(experiment.initial_policy)
-    return Identity(fingerprint=_digest(parts), parts=parts, model_arrays=arrays)
+        parts["initial_policy"] = _sha256(experiment.initial_policy)
+    return Identity(fingerprint=_sha256(parts), parts=parts, model_arrays=arrays)
 
 
 def loaded_specs(
@@ -95,7 +95,7 @@ def read_identity(directory: PathLike[str] | str) -> Identity:
         identity = Identity.model_validate_json(path.read_bytes())
     except (OSError, ValidationError):
         raise KickbenchError(f"{shown(path)}: damaged or of another version") from None
-    if identity.fingerprint != _digest(identity.parts) or _digest(
+    if identity.fingerprint != _sha256(identity.parts) or _sha256(
         identity.model_arrays
     ) != identity.parts.get("model"):
         raise KickbenchError(f"{shown(path)}: damaged: its fingerprint is not that of its parts")
@@ -136,5 +136,5 @@ def _canonical(value: Any, path: KeyPath) -> Any:
     return value
 
 
-def _digest(value: Any) -> str:
+def _sha256(value: Any) -> str:
     return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()

@@ -1,7 +1,7 @@
 """Whether a run's files are those that it wrote: `SHA256SUMS` beside them, checked whenever a run is read.
 
 `sha256sum -c SHA256SUMS` in a run folder checks the same. Checkpoints come and go; each carries its own
-SHA-256 (`with_digest`), as does a policy that has just been trained.
+SHA-256 (`with_sha256`), as does a policy that has just been trained.
 """
 
 from __future__ import annotations
@@ -9,9 +9,7 @@ from __future__ import annotations
 import hashlib
 import os
 import re
-import time
 from collections.abc import Collection, Mapping
-from functools import lru_cache
 from pathlib import Path
 
 from kickbench.errors import KickbenchError, shown
@@ -33,8 +31,6 @@ FIXED = (*SPECS, identity.FILE, *_TABLES, "metrics.json", "policy.pt")
 _LINE = re.compile(r"([0-9a-f]{64})  (.+)")
 _TRAILER = b"\nsha256 "
 _TRAILER_SIZE = len(_TRAILER) + 65
-_SETTLED = 2.0
-"""Age from which a file's time of change tells versions of it apart, s."""
 
 
 def check(directory: os.PathLike[str] | str) -> None:
@@ -73,11 +69,10 @@ def seal(directory: os.PathLike[str] | str, upcoming: Mapping[str, bytes] | None
         upcoming: Files that are written next, by name, as they will be. Those in `specs/model/` stay known
             from one call to the next.
     """
-    path, upcoming = Path(directory), upcoming or {}
-    also = (f"{ALSO_FOLDER}{file.name}" for file in path.glob("also/*.json"))
-    names = (*FIXED, *written_model_files(path), *also)
+    path = Path(directory)
+    names = (*FIXED, *written_model_files(path), *_also_files(path))
     sums = {name: _sha256_of(path / name) for name in names if (path / name).is_file()}
-    _write_sums(path, sums | {name: hashlib.sha256(data).hexdigest() for name, data in upcoming.items()})
+    _write_sums(path, sums | {name: _sha256(data) for name, data in (upcoming or {}).items()})
 
 
 def write_also(directory: os.PathLike[str] | str, name: str, data: bytes) -> None:
@@ -90,7 +85,7 @@ def write_also(directory: os.PathLike[str] | str, name: str, data: bytes) -> Non
     file = path / name
     if (path / FILE).is_file():
         file.unlink(missing_ok=True)
-        _write_sums(path, read_sums(path) | {name: hashlib.sha256(data).hexdigest()})
+        _write_sums(path, read_sums(path) | {name: _sha256(data)})
     atomic_write_bytes(file, data)
 
 
@@ -98,7 +93,7 @@ def forget(directory: os.PathLike[str] | str, names: Collection[str]) -> None:
     """Takes files of an unfinished run out of its sums before they are written anew."""
     path = Path(directory)
     if (path / FILE).is_file():
-        _write_sums(path, {name: digest for name, digest in read_sums(path).items() if name not in names})
+        _write_sums(path, {name: of for name, of in read_sums(path).items() if name not in names})
 
 
 def written_model_files(path: Path) -> list[str]:
@@ -129,40 +124,39 @@ def read_sums(path: Path) -> dict[str, str]:
     return sums
 
 
-def with_digest(data: bytes) -> bytes:
+def with_sha256(data: bytes) -> bytes:
     """Data with their own SHA-256 behind them; what reads a zip archive reads over it."""
-    return data + _TRAILER + hashlib.sha256(data).hexdigest().encode() + b"\n"
+    return data + _TRAILER + _sha256(data).encode() + b"\n"
 
 
-def without_digest(data: bytes) -> bytes | None:
-    """What `with_digest` was given; None: there is no digest.
+def without_sha256(data: bytes) -> bytes | None:
+    """What `with_sha256` was given; None: there is no SHA-256.
 
     Raises:
-        ValueError: The digest is not that of the data.
+        ValueError: It is not that of the data.
     """
     body, trailer = data[:-_TRAILER_SIZE], data[-_TRAILER_SIZE:]
     if not trailer.startswith(_TRAILER):
         return None
-    if with_digest(body) != data:
+    if with_sha256(body) != data:
         raise ValueError("its SHA-256 is wrong")
     return body
 
 
 def _write_sums(path: Path, sums: Mapping[str, str]) -> None:
-    text = "".join(f"{digest}  {name}\n" for name, digest in sorted(sums.items()))
+    text = "".join(f"{sha256}  {name}\n" for name, sha256 in sorted(sums.items()))
     atomic_write_bytes(path / FILE, text.encode("utf-8", errors="surrogateescape"))
 
 
+def _also_files(path: Path) -> list[str]:
+    return [f"{ALSO_FOLDER}{file.name}" for file in path.glob("also/*.json")]
+
+
+def _sha256(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()
+
+
 def _sha256_of(file: Path) -> str:
-    """The SHA-256 of a file; one that was read before and has not changed since is not read again."""
-    info = file.stat()
-    changed = max(info.st_mtime_ns, info.st_ctime_ns)
-    is_settled = time.time() - changed / 1e9 > _SETTLED
-    return (_sha256_at if is_settled else _sha256_at.__wrapped__)(file, info.st_size, changed)
-
-
-@lru_cache(maxsize=4096)
-def _sha256_at(file: Path, _size: int, _changed: int) -> str:
     with open(file, "rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
@@ -170,8 +164,7 @@ def _sha256_at(file: Path, _size: int, _changed: int) -> str:
 def _check_sums(path: Path, finished: bool) -> None:
     """Compares files with their sums: of a finished run all files, else those that it needs to go on."""
     sums = read_sums(path)
-    also = (f"{ALSO_FOLDER}{file.name}" for file in path.glob("also/*.json"))
-    for name in (*FIXED, *also) if finished else ():
+    for name in (*FIXED, *_also_files(path)) if finished else ():
         if name not in sums and (path / name).exists():
             raise KickbenchError(f"{shown(path / name)}: not in {FILE}")
     for name, expected in sums.items():

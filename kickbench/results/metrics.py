@@ -12,8 +12,9 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt, ValidationError
 
+from kickbench.config.base import Fraction
 from kickbench.errors import KickbenchError
-from kickbench.results.atomic import Fraction, Record, problems_of
+from kickbench.results.atomic import Record, problems_of
 from kickbench.results.provenance import Provenance
 from kickbench.results.statistics import Interval
 
@@ -156,7 +157,7 @@ class MirroredPairs(Record):
 
     pairs: PositiveInt
     agreement: Fraction
-    """Share of pairs that end alike: same termination, same success."""
+    """Share of pairs with equal ending: same termination, same success."""
     agreement_ci: Interval
     """Its Wilson interval."""
     foot_agreement: Fraction

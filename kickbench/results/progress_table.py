@@ -79,7 +79,7 @@ def last_rows(path: Path, count: int) -> list[dict[str, str]]:
 
 
 def read_done(path: Path) -> int | None:
-    """Training iterations that a table tells of, from its last row alone; None if it has none."""
+    """How many training iterations a table has, by its last row alone; None if it has no row."""
     try:
         return int(last_rows(path, 1)[0]["iteration"]) + 1
     except (IndexError, KeyError, ValueError):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import platform
 import re
 import subprocess
@@ -15,7 +16,7 @@ from typing import Any
 
 from pydantic import NonNegativeFloat, NonNegativeInt, PositiveInt
 
-from kickbench.errors import printable
+from kickbench.errors import from_here, printable
 from kickbench.results.atomic import Record
 
 _HERE = Path(__file__).resolve()
@@ -238,14 +239,9 @@ def portable_command(argv: Sequence[str]) -> list[str]:
 
 def _portable(argument: str) -> str:
     # An equals sign in a path is no key's: folders of a sweep have them.
-    key, equals, value = ("", "", argument) if Path(argument).is_absolute() else argument.rpartition("=")
-    path = Path(value)
-    if path.is_absolute():
-        inside = (
-            path.relative_to(root) for root in (Path.cwd(), Path.cwd().resolve()) if path.is_relative_to(root)
-        )
-        value = next((of.as_posix() for of in inside), path.name or ".")
-    return f"{key}{equals}{value}"
+    key, equals, value = ("", "", argument) if os.path.isabs(argument) else argument.rpartition("=")
+    here = from_here(value)
+    return f"{key}{equals}{(Path(here).name or '.') if os.path.isabs(here) else here}"
 
 
 def _git(folder: Path, *arguments: str) -> str | None:

@@ -11,19 +11,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from math import inf, pi
-from typing import NamedTuple
+from math import inf, nan, pi
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from scipy import stats
 
 from kickbench.config.experiment import AnyClaim, Metric, Operand, Ratio
 from kickbench.errors import KickbenchError
 from kickbench.results.frame import known, unfinished_words
 from kickbench.results.progress_table import read_progress
-from kickbench.results.statistics import Interval, wilson
+from kickbench.results.statistics import Estimate, Interval, wilson
 from kickbench.results.store import RunDirectory
 
 MOST_NON_FINITE = 0.01
@@ -35,21 +33,6 @@ _LAST = 0.1
 """Share of the iterations, from the last backwards, that the end of a training is taken from."""
 _SMOOTHED = 0.02
 """Share of the iterations that a smoothed value is the mean of."""
-
-Curve = NDArray[np.float64]
-"""One figure per iteration [n], NaN where it is not known."""
-
-
-class Figure(NamedTuple):
-    """A metric of one run.
-
-    Attributes:
-        value: The figure, in the metric's unit.
-        interval: What its episodes leave open, 95 %; None where no interval is known.
-    """
-
-    value: float
-    interval: Interval | None = None
 
 
 @dataclass(frozen=True)
@@ -75,7 +58,15 @@ class Unit:
     def text(self, value: float, interval: Interval | None = None) -> str:
         """A figure with its interval, if there is one: `42.1 [41.0, 43.2]`."""
         ends = f" [{self.text(interval.low)}, {self.text(interval.high)}]" if interval else ""
-        return f"{self.factor * value:z.{self.decimals}f}{ends}"
+        return f"{self.factor * value:z,.{self.decimals}f}{ends}"
+
+
+class _PValue(Unit):
+    """Of p-values, which are bounded where they are small."""
+
+    def text(self, value: float, interval: Interval | None = None) -> str:
+        """A p-value as text."""
+        return "<0.001" if value < 0.001 else super().text(value, interval)
 
 
 @dataclass(frozen=True)
@@ -99,12 +90,12 @@ class Quantity:
         """Title and unit."""
         return f"{self.title} [{self.unit.name}]" if self.unit.name else self.title
 
-    def figure(self, run: pd.Series) -> Figure | None:
+    def figure(self, run: pd.Series) -> Estimate | None:
         """The figure of a run with its interval; None if the run does not have it."""
         value = known(run, self.column)
         low = known(run, f"{self.ends}_low") if self.ends else None
         interval = None if low is None else Interval(low, run[f"{self.ends}_high"])
-        return None if value is None else Figure(value, interval)
+        return None if value is None else Estimate(value, interval)
 
     def of_run(self, run: pd.Series | None, missing: str = "not measured") -> str:
         """The figure of a run with its interval, as text without the unit."""
@@ -126,6 +117,7 @@ class Quantity:
 
 
 PERCENT, METRES, _MILLIONS = Unit("%", 100.0, 1, is_share=True), Unit("m", 1.0, 3), Unit("M steps", 1e-6, 2)
+COUNT, P_VALUE = Unit("", 1.0, 0), _PValue("", 1.0, 3)
 _DEGREES, _SECONDS, _SHORT_METRES = Unit("deg", 180 / pi, 1), Unit("s", 1.0, 2), Unit("m", 1.0, 2)
 SUCCESS = Quantity("success_rate", "Success", PERCENT, "success")
 DISTANCE = Quantity("mean_distance", "Distance", METRES, "mean_distance")
@@ -179,7 +171,7 @@ def non_finite_note(share: float) -> str:
     return f" ({'<0.1' if share < 0.001 else f'{100 * share:.1f}'} % non-finite)"
 
 
-Measure = Callable[[pd.Series, AnyClaim], Figure | None]
+Measure = Callable[[pd.Series, AnyClaim], Estimate | None]
 """A row of a run, of the side and task that are meant, and the claim -> figure; None if the run does not have
 it."""
 
@@ -190,112 +182,102 @@ def _column(name: str, ends: str = "") -> Measure:
     return lambda row, _: quantity.figure(row)
 
 
-def _share(count: float, total: float) -> Figure:
-    return Figure(round(count) / total, wilson(round(count), int(total)))
+def _share(count: float, total: float) -> Estimate:
+    return Estimate(round(count) / total, wilson(round(count), int(total)))
 
 
-def _kicked(row: pd.Series, _: AnyClaim) -> Figure:
-    return _share(row.kicked_fraction * row.episodes, row.episodes)
-
-
-def _terminations(row: pd.Series, claim: AnyClaim) -> Figure:
+def _terminations(row: pd.Series, claim: AnyClaim) -> Estimate:
     # A termination that ended no episode of any run has no column.
     share = sum(row.get(f"termination/{name}", 0.0) for name in claim.terminations)
     return _share(share * row.episodes, row.episodes)
 
 
-def _favourite_foot(row: pd.Series, _: AnyClaim) -> Figure | None:
+def _favourite_foot(row: pd.Series, _: AnyClaim) -> Estimate | None:
     """Share of the kicks by foot made with the foot that made more: 1/2 for none preferred, 1 for one leg."""
-    feet = [
-        row[f"kicks/ball_left/{foot}"] + row[f"kicks/ball_right/{foot}"]
-        for foot in ("left_foot", "right_foot")
-    ]
+    feet = [row[f"kicks/ball_left/{f}_foot"] + row[f"kicks/ball_right/{f}_foot"] for f in ("left", "right")]
     return _share(max(feet), sum(feet)) if any(feet) else None
 
 
-def _equivariance(row: pd.Series, _: AnyClaim) -> Figure | None:
+def _equivariance(row: pd.Series, _: AnyClaim) -> Estimate | None:
     error = known(row, "equivariance/relative")
     # Thousands of states of one network: what is left open is far below what anyone would claim of it.
-    return None if error is None else Figure(error, Interval(error, error))
+    return None if error is None else Estimate(error, Interval(error, error))
 
 
-def _of_curves(figure: Callable[[Curve, Curve], float | None], name: str, other: str) -> Measure:
+def _of_curves(figure: Callable[[pd.Series, pd.Series], float], name: str, other: str) -> Measure:
     """A figure of two columns of the progress table; `reward_raw/` stands for the claim's reward."""
 
-    def measure(row: pd.Series, claim: AnyClaim) -> Figure | None:
+    def measure(row: pd.Series, claim: AnyClaim) -> Estimate | None:
         path = RunDirectory(row.path).progress
         if not path.exists():
             return None
         table = read_progress(path)
-        names = (f"{name}{claim.reward}" if name.endswith("/") else name, other)
+        names = [f"{name}{claim.reward}" if name.endswith("/") else name, other]
         if missing := [column for column in names if column not in table]:
             raise KickbenchError(f"{path}: no column {missing[0]}")
-        value = figure(*(table[column].to_numpy() for column in names))
-        return None if value is None else Figure(value)
+        curves = table[names].where(np.isfinite)
+        with np.errstate(invalid="ignore"):  # of what does not change
+            value = figure(curves[names[0]], curves[other])
+        return None if np.isnan(value) else Estimate(float(value))
 
     return measure
 
 
-def correlation(first: Curve, second: Curve) -> float | None:
+# Of curves with a value per iteration, NaN where it is not known; the figure is NaN if it is not defined.
+
+
+def correlation(first: pd.Series, second: pd.Series) -> float:
     """Pearson's correlation over iterations (thesis Fig. 4.1)."""
-    both = np.stack([first, second])
-    both = both[:, np.isfinite(both).all(axis=0)]
-    is_defined = both.shape[1] > 2 and both.std(axis=1).all()
-    return float(np.asarray(np.corrcoef(both))[0, 1]) if is_defined else None
+    return first.corr(second, min_periods=3)
 
 
-def mean_per_step(sums: Curve, steps: Curve) -> float | None:
+def mean_per_step(sums: pd.Series, steps: pd.Series) -> float:
     """Mean per control step, over the episodes of the last tenth of the training, of sums over episodes."""
-    last = np.stack([sums, steps])[:, -max(1, round(_LAST * len(sums))) :]
-    total, count = last[:, np.isfinite(last).all(axis=0)].sum(axis=1)
-    return float(total / count) if count else None
+    is_known = _last(sums).notna() & _last(steps).notna()
+    return _last(sums)[is_known].sum() / _last(steps)[is_known].sum()
 
 
-def smoothed(curve: Curve) -> Curve:
-    """Moving mean over the last iterations up to each one [n]; NaN is left out."""
-    window = max(1, round(_SMOOTHED * len(curve)))
-    return pd.Series(curve).rolling(window, min_periods=1).mean().to_numpy()
+def _last(curve: pd.Series) -> pd.Series:
+    """The last tenth of the training."""
+    return curve.tail(max(1, round(_LAST * len(curve))))
 
 
-def steps_to_kick(success: Curve, steps: Curve) -> float | None:
-    """Control steps until the smoothed success rate reaches `KICKING`; None if it never does."""
-    return _steps_until(success, steps, KICKING)
+def smoothed(curve: pd.Series) -> pd.Series:
+    """Moving mean over the last iterations up to each one; NaN is left out."""
+    return curve.rolling(max(1, round(_SMOOTHED * len(curve))), min_periods=1).mean()
 
 
-def steps_to_half_success(success: Curve, steps: Curve) -> float | None:
+def steps_to_kick(success: pd.Series, steps: pd.Series) -> float:
+    """Control steps until the smoothed success rate reaches `KICKING`; NaN if it never does."""
+    return steps[smoothed(success) >= KICKING].min()
+
+
+def steps_to_half_success(success: pd.Series, steps: pd.Series) -> float:
     """Control steps until the smoothed success rate reaches half its final value (mean of the last tenth)."""
-    last = success[-max(1, round(_LAST * len(success))) :]
-    final = float(np.nanmean(last)) if np.isfinite(last).any() else 0.0
-    return _steps_until(success, steps, final / 2) if final > 0 else None
+    final = _last(success).mean()
+    return steps[smoothed(success) >= final / 2].min() if final > 0 else nan
 
 
-def _steps_until(success: Curve, steps: Curve, level: float) -> float | None:
-    reached = np.flatnonzero(smoothed(success) >= level)
-    return float(steps[reached[0]]) if len(reached) else None
-
-
-def success_area(success: Curve, _: Curve) -> float | None:
+def success_area(success: pd.Series, _: pd.Series) -> float:
     """Area under the success rate over control steps, divided by all steps: its mean, a share."""
-    return float(np.nanmean(success)) if np.isfinite(success).any() else None
+    return success.mean()
 
 
-def return_trough(returns: Curve, _: Curve) -> float | None:
+def return_trough(returns: pd.Series, _: pd.Series) -> float:
     """Deepest fall of the smoothed return below its highest value so far, over the range of its values.
 
     With r the smoothed return and M_t = max(r_0, ..., r_t): max_t (M_t - r_t) / (max r - min r). 0 for a
     return that only rises, 1 for one that loses all it had.
     """
     curve = smoothed(returns)
-    curve = curve[np.isfinite(curve)]
-    spread = float(np.ptp(curve)) if curve.size else 0.0
-    return float((np.maximum.accumulate(curve) - curve).max()) / spread if spread else None
+    return (curve.cummax() - curve).max() / (curve.max() - curve.min())
 
 
 METRICS: Mapping[Metric, tuple[Measure, Unit]] = {
     "success_rate": (_column("success_rate", "success"), PERCENT),
     "mean_distance": (_column("mean_distance", "mean_distance"), METRES),
     "median_distance": (_column("median_distance", "median_distance"), METRES),
-    "kicked_fraction": (_kicked, PERCENT),
+    "kicked_fraction": (lambda row, _: _share(row.kicked_fraction * row.episodes, row.episodes), PERCENT),
     "mean_episode_steps": (_column("mean_episode_steps"), Unit("steps", 1.0, 1)),
     "termination_share": (_terminations, PERCENT),
     "same_side_share": (_column("kicks/same_side_share", "kicks/same_side"), PERCENT),
@@ -326,7 +308,7 @@ def unit_of(claim: AnyClaim) -> Unit:
     return _POINTS if unit.is_share and len(claim.operands()) > 1 else unit
 
 
-def figure_of(run: pd.DataFrame, claim: AnyClaim, operand: Operand) -> Figure | None:
+def figure_of(run: pd.DataFrame, claim: AnyClaim, operand: Operand) -> Estimate | None:
     """The figure that an operand of a claim means, from one run; None if the run does not have it.
 
     Args:

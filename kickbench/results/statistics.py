@@ -33,17 +33,17 @@ class Interval(NamedTuple):
 
 
 class Estimate(NamedTuple):
-    """A figure and its interval, in the unit of what was measured."""
+    """A figure and its interval, in the unit of what was measured; None where no interval is known."""
 
     value: float
-    interval: Interval
+    interval: Interval | None = None
 
 
 class TwoProportions(NamedTuple):
     """Two independent proportions compared: first minus second, its interval, the test of no difference."""
 
     difference: float
-    interval: Interval
+    difference_ci: Interval
     z: float
     p_value: float
 

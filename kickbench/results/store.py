@@ -147,12 +147,12 @@ class RunDirectory:
         self._make()
         if not self.holds_a_run:
             return self
-        if not force and not self.metrics.exists():
-            choice = "an unfinished run; --resume goes on with it, --force starts again"
-            raise KickbenchError(f"{self.path}: holds {choice}")
         if not force:
-            state = "a damaged run" if self.damage else "a finished run"
-            raise KickbenchError(f"{self.path}: holds {state}; --force runs it again and overwrites it")
+            words = "an unfinished run; --resume goes on with it, --force starts again"
+            if self.metrics.exists():
+                state = "damaged" if self.damage else "finished"
+                words = f"a {state} run; --force runs it again and overwrites it"
+            raise KickbenchError(f"{self.path}: holds {words}")
         self.beside.clear()
         return self.beside
 
@@ -246,11 +246,10 @@ def _is_locked(path: Path) -> bool:
 
 
 def _lock(descriptor: int, kind: int) -> bool:
-    try:
+    with suppress(BlockingIOError):
         fcntl.flock(descriptor, kind | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    return True
+        return True
+    return False
 
 
 def find_begun_runs(root: Path | str) -> list[RunDirectory]:

@@ -9,6 +9,7 @@ each episode with the one from the mirror image of its initial state.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -114,27 +115,26 @@ def measure_kick(episodes: EpisodeTable, control_interval: float) -> KickFigures
     """
     if not set(KICK_COLUMNS) <= set(episodes):
         return None
-    touched, error = episodes[episodes.touches > 0], episodes.direction_error.dropna()
-    figures: dict[str, Any] = {
+    touched, error = episodes[episodes.touches > 0], episodes.direction_error
+    speed, rng = touched.launch_speed, np.random.default_rng(_KICK_SEED)
+    figures = {
+        "mean_launch_speed": speed.mean(),
+        "mean_time_to_touch": control_interval * touched.kick_step.mean(),
+        "mean_touches": touched.touches.mean(),
+        "mean_walked_after_touch": touched.walked_after_touch.mean(),
+        "mean_direction_error": error.abs().mean(),
+        "median_direction_error": error.abs().median(),
+        "direction_bias": np.arctan2(np.sin(error).mean(), np.cos(error).mean()),
         "falls": episodes.termination.isin(FALLS).mean(),
         "non_finite": (episodes.termination == NON_FINITE).mean(),
     }
-    if len(touched):
-        rng, speed = np.random.default_rng(_KICK_SEED), touched.launch_speed
-        figures |= {
-            "mean_launch_speed": speed.mean(),
-            "mean_launch_speed_ci": bootstrap(speed, lambda drawn: drawn.mean(axis=1), rng),
-            "mean_time_to_touch": control_interval * float(touched.kick_step.mean()),
-            "mean_touches": touched.touches.mean(),
-            "mean_walked_after_touch": touched.walked_after_touch.mean(),
-        }
-    if len(error):
-        figures |= {
-            "mean_direction_error": np.abs(error).mean(),
-            "median_direction_error": np.median(np.abs(error)),
-            "direction_bias": np.arctan2(np.sin(error).mean(), np.cos(error).mean()),
-        }
-    return KickFigures(**figures)
+    interval = bootstrap(speed, lambda drawn: drawn.mean(axis=1), rng) if len(speed) else None
+    return KickFigures(mean_launch_speed_ci=interval, **_known(figures))
+
+
+def _known(figures: Mapping[str, float]) -> dict[str, float]:
+    """Without the means of nothing."""
+    return {name: value for name, value in figures.items() if not np.isnan(value)}
 
 
 def grid_cell(episodes: EpisodeTable, distance: float, angle: float) -> GridCell:
@@ -145,19 +145,13 @@ def grid_cell(episodes: EpisodeTable, distance: float, angle: float) -> GridCell
         distance: of the target from the robot [m].
         angle: of the target from straight ahead [rad].
     """
-    return GridCell(
-        distance=distance,
-        angle=angle,
-        episodes=len(episodes),
-        success_rate=float(episodes.success.mean()),
-        mean_distance=float(episodes.distance.mean()),
-        mean_launch_speed=_mean_of_known(episodes.launch_speed),
-        mean_direction_error=_mean_of_known(episodes.direction_error.abs()),
-    )
-
-
-def _mean_of_known(values: pd.Series) -> float | None:
-    return float(values.mean()) if values.notna().any() else None
+    figures = {
+        "success_rate": episodes.success.mean(),
+        "mean_distance": episodes.distance.mean(),
+        "mean_launch_speed": episodes.launch_speed.mean(),
+        "mean_direction_error": episodes.direction_error.abs().mean(),
+    }
+    return GridCell(distance=distance, angle=angle, episodes=len(episodes), **_known(figures))
 
 
 def measure_asymmetry(
@@ -210,29 +204,25 @@ def _side_success(both: EpisodeTable) -> SideSuccess | None:
     left, right = both.success[on_left], both.success[~on_left]
     if left.empty or right.empty:
         return None
-    test = two_proportions(int(left.sum()), len(left), int(right.sum()), len(right))
     return SideSuccess(
         left_episodes=len(left),
-        left_rate=int(left.sum()) / len(left),
+        left_rate=left.mean(),
         right_episodes=len(right),
-        right_rate=int(right.sum()) / len(right),
-        difference=test.difference,
-        difference_ci=test.interval,
-        z=test.z,
-        p_value=test.p_value,
+        right_rate=right.mean(),
+        **two_proportions(int(left.sum()), len(left), int(right.sum()), len(right))._asdict(),
     )
 
 
 def mirrored_pairs(home: EpisodeTable, mirrored: EpisodeTable) -> MirroredPairs:
     """Compares each episode with the one from the mirror image of its start, row by row."""
-    alike = int(((home.termination == mirrored.termination) & (home.success == mirrored.success)).sum())
+    agreeing = int(((home.termination == mirrored.termination) & (home.success == mirrored.success)).sum())
     feet = home.kick_foot.replace({"left": "right", "right": "left"})
     only_original = int((home.success & ~mirrored.success).sum())
     only_mirrored = int((~home.success & mirrored.success).sum())
     return MirroredPairs(
         pairs=len(home),
-        agreement=alike / len(home),
-        agreement_ci=wilson(alike, len(home)),
+        agreement=agreeing / len(home),
+        agreement_ci=wilson(agreeing, len(home)),
         foot_agreement=float((feet == mirrored.kick_foot).mean()),
         only_original=only_original,
         only_mirrored=only_mirrored,

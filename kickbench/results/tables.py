@@ -6,21 +6,23 @@ And what stands below them: in what runs of one name differ, which repeat others
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
+from itertools import zip_longest
 from typing import Literal
 
 import numpy as np
 import pandas as pd
 
 from kickbench.errors import KickbenchError, printable, shown
-from kickbench.results.frame import HOME, known, runs_of, unfinished_words
+from kickbench.results.frame import HOME, runs_of, unfinished_words
 from kickbench.results.metrics import GridCell
 from kickbench.results.quantities import (
     ASYMMETRY,
+    COUNT,
     DISTANCE,
     KICK,
+    P_VALUE,
     PERCENT,
     SUCCESS,
     Quantity,
@@ -45,22 +47,17 @@ def render_block(title: str, header: Row, blocks: Sequence[Sequence[Row]], group
         groups: for each column the heading of a group of columns that begins there, or nothing; None: no such
             line.
     """
-    blocks = [[tuple(map(_one_line, row)) for row in block] for block in blocks]
-    body = [row for block in blocks for row in block]
+    texts = [[[" ".join(printable(cell).split("\n")) for cell in row] for row in block] for block in blocks]
+    body = [row for block in texts for row in block]
     widths = [max(map(len, column)) for column in zip(header, *body, strict=True)]
+    heading = _line(header, widths)
     lines = [printable(title)] if title else []
     lines += [] if groups is None else [_group_line(groups, widths)]
-    lines += [_line(header, widths), "-" * len(_line(header, widths))]
-    for index, block in enumerate(blocks):
+    lines += [heading, "-" * len(heading)]
+    for block, following in zip_longest(texts, texts[1:]):
         lines += [_line(row, widths) for row in block]
-        if len(block) > 1 and index < len(blocks) - 1:
-            lines.append("")
+        lines += [""] if len(block) > 1 and following else []
     return "\n".join(lines)
-
-
-def _one_line(cell: str) -> str:
-    """A cell as a terminal can show it, whatever the names in it."""
-    return " ".join(printable(cell).split("\n"))
 
 
 def _group_line(groups: Row, widths: Sequence[int]) -> str:
@@ -72,10 +69,9 @@ def _group_line(groups: Row, widths: Sequence[int]) -> str:
     return line
 
 
-def _line(cells: Row, widths: Sequence[int]) -> str:
+def _line(cells: Sequence[str], widths: Sequence[int]) -> str:
     """Cells side by side, two blanks apart: the name to the left, figures to the right."""
-    padded = [cell.rjust(width) for cell, width in zip(cells, widths, strict=True)]
-    padded[0] = cells[0].ljust(widths[0])
+    padded = [cells[0].ljust(widths[0]), *map(str.rjust, cells[1:], widths[1:])]
     return "  ".join(padded).rstrip()
 
 
@@ -90,46 +86,34 @@ def mean_and_spread(values: pd.Series, unit: Unit) -> tuple[str, str]:
     return mean, std
 
 
-def probability(p: float) -> str:
-    """A p-value as text."""
-    return "<0.001" if p < 0.001 else f"{p:.3f}"
-
-
 @dataclass(frozen=True)
 class Column:
     """A column of a table of runs.
 
     Attributes:
         title: Its heading.
-        of: The column of `pairs_of` that it shows, and how; of a p-value or a count just the column.
+        of: The column of `pairs_of` that it shows, and how.
         group: Heading of a group of columns that begins here.
         non_finite: The column of the share of its episodes that became non-finite.
     """
 
     title: str
-    of: Quantity | str
+    of: Quantity
     group: str = ""
     non_finite: str = ""
 
     def cell(self, run: pd.Series) -> str:
         """The figure of a run as text."""
-        if isinstance(self.of, Quantity):
-            return self.of.of_run(run, NOTHING) + non_finite_note(run.get(self.non_finite, 0.0))
-        value = known(run, self.of)
-        if value is None:
-            return NOTHING
-        return probability(value) if self.title == "p" else f"{value:,.0f}"
+        return self.of.of_run(run, NOTHING) + non_finite_note(run.get(self.non_finite, 0.0))
 
     def summary(self, runs: pd.DataFrame) -> tuple[str, str]:
         """Mean and standard deviation over seeds as text; counts: the common value; p-values: nothing."""
-        if isinstance(self.of, str):
-            values = runs[self.of]
-            if self.title == "p":
-                return NOTHING, NOTHING
-            return f"{values.iloc[0]:,.0f}" if values.nunique() == 1 else NOTHING, ""
-        values = runs[self.of.column]
+        values, unit = runs[self.of.column], self.of.unit
+        if unit is COUNT:
+            return unit.text(values.iloc[0]) if values.nunique() == 1 else NOTHING, ""
         # A mean over some of the seeds would not belong beside a mean over all of them.
-        mean, spread = mean_and_spread(values if values.notna().all() else values[:0], self.of.unit)
+        is_whole = unit is not P_VALUE and values.notna().all()
+        mean, spread = mean_and_spread(values if is_whole else values[:0], unit)
         return mean + (non_finite_note(runs[self.non_finite].mean()) if self.non_finite else ""), spread
 
 
@@ -146,8 +130,8 @@ _SUCCESS = (
     Column("gap [pts]", GAP),
     Column("in-dist.", replace(DISTANCE, ends=""), "mean distance [m]"),
     Column("mirrored", MIRRORED_DISTANCE),
-    Column("iter.", "iterations"),
-    Column("env steps", "env_steps"),
+    Column("iter.", Quantity("iterations", "", COUNT)),
+    Column("env steps", Quantity("env_steps", "", COUNT)),
 )
 _ERROR, _SAME_SIDE, _LEFT_FOOT, _LEFT, _RIGHT, _PAIRS = ASYMMETRY
 _ASYMMETRY = (
@@ -156,7 +140,7 @@ _ASYMMETRY = (
     Column("left foot [95 % CI]", _LEFT_FOOT),
     Column("left", _LEFT, "success [%], ball"),
     Column("right", _RIGHT),
-    Column("p", "success/p_value"),
+    Column("p", Quantity("success/p_value", "", P_VALUE)),
     Column("alike [%]", replace(_PAIRS, ends=""), "pairs"),
 )
 """The equivariance error is relative to the size of the actions, over visited states. p is the two-proportion
@@ -264,31 +248,26 @@ def _method_rows(columns: Sequence[Column], runs: pd.DataFrame, summary: bool) -
 def remark_lines(frame: pd.DataFrame) -> list[str]:
     """Below a table: in what runs of one name differ, which runs repeat others, and which have no result."""
     finished = frame[(frame.state == "finished") & (frame.evaluated_on == frame.task)]
-    lines = [*difference_lines(finished), *exclusion_lines(finished)]
-    return [*lines, *repeat_lines(frame), *left_out_lines(frame)]
+    column = "equivariance/but_for"
+    partial = finished[finished[column].notna()].groupby("group", sort=False)[column].first()
+    exclusions = [f"{name}: equivariant but for: {', '.join(excluded)}" for name, excluded in partial.items()]
+    return [*difference_lines(finished), *exclusions, *repeat_lines(frame), *left_out_lines(frame)]
 
 
 def difference_lines(finished: pd.DataFrame) -> list[str]:
-    """In what settings of one task's name differ, and groups of one setting and one method's name."""
-    tasks = finished.groupby("task", sort=False)
-    methods = finished.groupby(["setting_name", "method"], sort=False)
-    lines = [line for task, rows in tasks for line in _lines(str(task), rows, "setting_name")]
-    return lines + [line for (_, method), rows in methods for line in _lines(str(method), rows, "group")]
+    """In what settings of one task's name differ, and groups of one setting and one method's name.
 
-
-def exclusion_lines(finished: pd.DataFrame) -> list[str]:
-    """What the equivariance errors of methods leave out."""
-    column = "equivariance/but_for"
-    partial = finished[finished[column].notna()].groupby("group", sort=False)[column].first()
-    return [f"{name}: equivariant but for: {', '.join(excluded)}" for name, excluded in partial.items()]
-
-
-def _lines(name: str, rows: pd.DataFrame, column: str) -> Iterator[str]:
-    """`baseline (1) and (2) differ: method: algorithm.gamma: 0.99 and 0.995`."""
-    first = rows.drop_duplicates(column)
-    if len(first) > 1:
-        numbers = " and ".join(label.removeprefix(name).strip() for label in first[column])
-        yield f"{name} {numbers} differ: {'; '.join([*_specs(first), *_sizes(first, column)])}"
+    `baseline (1) and (2) differ: method: algorithm.gamma: 0.99 and 0.995`.
+    """
+    lines = []
+    for label, keys in (("setting_name", ["task"]), ("group", ["setting_name", "method"])):
+        for (*_, name), rows in finished.groupby(keys, sort=False):
+            first = rows.drop_duplicates(label)
+            if len(first) > 1:
+                numbers = " and ".join(of.removeprefix(str(name)).strip() for of in first[label])
+                unequal = [*_specs(first), *(_sizes(first) if label == "group" else [])]
+                lines.append(f"{name} {numbers} differ: {'; '.join(unequal)}")
+    return lines
 
 
 def _specs(first: pd.DataFrame) -> list[str]:
@@ -297,19 +276,18 @@ def _specs(first: pd.DataFrame) -> list[str]:
     if first.identity.nunique() < 2:
         return []
     try:
-        return differences([stored_specs(RunDirectory(Path(path))) for path in first.path])
+        return differences([stored_specs(RunDirectory(path)) for path in first.path])
     except KickbenchError as error:
         return [f"specs, of which some cannot be read ({error})"]
 
 
-def _sizes(first: pd.DataFrame, column: str) -> Sequence[str]:
-    words = []
-    if column == "group":
-        if first.iterations.nunique() > 1:
-            words.append(f"{' and '.join(f'{count:,.0f}' for count in first.iterations)} iterations")
-        if first.scale.nunique(dropna=False) > 1:
-            words.append(f"scale {' and '.join('1' if pd.isna(of) else f'{of:g}' for of in first.scale)}")
-    return words
+def _sizes(first: pd.DataFrame) -> list[str]:
+    scale = first.scale.fillna(1.0)
+    sizes = {
+        f"{' and '.join(f'{of:,.0f}' for of in first.iterations)} iterations": first.iterations,
+        f"scale {' and '.join(f'{of:g}' for of in scale)}": scale,
+    }
+    return [words for words, values in sizes.items() if values.nunique() > 1]
 
 
 def repeat_lines(frame: pd.DataFrame) -> list[str]:
@@ -323,11 +301,11 @@ def repeat_lines(frame: pd.DataFrame) -> list[str]:
 
 def unplanned_lines(frame: pd.DataFrame) -> list[str]:
     """A line for each run that an experiment does not plan."""
-    lines = []
-    for _, run in runs_of(frame[frame.condition.isna()]).iterrows():
-        state = "" if run.state == "finished" else f": {unfinished_words(run)}"
-        lines.append(f"{run.deviation}, left out: {shown(run.path)}{state}")
-    return lines
+    return [
+        f"{run.deviation}, left out: {shown(run.path)}"
+        + ("" if run.state == "finished" else f": {unfinished_words(run)}")
+        for _, run in runs_of(frame[frame.condition.isna()]).iterrows()
+    ]
 
 
 def left_out_lines(frame: pd.DataFrame) -> list[str]:

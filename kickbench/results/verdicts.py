@@ -36,6 +36,7 @@ Outcome = Literal["met", "not met", "holds", "does not hold", "not enough data"]
 the policies that there are, and is not met."""
 
 FEWEST_SEEDS = 3
+_NOT_ENOUGH: Outcome = "not enough data"
 _OF_POLICIES: dict[Outcome, Outcome] = {"met": "holds", "not met": "does not hold"}
 
 
@@ -122,9 +123,17 @@ def verdicts_json(verdicts: Sequence[Verdict]) -> str:
 def _judge(name: str, claim: AnyClaim, experiment: LoadedExperiment, measured: pd.DataFrame) -> Verdict:
     contrast = contrast_of(claim, _reported(claim.value, claim, experiment))
     parts, lacks = _parts(claim, contrast, measured)
-    outcome, estimated, reason = judge_parts(claim, contrast, parts)
+    seeds, is_each = min(map(len, parts.values())), claim.seeds == "each"
+    outcome, reason, estimated, basis = _NOT_ENOUGH, None, None, NOTHING
+    if seeds:
+        found = _each(parts) if is_each else [estimate(parts)]
+        estimated = min(found, key=lambda of: contrast.margin(of.value))
+        judged = [_outcome(contrast, of.interval, is_each or seeds == 1) for of in found]
+        outcome, reason = min(judged, key=lambda pair: ("not met", _NOT_ENOUGH, "met").index(pair[0]))
+        outcome = _OF_POLICIES[outcome] if seeds < FEWEST_SEEDS and reason is None else outcome
+        basis = f"{estimated.basis}{_non_finite(contrast, measured)}"
     if lacks:
-        outcome, reason = "not enough data", "; ".join(lacks)
+        outcome, reason = _NOT_ENOUGH, "; ".join(lacks)
     figure, interval = _shown(claim, estimated, parts) if estimated else (None, None)
     return Verdict(
         name=name,
@@ -132,27 +141,12 @@ def _judge(name: str, claim: AnyClaim, experiment: LoadedExperiment, measured: p
         outcome=outcome,
         figure=figure,
         interval=interval,
-        basis=f"{estimated.basis}{_non_finite(contrast, measured)}" if estimated else NOTHING,
+        basis=basis,
         reason=reason,
         claim=claim,
         reported=_reported_figure(claim, contrast, experiment),
-        seeds=min(map(len, parts.values())),
+        seeds=seeds,
     )
-
-
-def judge_parts(
-    claim: AnyClaim, contrast: Contrast, parts: Parts
-) -> tuple[Outcome, Estimated | None, str | None]:
-    """The verdict on a claim, its figure and why there is not enough data, from each condition's runs."""
-    if not all(parts.values()):
-        return "not enough data", None, None
-    seeds = min(map(len, parts.values()))
-    if claim.seeds == "each":
-        outcome, estimated, reason = _each(contrast, parts)
-    else:
-        estimated = estimate(parts)
-        outcome, reason = _outcome(contrast, estimated.interval, seeds == 1)
-    return _OF_POLICIES.get(outcome, outcome) if seeds < FEWEST_SEEDS else outcome, estimated, reason
 
 
 def _parts(
@@ -182,31 +176,25 @@ def _non_finite(contrast: Contrast, measured: pd.DataFrame) -> str:
     return non_finite_note(max((non_finite_share(run, operands) for run in runs), default=0.0))
 
 
-def _outcome(
-    contrast: Contrast, interval: Interval | None, one_seed: bool = True
-) -> tuple[Outcome, str | None]:
+def _outcome(contrast: Contrast, interval: Interval | None, is_one: bool) -> tuple[Outcome, str | None]:
+    """What an interval says of a claim, and why there is not enough data."""
     if interval is None:
-        seeds = "one seed" if one_seed else "all seeds give the same"
-        return "not enough data", f"{seeds}, and no interval is known of its figure"
+        seeds = "one seed" if is_one else "all seeds give the same"
+        return _NOT_ENOUGH, f"{seeds}, and no interval is known of its figure"
     if contrast.holds(interval):
         return "met", None
     if contrast.fails(interval):
         return "not met", None
-    return "not enough data", "the interval reaches across the bound"
+    return _NOT_ENOUGH, "the interval reaches across the bound"
 
 
-def _each(contrast: Contrast, parts: Parts) -> tuple[Outcome, Estimated, str | None]:
-    """Every seed by itself, each by its episodes; the seed nearest to the bound is shown.
-
-    Of two conditions the runs of the same seed are compared.
-    """
+def _each(parts: Parts) -> list[Estimated]:
+    """Every seed by itself, by its episodes; of two conditions the runs of the same seed are compared."""
     runs = list(zip(*parts.values(), strict=False))
-    judged = [(sum(run.value for run in of), over_episodes([[run] for run in of])) for of in runs]
-    value, interval = min(judged, key=lambda pair: contrast.margin(pair[0]))
     basis = f"worst of {len(runs)} seeds" if len(runs) > 1 else "episodes of one seed"
-    outcomes = [_outcome(contrast, interval) for _, interval in judged]
-    worst = min(outcomes, key=lambda pair: ("not met", "not enough data", "met").index(pair[0]))
-    return worst[0], Estimated(value, interval, basis), worst[1]
+    return [
+        Estimated(sum(run.value for run in of), over_episodes([[run] for run in of]), basis) for of in runs
+    ]
 
 
 def _shown(claim: AnyClaim, estimated: Estimated, parts: Parts) -> tuple[float | None, Interval | None]:

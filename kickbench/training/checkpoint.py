@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from kickbench.errors import KickbenchError, shown
 from kickbench.results.atomic import atomic_write_bytes
-from kickbench.results.integrity import with_digest, without_digest
+from kickbench.results.integrity import with_sha256, without_sha256
 
 if TYPE_CHECKING:
     from rsl_rl.models import MLPModel
@@ -136,7 +136,7 @@ def iteration_of(file: Path) -> int:
 def is_whole(file: Path) -> bool:
     """Whether a checkpoint ends with the SHA-256 of its content."""
     try:
-        return without_digest(file.read_bytes()) is not None
+        return without_sha256(file.read_bytes()) is not None
     except (OSError, ValueError):
         return False
 
@@ -146,7 +146,7 @@ def _write(path: Path, content: dict[str, Any]) -> None:
 
     buffer = io.BytesIO()
     torch.save(content, buffer)
-    atomic_write_bytes(path, with_digest(buffer.getvalue()))
+    atomic_write_bytes(path, with_sha256(buffer.getvalue()))
 
 
 def _read(path: Path) -> dict[str, Any]:
@@ -154,7 +154,7 @@ def _read(path: Path) -> dict[str, Any]:
     import torch
 
     data = path.read_bytes()
-    body = without_digest(data)
+    body = without_sha256(data)
     content = torch.load(io.BytesIO(data if body is None else body), weights_only=True, map_location="cpu")
     if body is None and content["format"] >= _CHECKED_FROM:
         raise ValueError("its SHA-256 is missing")

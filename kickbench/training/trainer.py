@@ -24,7 +24,7 @@ from kickbench.envs.graph import fastest_steps
 from kickbench.errors import KickbenchError
 from kickbench.nets.build import torch_threads
 from kickbench.nets.layers import residual_share
-from kickbench.results.frame import SIDES
+from kickbench.results.episode_table import SIDES
 from kickbench.results.provenance import RunHistory
 from kickbench.training.checkpoint import Checkpoints
 from kickbench.training.iteration_log import Progress, Record

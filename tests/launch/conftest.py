@@ -8,7 +8,7 @@ import pytest
 
 from kickbench.results.atomic import atomic_write_bytes, atomic_write_text
 from kickbench.results.episode_table import EpisodeSides, EpisodeTable, episode_table
-from kickbench.results.integrity import with_digest
+from kickbench.results.integrity import with_sha256
 from kickbench.results.metrics import Metrics
 from kickbench.results.progress_table import row_check
 from kickbench.results.store import RunDirectory
@@ -54,7 +54,7 @@ def make_metrics(iterations: int, seconds: float = 100.0, **values) -> Metrics:
 
 def checkpoint(numbers: bytes = b"numbers") -> bytes:
     """A file as whole as a checkpoint."""
-    return with_digest(numbers * 100)
+    return with_sha256(numbers * 100)
 
 
 @pytest.fixture

@@ -46,7 +46,7 @@ def make_table(episodes: int = 60, seed: int = 0) -> EpisodeTable:
 
 
 def mirror(table: EpisodeTable) -> EpisodeTable:
-    """The episodes of a policy that treats both sides alike."""
+    """The episodes of a policy that treats both sides equally."""
     feet = {"left": "right", "right": "left"}
     return table.assign(
         start_ball_y=-table.start_ball_y,

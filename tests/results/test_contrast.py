@@ -24,8 +24,8 @@ from kickbench.results.contrast import (
     run_terms,
 )
 from kickbench.results.frame import frame_of
-from kickbench.results.quantities import METRICS, Figure
-from kickbench.results.statistics import Interval, student, two_proportions, wilson
+from kickbench.results.quantities import METRICS
+from kickbench.results.statistics import Estimate, Interval, student, two_proportions, wilson
 
 ARM = Operand(condition="a")
 NUMBER = st.floats(-100, 100)
@@ -33,7 +33,7 @@ INTERVAL = st.tuples(NUMBER, NUMBER).map(lambda pair: Interval(min(pair), max(pa
 
 
 def terms(*parts: tuple[float, float, Interval | None], correlation: float = 0.0) -> RunTerms:
-    return RunTerms(tuple(Term(w, ARM, Figure(v, i)) for w, v, i in parts), correlation)
+    return RunTerms(tuple(Term(w, ARM, Estimate(v, i)) for w, v, i in parts), correlation)
 
 
 @given(INTERVAL, INTERVAL, st.booleans())
@@ -67,7 +67,7 @@ def test_the_difference_of_two_proportions_has_newcombes_interval(first, second)
     found = over_episodes([[run]])
     assert found is not None
     clipped = (max(-1.0, found.low), min(1.0, found.high))
-    assert clipped == pytest.approx(two_proportions(first, 200, second, 300).interval, abs=1e-9)
+    assert clipped == pytest.approx(two_proportions(first, 200, second, 300).difference_ci, abs=1e-9)
 
 
 def test_two_sides_that_always_agree_leave_nothing_open():
@@ -132,10 +132,10 @@ def test_an_arm_of_one_seed_makes_it_a_matter_of_episodes():
     assert found.basis == "episodes of one seed"
 
 
-def test_seeds_that_are_all_alike_have_the_interval_of_their_episodes():
+def test_seeds_that_are_all_equal_have_the_interval_of_their_episodes():
     """No fall in three times 100 episodes is no proof that there is none."""
-    alike = [terms((1.0, 0.0, wilson(0, 100)))] * 3
-    found = estimate({"a": alike})
+    equal = [terms((1.0, 0.0, wilson(0, 100)))] * 3
+    found = estimate({"a": equal})
     assert found.basis == "episodes of 3 seeds"
     assert found.interval is not None
     assert found.interval.high == pytest.approx(wilson(0, 100).high / 3**0.5)

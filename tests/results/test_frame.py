@@ -149,10 +149,10 @@ def test_a_damaged_run_is_a_row_that_says_so(spec, make, tmp_path, file):
 
 
 def test_runs_that_were_not_planned_follow_those_that_were(spec, make, identity, tmp_path):
-    stranger = run_path(tmp_path, "baseline", 9)
-    write_result(stranger, make.metrics(make.side(0.5), seed=9), identity)
+    unplanned = run_path(tmp_path, "baseline", 9)
+    write_result(unplanned, make.metrics(make.side(0.5), seed=9), identity)
     last = load_runs(tmp_path, spec).iloc[-1]
-    assert (last.path, last.condition, last.counted) == (stranger, None, False)
+    assert (last.path, last.condition, last.counted) == (unplanned, None, False)
     assert last.deviation == "not planned by made_up"
 
 

@@ -19,8 +19,8 @@ from kickbench.results.integrity import (
     check,
     damage,
     read_sums,
-    with_digest,
-    without_digest,
+    with_sha256,
+    without_sha256,
     write_also,
 )
 
@@ -109,8 +109,8 @@ def test_no_verb_uses_a_damaged_run_without_a_word(run, capsys, name):
     assert main(["audit", TASK, "--policy", str(run), "--states", "4"]) == 2
     assert name in capsys.readouterr().err
     main(["table", str(run)])
-    told = capsys.readouterr()
-    assert name in told.err + told.out
+    printed = capsys.readouterr()
+    assert name in printed.err + printed.out
     main(["status", str(run)])
     assert f"{name}: damaged" in re.sub(r"\s+", " ", capsys.readouterr().out)
 
@@ -194,15 +194,15 @@ def test_sums_of_files_elsewhere_are_damage(tmp_path, name):
         read_sums(tmp_path)
 
 
-def test_data_with_their_digest_show_every_flip():
+def test_data_with_their_sha256_show_every_flip():
     data = np.random.default_rng(0).bytes(300)
-    whole = with_digest(data)
-    assert without_digest(whole) == data
-    assert without_digest(data) is None
+    whole = with_sha256(data)
+    assert without_sha256(whole) == data
+    assert without_sha256(data) is None
     for place in range(8 * len(whole)):
         damaged = bytearray(whole)
         damaged[place // 8] ^= 1 << place % 8
         try:
-            assert without_digest(bytes(damaged)) is None, "a flip in the mark of the digest leaves none"
+            assert without_sha256(bytes(damaged)) is None, "a flip in the mark of the SHA-256 leaves none"
         except ValueError:
             continue

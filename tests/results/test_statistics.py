@@ -139,20 +139,20 @@ def test_the_two_proportion_test_equals_scipys_chi_square_without_correction(one
 @given(counts, counts)
 def test_a_difference_lies_in_its_interval_and_changes_sign_with_the_order(one, two) -> None:
     there, back = two_proportions(*one, *two), two_proportions(*two, *one)
-    assert -1 <= there.interval.low <= there.difference <= there.interval.high <= 1
-    assert back.interval == pytest.approx((-there.interval.high, -there.interval.low))
+    assert -1 <= there.difference_ci.low <= there.difference <= there.difference_ci.high <= 1
+    assert back.difference_ci == pytest.approx((-there.difference_ci.high, -there.difference_ci.low))
     assert (back.z, back.p_value) == pytest.approx((-there.z, there.p_value))
 
 
 def test_the_interval_of_a_difference_is_that_of_newcombes_example() -> None:
     """Newcombe 1998, example (a): 56/70 against 48/80."""
-    assert two_proportions(56, 70, 48, 80).interval == pytest.approx((0.0524, 0.3339), abs=5e-5)
+    assert two_proportions(56, 70, 48, 80).difference_ci == pytest.approx((0.0524, 0.3339), abs=5e-5)
 
 
 def test_the_interval_of_a_difference_covers_it_as_often_as_it_says() -> None:
     rng = np.random.default_rng(9)
     draws = zip(rng.binomial(150, 0.9, 3000), rng.binomial(80, 0.7, 3000), strict=True)
-    intervals = [two_proportions(int(a), 150, int(b), 80).interval for a, b in draws]
+    intervals = [two_proportions(int(a), 150, int(b), 80).difference_ci for a, b in draws]
     assert 0.93 < np.mean([low <= 0.2 <= high for low, high in intervals]) < 0.97
 
 

@@ -7,6 +7,7 @@ The page and the READMEs print the same cells.
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import Any, get_args
 
 import pandas as pd
@@ -23,15 +24,13 @@ def comparison(study: Study) -> pd.DataFrame:
     found = {quantity: study.estimates(quantity) for quantity in (SUCCESS, DISTANCE)}
     rows = found[SUCCESS]
     table = pd.DataFrame({"Method": rows.condition, "Episodes": rows.side.map(SIDE_WORDS)})
-    told = any(of.reported.notna().any() for of in found.values())
+    has_reported = any(of.reported.notna().any() for of in found.values())
     for quantity, estimates in found.items():
-        own = rows[["condition", "side"]].merge(estimates, "left")
-        if told:
-            table[f"{quantity.heading}, reported"] = [
-                _reported(study, row, quantity) for _, row in own.iterrows()
-            ]
-        name = f"{quantity.heading}, measured" if told else quantity.heading
-        table[name] = [quantity.of_seeds(row) for _, row in own.iterrows()]
+        own = [row for _, row in rows[["condition", "side"]].merge(estimates, "left").iterrows()]
+        if has_reported:
+            table[f"{quantity.heading}, reported"] = [_reported(study, row, quantity) for row in own]
+        name = f"{quantity.heading}, measured" if has_reported else quantity.heading
+        table[name] = [quantity.of_seeds(row) for row in own]
     return table
 
 
@@ -39,15 +38,8 @@ def _reported(study: Study, estimate: pd.Series, quantity: Quantity) -> str:
     """A reported figure with its section."""
     if pd.isna(estimate.reported):
         return "not reported"
-    reported = study.plans[estimate.condition].reported
-    section = reported.section if reported else ""
-    return f"{quantity.spread(estimate.reported, estimate.reported_std)}{f' ({section})' if section else ''}"
-
-
-def iterations_text(study: Study, run: pd.Series) -> str:
-    """`390`, or `45 of 390` where the experiment plans another number."""
-    planned = study.plans[run.condition].iterations if run.condition in study.plans else run.iterations
-    return f"{run.iterations:,.0f}" + (f" of {planned:,}" if planned != run.iterations else "")
+    section = getattr(study.plans[estimate.condition].reported, "section", "")
+    return f"{quantity.spread(estimate.reported, estimate.reported_std)} ({section})"
 
 
 def every_run(study: Study) -> pd.DataFrame:
@@ -55,34 +47,25 @@ def every_run(study: Study) -> pd.DataFrame:
     rows = []
     for _, run in study.runs.iterrows():
         own = study.rows[(study.rows.path == run.path) & (study.rows.evaluated_on == run.task)]
-        done, seconds = known(run, "iterations"), known(run, "training_seconds")
-        words = "-" if done is None else f"{done:,.0f} iterations"
-        rows.append(
-            {
-                **_sides(run, own),
-                "Training": words if seconds is None else f"{words} ({hours(seconds)})",
-                "Remarks": "; ".join(remarks(study, run)) or ("as planned" if study.plans else "none"),
-            }
-        )
+        training = "-" if pd.isna(run.iterations) else f"{run.iterations:,.0f} iterations"
+        training += "" if pd.isna(run.training_seconds) else f" ({hours(run.training_seconds)})"
+        words = "; ".join(remarks(study, run)) or ("as planned" if study.plans else "none")
+        rows.append({"Run": run_name(run), **_sides(own), "Training": training, "Remarks": words})
     return pd.DataFrame(rows)
 
 
 def further(study: Study) -> pd.DataFrame:
     """Results of the same policies on tasks that they were not trained on; the index is the condition."""
     found = study.rows[(study.rows.evaluated_on != study.rows.task) & (study.rows.state == "finished")]
-    rows, conditions = [], []
-    for (_, task), sides in found.groupby(["path", "evaluated_on"], sort=False):
-        run = sides.iloc[0]
-        conditions.append(run.condition)
-        rows.append({"Run": run_name(run), "Task": str(task), **_sides(run, sides)})
-    return pd.DataFrame(rows, conditions)
+    groups = [rows for _, rows in found.groupby(["path", "evaluated_on"], sort=False)]
+    rows = [{"Run": run_name(of.iloc[0]), "Task": of.evaluated_on.iloc[0], **_sides(of)} for of in groups]
+    return pd.DataFrame(rows, [of.condition.iloc[0] for of in groups])
 
 
-def _sides(run: pd.Series, sides: pd.DataFrame) -> dict[str, str]:
-    """Success on both sides, and the distance."""
+def _sides(sides: pd.DataFrame) -> dict[str, str]:
+    """Success on both sides of an evaluation, and the distance."""
     by_side = {row.side: row for _, row in sides.iterrows()}
     return {
-        "Run": run_name(run),
         "Success in distribution [%]": SUCCESS.of_run(by_side.get(HOME)),
         "Success mirrored [%]": SUCCESS.of_run(by_side.get("mirrored")),
         "Distance [m]": DISTANCE.of_run(by_side.get(HOME)),
@@ -140,8 +123,8 @@ def commit_text(provenance: Provenance) -> str:
 def outcome(study: Study) -> list[str]:
     """How many claims are met, and the success of every condition."""
     words = {"not enough data": "without enough data to say"}
-    counts = {word: sum(verdict.outcome == word for verdict in study.verdicts) for word in get_args(Outcome)}
-    said = ", ".join(f"{count} {words.get(word, word)}" for word, count in counts.items() if count)
+    counts = Counter(verdict.outcome for verdict in study.verdicts)
+    said = ", ".join(f"{counts[of]} {words.get(of, of)}" for of in get_args(Outcome) if counts[of])
     found = [f"Of {len(study.verdicts)} claims: {said}."] if study.verdicts else []
     estimates = study.estimates(SUCCESS)
     for condition, sides in estimates[estimates.seeds > 0].groupby("condition", sort=False):
@@ -157,10 +140,10 @@ def verdict_words(verdict: Verdict) -> str:
 
 def evidence(verdict: Verdict) -> str:
     """`measured 28.2 [15.3, 41.2] points (5 seeds); reported 30.1 points`."""
-    unit, figure = verdict.unit, "not measured"
-    if verdict.figure is not None:
-        figure = f"measured {unit.write(verdict.figure, verdict.interval)} ({verdict.basis})"
-    return figure if verdict.reported is None else f"{figure}; reported {unit.write(verdict.reported)}"
+    figure = "not measured" if verdict.figure is None else f"measured {verdict.measured} ({verdict.basis})"
+    return (
+        figure if verdict.reported is None else f"{figure}; reported {verdict.unit.write(verdict.reported)}"
+    )
 
 
 def warnings(study: Study, commit: str | None = None) -> list[str]:
@@ -170,9 +153,8 @@ def warnings(study: Study, commit: str | None = None) -> list[str]:
     about: dict[str, list[Any]] = {}
     for index, run in study.runs.iterrows():
         for remark in remarks(study, run, commit):
-            about.setdefault(remark, []).append(index)
-    said = (f"{remark[0].upper()}{remark[1:]}: {listed(study.runs.loc[of])}." for remark, of in about.items())
-    return [*found, *said]
+            about.setdefault(f"{remark[0].upper()}{remark[1:]}", []).append(index)
+    return found + [f"{remark}: {listed(study.runs.loc[of])}." for remark, of in about.items()]
 
 
 def remarks(study: Study, run: pd.Series, commit: str | None = None) -> list[str]:
@@ -189,31 +171,31 @@ def remarks(study: Study, run: pd.Series, commit: str | None = None) -> list[str
         return [f"damaged, and not shown ({run.damage})"]
     if run.state != "finished":
         return [f"{unfinished_words(run)}, not evaluated", *filter(None, [run.deviation])]
-    planned, ran = known(run, "iterations_planned"), known(run, "schedule_iterations")
-    smaller = [] if study.plans else size_differences(run, iterations=planned)
-    made_by = run.provenance.commit or "unknown"
-    found = [
-        (run.deviation is not None, str(run.deviation)),
-        (run.repeats is not None, "of the same identity and seed as another run, counted once"),
-        (not run.counted and run.repeats is None, "not counted"),
-        (commit not in (None, made_by), f"run by other code than this page's, commit {made_by[:10]}"),
-        (run.provenance.dirty, "run by code with uncommitted changes"),
-        (ran is not None, f"its schedules ran over {ran or 0:,.0f} iterations"),
-    ]
+    origin = run.provenance
+    found = [] if study.plans else size_differences(run, iterations=known(run, "iterations_planned"))
+    if run.deviation is not None:
+        found.append(run.deviation)
+    if run.repeats is not None:
+        found.append("of the same identity and seed as another run, counted once")
+    elif not run.counted:
+        found.append("not counted")
+    if commit not in (None, origin.commit):
+        found.append(f"run by other code than this page's, commit {(origin.commit or 'unknown')[:10]}")
+    if origin.dirty:
+        found.append("run by code with uncommitted changes")
+    if pd.notna(run.schedule_iterations):
+        found.append(f"its schedules ran over {run.schedule_iterations:,.0f} iterations")
     rows = study.rows[(study.rows.path == run.path) & (study.rows.evaluated_on == run.task)]
-    lost = (
-        f"episodes {SIDE_WORDS[of.side]}:{non_finite_note(of.non_finite)}"
-        for _, of in rows[rows.non_finite > 0].iterrows()
-    )
-    return [*smaller, *(words for holds, words in found if holds), *lost]
+    lost = rows[rows.non_finite > 0]
+    notes = zip(lost.side.map(SIDE_WORDS), lost.non_finite.map(non_finite_note), strict=True)
+    return found + [f"episodes {side}:{note}" for side, note in notes]
 
 
 def listed(runs: pd.DataFrame) -> str:
     """Runs by condition and seed: `baseline seeds 0 and 1, equivariant seed 0`."""
     parts = []
     for condition, of in runs.groupby("condition", sort=False):
-        *most, last = ("?" if seed is pd.NA else str(seed) for seed in of.seed)
-        parts.append(
-            f"{condition} seeds {', '.join(most)} and {last}" if most else f"{condition} seed {last}"
-        )
+        *most, last = of.seed.astype(object).fillna("?").map(str)
+        seeds = f"seeds {', '.join(most)} and {last}" if most else f"seed {last}"
+        parts.append(f"{condition} {seeds}")
     return ", ".join(parts)

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 from kickbench import __version__
 from kickbench.errors import printable, require
-from kickbench.report import plots, tables
+from kickbench.report import contents, plots
+from kickbench.report.contents import evidence, listed, outcome, verdict_words, warnings
 from kickbench.report.study import Study, studies
 from kickbench.report.style import Picture, looks_of, style
-from kickbench.report.tables import evidence, listed, outcome, verdict_words, warnings
 from kickbench.results.atomic import atomic_write_text
 from kickbench.results.provenance import code_state
 from kickbench.results.quantities import ASYMMETRY, DISTANCE, KICK, SUCCESS
@@ -56,15 +56,15 @@ def _part(study: Study, commit: str | None) -> dict[str, Any]:
         "outcome": outcome(study),
         "warnings": warnings(study, commit),
         "claims": [(verdict, verdict_words(verdict), evidence(verdict)) for verdict in study.verdicts],
-        "comparison": tables.comparison(study),
+        "comparison": contents.comparison(study),
         "pictures": {name: _address(figure) for name, figure in _figures(study).items()},
         "without": _without(study),
         "tables": {
-            "On further tasks": tables.further(study),
-            "Left and right in figures": tables.by_run(study, ASYMMETRY),
-            "The kick in figures": tables.by_run(study, KICK),
-            "Runs": tables.every_run(study),
-            "Provenance": tables.provenance(study),
+            "On further tasks": contents.further(study),
+            "Left and right in figures": contents.by_run(study, ASYMMETRY),
+            "The kick in figures": contents.by_run(study, KICK),
+            "Runs": contents.every_run(study),
+            "Provenance": contents.provenance(study),
         },
     }
 
