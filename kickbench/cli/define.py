@@ -68,16 +68,15 @@ def new(
 
 @cli.verb("Define", "validate my_task.yaml mini/equivariant")
 def validate(
-    files: list[Path] = cli.argument("YAML files of any kind, or names.", "FILE...", *FOLDERS),
+    files: list[Path] = cli.argument("YAML files of any kind, or names.", "FILE...", **cli.file_of(*FOLDERS)),
     overrides: cli.Set = cli.NONE,
 ) -> None:
     """Check YAML files, a single task with every method among them, and report all errors."""
-    paths = [find(file, *FOLDERS) for file in files]
     sys.modules.setdefault("torch", _TorchLater())  # type: ignore[arg-type]
     from kickbench.trials.validate import check_files
 
     problems: list[Problem] = []
-    for report in check_files(paths, overrides):
+    for report in check_files(files, overrides):
         problems += report.problems
         if report.kind and not report.problems:
             print(f"{shown(report.name)}: fine ({report.kind})")
@@ -89,22 +88,21 @@ def validate(
 
 @cli.verb("Define", "show mini_home_field --set ball.mass=0.2")
 def show(
-    file: Path = cli.argument("A YAML file of any kind, or a name.", "FILE", *FOLDERS),
+    file: Path = cli.argument("A YAML file of any kind, or a name.", "FILE", **cli.file_of(*FOLDERS)),
     fields: Path | None = cli.option("Print how all mirrors by this method instead.", metavar="METHOD"),
     overrides: cli.Set = cli.NONE,
 ) -> None:
     """Print a resolved spec and where each value came from."""
-    path = find(file, *FOLDERS)
     if fields is not None:
-        return _show_fields(path, find_method(fields, path, overrides), overrides)
+        return _show_fields(file, find_method(fields, file, overrides), overrides)
     from kickbench.config.explain import explain
     from kickbench.config.load import load
     from kickbench.config.yamlio import load_document
     from kickbench.envs.catalog import model_of_task
     from kickbench.trials.validate import kind_of, model_of
 
-    kind = kind_of(load_document(path, overrides))
-    loaded = load(model_of_task if kind == "task" else model_of(kind), path, overrides)
+    kind = kind_of(load_document(file, overrides))
+    loaded = load(model_of_task if kind == "task" else model_of(kind), file, overrides)
     print(explain(loaded.spec, loaded.document).rstrip("\n"))
 
 

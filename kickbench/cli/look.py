@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Literal
 import typer
 
 from kickbench.cli import app as cli
-from kickbench.config.shipped import find
 from kickbench.errors import KickbenchError, shown
 
 if TYPE_CHECKING:
@@ -45,13 +44,12 @@ def claims(
     json: cli.Json = False,
 ) -> int:
     """Judge the claims of an experiment by its measured runs."""
-    file = find(experiment, "reported")
     from kickbench.results.frame import load_runs
     from kickbench.results.tables import unplanned_lines
     from kickbench.results.verdicts import judge, verdict_lines, verdicts_json
     from kickbench.trials.experiment import load_experiment
 
-    loaded = load_experiment(file)
+    loaded = load_experiment(experiment)
     # A missing default folder means that nothing is measured yet; a folder that the user names must exist.
     if folder and not folder.is_dir():
         raise KickbenchError(f"{folder}: no such folder")
@@ -95,12 +93,11 @@ def report(
         return
     if folder is None:
         raise KickbenchError("expected a folder of runs: kickbench report DIR, or kickbench report --readme")
-    file = find(experiment, "reported") if experiment else None
     from kickbench.report.write import write_report
     from kickbench.trials.experiment import load_experiment
 
     out = out or folder / "report.html"
-    write_report(folder, out, load_experiment(file) if file else None)
+    write_report(folder, out, load_experiment(experiment) if experiment else None)
     print(shown(out))
 
 

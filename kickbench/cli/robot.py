@@ -7,7 +7,6 @@ import sys
 from pathlib import Path
 
 from kickbench.cli import app as cli
-from kickbench.config.shipped import find
 from kickbench.errors import KickbenchError, printable, shown
 
 _PORTRAIT = (300, 400)
@@ -37,7 +36,7 @@ def init(
 
 @cli.verb("Define", "robot check booster_k1 -o k1.png", of=cli.robot)
 def check(
-    robot: Path = cli.argument("Robot: a YAML file or a name.", "ROBOT", "robot"),
+    robot: Path = cli.argument("Robot: a YAML file or a name.", "ROBOT", **cli.file_of("robot")),
     out: Path | None = cli.option("Draw how it starts and ends (.png).", "-o", "--out", metavar="FILE"),
     task: Path = cli.option(
         "Task whose scene is used (default: mini_general).", default=Path("mini_general")
@@ -46,17 +45,15 @@ def check(
     json: cli.Json = False,
 ) -> int:
     """Print what to know of a robot before it is trained; exit code 1 if a fact fails."""
-    file = find(robot, "robot")
     from kickbench.robots.check import check_robot
 
-    report = check_robot(file.absolute(), task)
+    report = check_robot(robot.absolute(), task)
     print(json_text.dumps(report.as_json(), indent=2) if json else "\n".join(report.lines()))
     if out is not None:
         from kickbench.results.atomic import atomic_file
         from kickbench.view.pictures import robot_picture
 
-        poses = [report.standings[0].first, *(standing.last for standing in report.standings)]
-        picture = robot_picture(report.task, poses, report.box, *(size or _PORTRAIT))
+        picture = robot_picture(report.task, report.poses, report.box, *(size or _PORTRAIT))
         with atomic_file(out) as file:
             picture.save(file, "PNG")
         print(shown(out), file=sys.stderr if json else sys.stdout)

@@ -16,7 +16,7 @@ from kickbench.results.atomic import atomic_file
 from kickbench.results.metrics import load_metrics
 from kickbench.results.store import RunDirectory
 from kickbench.training.trained import load_run
-from kickbench.view.session import Session, evaluation_initial_states, fitting
+from kickbench.view.session import Session, evaluation_initial_states
 from kickbench.view.stage import Stage
 
 _INK, _PAPER, _PALE, _WHITE = (32, 38, 44), (250, 250, 248), (104, 112, 120), (255, 255, 255)
@@ -123,7 +123,7 @@ def film_runs(
     Raises:
         KickbenchError: There is no OpenGL, or a run has no policy for the task.
     """
-    policies = [fitting(task, load_run(run, unfinished=True)) for run in runs] or [None]
+    policies = [load_run(run, unfinished=True).policy_for(task) for run in runs] or [None]
     titles = [_title(run) for run in runs] if len(runs) > 1 else [""]
     named = zip(policies, titles, strict=True)
     sessions = [Session(task, policy, seed, episodes, title) for policy, title in named]
