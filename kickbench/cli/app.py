@@ -48,14 +48,16 @@ _SETTINGS: dict[str, Any] = {
     "subcommand_metavar": "VERB ...",
 }
 app = typer.Typer(**_SETTINGS)
-symmetry = typer.Typer(
-    add_completion=False,
-    help="Derive joint pairs and signs from a model's geometry; check mirrors.",
-    **_SETTINGS,
-)
-app.add_typer(symmetry, name="symmetry", rich_help_panel="Define")
-robot = typer.Typer(add_completion=False, help="Write a robot file for an MJCF, and check one.", **_SETTINGS)
-app.add_typer(robot, name="robot", rich_help_panel="Define")
+
+
+def _group(name: str, text: str) -> typer.Typer:
+    group = typer.Typer(add_completion=False, help=text, **_SETTINGS)
+    app.add_typer(group, name=name, rich_help_panel="Define")
+    return group
+
+
+symmetry = _group("symmetry", "Derive joint pairs and signs from a model's geometry; check mirrors.")
+robot = _group("robot", "Write a robot file for an MJCF, and check one.")
 
 
 def verb(
@@ -104,21 +106,21 @@ def override_of(overrides: Sequence[str], key: str) -> str | None:
     return own[-1] if own else None
 
 
-def refuse_contradiction(overrides: Sequence[str], key: str, flag: str, values: Sequence[int]) -> None:
+def refuse_contradiction(overrides: Sequence[str], key: str, *values: int | None) -> None:
     """Refuses a flag and a `--set` that give one key two values: one of them would be ignored.
 
     Args:
         overrides: `key.path=value` texts.
-        key: The key that the flag sets.
-        flag: The flag.
-        values: What the flag gives; nothing if it is not there.
+        key: The key; the flag has the name of its last part.
+        values: What the flag gives; None or nothing if it is not there.
 
     Raises:
         SpecError: They differ.
     """
-    override, given = override_of(overrides, key), " ".join(map(str, values))
-    if override and values and {override.partition("=")[2].strip()} != set(map(str, values)):
-        raise SpecError.of(f"--set {override}", f"{flag} {given} sets {key}, too: give one of them only")
+    override, given = override_of(overrides, key), [str(value) for value in values if value is not None]
+    if override and given and {override.partition("=")[2].strip()} != {*given}:
+        flag = f"--{key.rpartition('.')[2].replace('_', '-')} {' '.join(given)}"
+        raise SpecError.of(f"--set {override}", f"{flag} sets {key}, too: give one of them only")
 
 
 def number(low: float, high: float) -> Callable[[str], float]:
@@ -157,7 +159,7 @@ def names_of(*kinds: str) -> Callable[[str], list[str]]:
 
 def file_of(*kinds: str) -> dict[str, Any]:
     """Of an argument or option that is a file of some kinds: the verb gets its path, whatever names it."""
-    return {"autocompletion": names_of(*kinds), "parser": lambda text: find(text, *kinds)}
+    return {"autocompletion": names_of(*kinds), "callback": lambda path: path and find(path, *kinds)}
 
 
 def argument(text: str, metavar: str, default: Any = ..., **more: Any) -> Any:

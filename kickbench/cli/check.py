@@ -77,7 +77,7 @@ def bench(
     """
     if proof and (device == "cpu" or json or profile):
         raise KickbenchError("--proof needs --device cuda, and neither --json nor --profile")
-    cli.refuse_contradiction(overrides, _NUM_ENVS, "--num-envs", num_envs)
+    cli.refuse_contradiction(overrides, _NUM_ENVS, *num_envs)
     from kickbench.bench.measure import measure, profile_iteration
     from kickbench.bench.report import print_report
     from kickbench.results.atomic import atomic_write_text, check_writable

@@ -1,4 +1,4 @@
-"""Verbs for the YAML files: `list`, `new`, `show`, `validate`, `terms`, `schema` and `symmetry derive`."""
+"""Verbs for the YAML files: `list`, `new`, `show`, `validate`, `terms` and `schema`."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from kickbench.errors import KickbenchError, Problem, SpecError, printable, show
 
 Kind = Literal["task", "method", "robot", "representations", "reported"]
 Terms = Literal["observations", "rewards", "terminations", "randomizations"]
+_NAMES = cli.names_of(*FOLDERS)
 
 
 class _TorchLater:
@@ -68,15 +69,16 @@ def new(
 
 @cli.verb("Define", "validate my_task.yaml mini/equivariant")
 def validate(
-    files: list[Path] = cli.argument("YAML files of any kind, or names.", "FILE...", **cli.file_of(*FOLDERS)),
+    files: list[Path] = cli.argument("YAML files of any kind, or names.", "FILE...", autocompletion=_NAMES),
     overrides: cli.Set = cli.NONE,
 ) -> None:
     """Check YAML files, a single task with every method among them, and report all errors."""
+    paths = [find(file, *FOLDERS) for file in files]
     sys.modules.setdefault("torch", _TorchLater())  # type: ignore[arg-type]
     from kickbench.trials.validate import check_files
 
     problems: list[Problem] = []
-    for report in check_files(files, overrides):
+    for report in check_files(paths, overrides):
         problems += report.problems
         if report.kind and not report.problems:
             print(f"{shown(report.name)}: fine ({report.kind})")
@@ -133,20 +135,6 @@ def schema(kind: Kind = cli.argument("Kind of file.", "KIND")) -> None:
     from kickbench.trials.validate import model_of
 
     print(json.dumps(json_schema(model_of(kind)), indent=2))
-
-
-@cli.verb("Define", "symmetry derive my_robot.xml", of=cli.symmetry)
-def derive(model: Path = cli.argument("MJCF file.", "MODEL")) -> int:
-    """Print the `symmetry:` block of a robot file, derived from the geometry of its MJCF."""
-    if not model.is_file():
-        raise KickbenchError(f"{model}: {'a folder, no file' if model.is_dir() else 'no such file'}")
-    from kickbench.sim.carried import compile_robot
-    from kickbench.sim.read_parts import read_parts
-    from kickbench.symmetry.derive import derive, symmetry_block
-
-    derivation = derive(read_parts(compile_robot(model)))
-    print(symmetry_block(derivation, model.name))
-    return 1 if derivation.unclear else 0
 
 
 def _show_fields(task: Path, method: Path, overrides: list[str]) -> None:

@@ -67,11 +67,9 @@ def _when_fixed(experiment: LoadedExperiment, measured: pd.DataFrame) -> list[st
 
     runs = runs_of(measured)
     records = [origin.experiment for origin in runs.provenance[runs.counted]]
-    these = sum(record is not None and record.claims == experiment.claims_hash for record in records)
-    unknown = sum(record is None for record in records)
-    counts = {"with these claims": these, "with other claims": len(records) - these - unknown}
-    counts["without a record of claims"] = unknown
-    said = ", ".join(f"{count} {words}" for words, count in counts.items() if count)
+    kinds = ("with these claims", "with other claims", "without a record of claims")
+    found = [kinds[2 if r is None else int(r.claims != experiment.claims_hash)] for r in records]
+    said = ", ".join(f"{found.count(kind)} {kind}" for kind in kinds if kind in found)
     return [f"{len(records)} runs, begun {said}"] if records else []
 
 

@@ -123,6 +123,7 @@ def play(
     from kickbench.envs.compiled_task import read_task
     from kickbench.training.trained import load_run
     from kickbench.view.play import play as show
+    from kickbench.view.session import Session
 
     run = load_run(path, trust_code=trust_code, unfinished=True) if path.is_dir() else None
     if run is None and task is not None:
@@ -132,15 +133,9 @@ def play(
     else:
         compiled = read_task(task or (run.directory.task_spec if run else path), overrides)
         compiled = replace(compiled, is_trusted=run is None or task is not None or trust_code)
-    show(
-        compiled,
-        run.policy_for(compiled) if run else None,
-        f"kickbench play {shown(path)}",
-        seed=compiled.spec.evaluation.seed if seed is None else seed,
-        host=host,
-        port=port,
-        browser=browser,
-    )
+    policy, protocol = run.policy_for(compiled) if run else None, compiled.spec.evaluation
+    seed, title = protocol.seed if seed is None else seed, f"kickbench play {shown(path)}"
+    show(Session(compiled, policy, seed, protocol.episodes, title), host, port, browser)
 
 
 @cli.verb("Look at results", "export runs/mini_home_field/equivariant/seed0")

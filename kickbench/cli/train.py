@@ -57,9 +57,8 @@ def run(
     if init_std is not None and init_from is None:
         raise KickbenchError("--init-std replaces the standard deviation of a policy: it needs --init-from")
     options["method"] = find_method(method, task, overrides)
-    for flag, value in (("iterations", iterations), ("num_envs", num_envs)):
-        values = [] if value is None else [value]
-        cli.refuse_contradiction(overrides, f"algorithm.{flag}", f"--{flag.replace('_', '-')}", values)
+    cli.refuse_contradiction(overrides, "algorithm.iterations", iterations)
+    cli.refuse_contradiction(overrides, "algorithm.num_envs", num_envs)
     from kickbench.launch.run import RunRequest
     from kickbench.launch.run import run as train
     from kickbench.results.frame import frame_of
@@ -116,7 +115,7 @@ def reproduce(
     selection = Selection(tuple(only), tuple(seeds), scale, tuple(overrides), out, device, threads)
     plan = make_plan(load_experiment(experiment), selection)
     how = "as many at a time as fit on Ray" if on == "ray" else f"{jobs} at a time"
-    how += f", {threads} thread{'s' * (threads > 1)} each"
+    how = f"; {how}, {threads} thread{'s' * (threads > 1)} each"
     _print_states(plan.record.title(shown(plan.folder)), list(_planned(plan)), jobs, how)
     print(flush=True)
     if dry_run:
@@ -143,7 +142,7 @@ def _print_states(
     from kickbench.launch.state import counts, run_table, time_left
 
     print(run_table(title, runs))
-    print(f"\n{'; '.join(filter(None, (counts([state for _, state, _ in runs]), how)))}")
+    print(f"\n{counts([state for _, state, _ in runs])}{how}")
     if at_a_time is not None:
         # The folder above a seed's is its condition; without a plan it is the nearest thing to one.
         conditions = [(str(Path(name).parent), state) for name, state, _ in runs]

@@ -127,7 +127,7 @@ def film_runs(
     titles = [_title(run) for run in runs] if len(runs) > 1 else [""]
     named = zip(policies, titles, strict=True)
     sessions = [Session(task, policy, seed, episodes, title) for policy, title in named]
-    frames = tracked(film(task, sessions, episodes, *size, mirrored=mirrored), "drawing", "frames")
+    frames = tracked(film(sessions, episodes, *size, mirrored=mirrored), "drawing", "frames")
     write_webp(out, frames, frame_time(task))
 
 
@@ -147,19 +147,12 @@ def frame_time(task: CompiledTask) -> float:
 
 
 def film(
-    task: CompiledTask,
-    sessions: Sequence[Session],
-    episodes: int,
-    width: int,
-    height: int,
-    *,
-    mirrored: bool = False,
+    sessions: Sequence[Session], episodes: int, width: int, height: int, *, mirrored: bool = False
 ) -> Iterator[Image.Image]:
     """Draws episodes one after the other, those of several policies from the same initial state side by side.
 
     Args:
-        task: The task.
-        sessions: The policies; the title of each is the heading of its part of the picture.
+        sessions: The policies, on one task; the title of each is the heading of its part of the picture.
         episodes: Number of episodes.
         width: Width of one policy's part, pixels.
         height: Its height, pixels.
@@ -168,6 +161,7 @@ def film(
     Raises:
         KickbenchError: There is no OpenGL.
     """
+    task = sessions[0].env.task
     with Stage(task, width, height) as stage:
         for number in range(episodes):
             for session in sessions:
