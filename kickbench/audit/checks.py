@@ -194,7 +194,7 @@ def _field_verdict(
         "zero in every state": ~moved & ~found.proven,
         "not distinguished from others": moved & ~found.proven,
     }
-    parts = [(what, [names[i] for i in np.flatnonzero(mask)]) for what, mask in idle.items()]
+    parts = [(what, [names[i] for i in np.flatnonzero(mask).tolist()]) for what, mask in idle.items()]
     detail = "; ".join(f"{', '.join(which)} {what}" for what, which in parts if which)
     return ("partly excited" if detail else "ok"), detail
 

@@ -80,7 +80,8 @@ def representation_of(fits: np.ndarray, preferred: Representation) -> Representa
         if pick is None:
             return None
         entries[i], entries[pick[0]] = pick, (i, pick[1])
-    return Representation(*zip(*(entries[i] for i in range(len(fits))), strict=True))
+    permutation, signs = zip(*(entries[i] for i in range(len(fits))), strict=True)
+    return Representation(permutation, signs)
 
 
 def name_of(representation: Representation, own: Mapping[str, Representation] | None = None) -> str:
