@@ -8,12 +8,7 @@ import numpy as np
 import torch
 from tensordict import TensorDict
 
-from kickbench.audit.measure import (
-    Measurement,
-    contradiction,
-    entry_contradiction,
-    judge_misfits,
-)
+from kickbench.audit.measure import Measurement, contradiction, entry_contradiction, judge_misfits
 from kickbench.audit.record import Pairs, Recording
 from kickbench.audit.report import Row, Verdict, verdict_of
 from kickbench.evaluation.rollouts import Policy
@@ -49,37 +44,39 @@ def judge(recording: Recording, derivation: Derivation, symmetry: Symmetry, decl
         symmetry: The declared tables.
         declared: The declared joint table.
     """
-    yield from _joint_rows(derivation, declared)
-    yield from _action_rows(recording, symmetry.actions)
+    yield from _table_rows(recording, derivation, symmetry.actions, declared)
     yield from _dynamics_rows(recording)
     yield from _field_rows(recording, symmetry, declared)
     yield from term_rows(recording)
 
 
-def _joint_rows(derivation: Derivation, declared: Image) -> Iterator[Row]:
-    """Check 1: the declared image of every joint is the one that follows from the geometry."""
-    wrong = False
-    for name, measured in derivation.image.items():
-        if (said := declared.get(name)) is not None and said != measured:
-            detail = f"declared {image_words(name, *said)}; measured: {image_words(name, *measured)}"
-            wrong = True
-            yield Row("tables", name, "FAIL", np.inf, 0.0, detail=detail)
-    for match in derivation.unclear:
-        yield Row("tables", match.name, "not compared", detail=f"by geometry: {match.reason}")
-    if not wrong:
-        yield Row("tables", f"joints by geometry [{len(derivation.image)}]", "ok", 0.0, 0.0)
+def _table_rows(
+    recording: Recording, derivation: Derivation, actions: Representation, declared: Image
+) -> Iterator[Row]:
+    """Check 1: the declared image of every joint is the one that follows from the geometry.
 
-
-def _action_rows(recording: Recording, actions: Representation) -> Iterator[Row]:
-    """Check 1: the declared image of every action is the one used to mirror states, which check 2 proves."""
+    That of every action is the one used to mirror states, which check 2 proves.
+    """
+    joints = {
+        name: f"declared {image_words(name, *declared[name])}; measured: {image_words(name, *measured)}"
+        for name, measured in derivation.image.items()
+        if declared.get(name, measured) != measured
+    }
     proven, names = recording.reflection.actions.representation, recording.task.scene.layout.actuator_names
     entries = (zip(table.permutation, table.signs, strict=True) for table in (actions, proven))
-    wrong = [i for i, (said, seen) in enumerate(zip(*entries, strict=True)) if said != seen]
-    for i in wrong:
-        detail = entry_contradiction(actions, proven, i, names)
-        yield Row("tables", f"action {names[i]}", "FAIL", np.inf, 0.0, detail=detail)
-    if not wrong:
-        yield Row("tables", f"actions by geometry [{len(names)}]", "ok", 0.0, 0.0)
+    moved = {
+        f"action {names[i]}": entry_contradiction(actions, proven, i, names)
+        for i, (said, seen) in enumerate(zip(*entries, strict=True))
+        if said != seen
+    }
+    tables = ("joints", derivation.image, joints, derivation.unclear), ("actions", names, moved, ())
+    for what, parts, wrong, unclear in tables:
+        for name, detail in wrong.items():
+            yield Row("tables", name, "FAIL", np.inf, 0.0, detail=detail)
+        for match in unclear:
+            yield Row("tables", match.name, "not compared", detail=f"by geometry: {match.reason}")
+        if not wrong:
+            yield Row("tables", f"{what} by geometry [{len(parts)}]", "ok", 0.0, 0.0)
 
 
 # Check 2: velocities a step later by joint, and contacts by channel
@@ -163,7 +160,7 @@ def _contact_rows(recording: Recording, exact: np.ndarray) -> Iterator[Row]:
 def _field_rows(recording: Recording, symmetry: Symmetry, declared: Image) -> Iterator[Row]:
     """Check 3: every observation field of a state's mirror image is rho times that of the state."""
     layout = recording.task.scene.layout
-    components = {"joints": layout.joint_names, "actions": layout.actuator_names}
+    names = {"joints": layout.joint_names, "actions": layout.actuator_names}
     own = {"joints": mirror_joints(layout.joint_names, declared), "actions": symmetry.actions}
     repeated = [pairs.name for pairs in recording.fields]
     for pairs in recording.fields:
@@ -171,47 +168,35 @@ def _field_rows(recording: Recording, symmetry: Symmetry, declared: Image) -> It
         name = f"{pairs.name} ({' and '.join(pairs.groups)})" if several else pairs.name
         representation = symmetry.groups[pairs.groups[0]][pairs.name]
         peak = float(np.abs(pairs.original).max(initial=0.0))
-        found = judge_misfits(pairs.misfit, representation, max(_FIELD * peak, 1e-7), peak)
+        tolerance = max(_FIELD * peak, 1e-7)
+        found = judge_misfits(pairs.misfit, representation, tolerance)
         stated = pairs.bound.term.representation if pairs.bound is not None else None
-        yield _field_row(name, pairs, found, own, components.get(str(stated)))
+        verdict, detail = _field_verdict(pairs.original, found, own, names.get(str(stated)))
+        excited = f"{found.proven.sum()}/{representation.dim}, peak {peak:.3g} {pairs.unit}".rstrip()
+        error = float(found.error.max(initial=0.0))
+        yield Row("observations", name, verdict, error, tolerance, pairs.unit, excited, detail)
 
 
-def _field_row(
-    name: str,
-    pairs: Pairs,
+def _field_verdict(
+    original: np.ndarray,
     found: Measurement,
     own: Mapping[str, Representation],
-    parts: Sequence[str] | None,
-) -> Row:
-    size, proven = len(found.error), int(found.proven.sum())
-    verdict: Verdict = "ok"
-    detail = ""
+    names: Sequence[str] | None,
+) -> tuple[Verdict, str]:
+    """The verdict on a field, and what is wrong, or which components the states prove nothing for."""
+    moved, size = original.any(axis=0), found.declared.dim
     if found.wrong.any():
-        verdict, detail = "FAIL", contradiction(found, own, parts)
-    elif not proven:
-        verdict, detail = "never excited", f"{'constant' if found.peak else 'zero'} in every state"
-    elif proven < size:
-        names = parts or ("xyz" if size == 3 else [str(i) for i in range(size)])
-        verdict, detail = "partly excited", _idle(pairs.original, found, names)
-    unit = _unit(pairs)
-    excited = f"{proven}/{size}, peak {found.peak:.3g} {unit}".rstrip()
-    error = float(found.error.max(initial=0.0))
-    return Row("observations", name, verdict, error, found.tolerance, unit, excited, detail)
-
-
-def _unit(pairs: Pairs) -> str:
-    return "" if pairs.unit in ("1", "true/false") else pairs.unit
-
-
-def _idle(original: np.ndarray, found: Measurement, names: Sequence[str]) -> str:
-    """Names the components for which the states prove nothing."""
-    zero = np.abs(original).max(axis=0) == 0.0
-    groups = {
-        "zero in every state": zero & ~found.proven,
-        "not distinguished from others": ~zero & ~found.proven,
+        return "FAIL", contradiction(found, own, names)
+    if not found.proven.any():
+        return "never excited", f"{'constant' if moved.any() else 'zero'} in every state"
+    names = names or ("xyz" if size == 3 else [str(i) for i in range(size)])
+    idle = {
+        "zero in every state": ~moved & ~found.proven,
+        "not distinguished from others": moved & ~found.proven,
     }
-    parts = [(what, [names[int(i)] for i in np.flatnonzero(mask)]) for what, mask in groups.items()]
-    return "; ".join(f"{', '.join(which)} {what}" for what, which in parts if which)
+    parts = [(what, [names[i] for i in np.flatnonzero(mask).tolist()]) for what, mask in idle.items()]
+    detail = "; ".join(f"{', '.join(which)} {what}" for what, which in parts if which)
+    return ("partly excited" if detail else "ok"), detail
 
 
 def term_rows(recording: Recording) -> Iterator[Row]:
@@ -232,7 +217,7 @@ def _term_row(kind: str, pairs: Pairs, relative: float) -> Row:
         "never excited": "zero in every state",
     }
     excited, detail = f"in {int((mine != 0.0).sum())} states", details.get(verdict, "")
-    return Row("terms", f"{kind} {pairs.name}", verdict, error, tolerance, _unit(pairs), excited, detail)
+    return Row("terms", f"{kind} {pairs.name}", verdict, error, tolerance, pairs.unit, excited, detail)
 
 
 # Check 6

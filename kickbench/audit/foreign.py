@@ -49,9 +49,8 @@ class View:
         tolerance = _TOLERANCE * np.maximum(1e-2, np.abs(self.source).max(axis=0, initial=0.0))
         wrong = ~(off <= tolerance) & ~np.isnan(self.image)
         for i in np.flatnonzero(wrong.mean(axis=0) > _SLACK):
-            count = int(wrong[:, i].sum())
-            where = "" if count == _STATES else f" in {count} of {_STATES} rows"
             rows = wrong[:, i]
+            where = "" if rows.all() else f" in {rows.sum()} of {_STATES} rows"
             yield (
                 f"{self.names[i]}: the mirror gives {self._words(given[rows, i], rows)}{where}; "
                 f"right: {self._words(self.image[:, i], slice(None))}"

@@ -8,7 +8,7 @@ fits as well, the states did not excite the component enough to decide.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,47 +18,38 @@ _CLEARLY = 100.0
 """An entry is ruled out once it misses by so many tolerances."""
 
 
-@dataclass(frozen=True)
-class Measurement:
+class Measurement(NamedTuple):
     """How a vector was found to transform.
 
     Attributes:
         declared: What was claimed.
         error: Largest violation of the declared entry, by component [d].
-        tolerance: What is allowed.
-        peak: Largest magnitude of any component.
+        wrong: Components whose declared entry does not fit [d] bool.
         proven: Components for which the states rule out every entry but one [d] bool.
         measured: A representation that fits; None if no signed permutation does.
     """
 
     declared: Representation
     error: np.ndarray
-    tolerance: float
-    peak: float
+    wrong: np.ndarray
     proven: np.ndarray
     measured: Representation | None
 
-    @property
-    def wrong(self) -> np.ndarray:
-        """Components whose declared entry does not fit [d] bool."""
-        return ~(self.error <= self.tolerance)
 
-
-def judge_misfits(misfit: np.ndarray, declared: Representation, tolerance: float, peak: float) -> Measurement:
+def judge_misfits(misfit: np.ndarray, declared: Representation, tolerance: float) -> Measurement:
     """Judges a declared representation by how badly every entry fits.
 
     Args:
         misfit: Error of the entry (i, j, s) [d, d, 2]; s = +1, -1.
         declared: The declared representation.
         tolerance: What still fits.
-        peak: Largest magnitude of any component.
     """
     places, signs = np.array(declared.permutation), np.array(declared.signs)
     rows = np.arange(declared.dim)
     error = misfit[rows, places, (signs < 0).astype(int)]
     proven = (misfit > _CLEARLY * tolerance).sum(axis=(1, 2)) == 2 * declared.dim - 1
     found = representation_of(misfit <= tolerance, declared)
-    return Measurement(declared, error, tolerance, peak, proven, found)
+    return Measurement(declared, error, ~(error <= tolerance), proven, found)
 
 
 def misfits(original: np.ndarray, image: np.ndarray) -> np.ndarray:
@@ -77,25 +68,20 @@ def representation_of(fits: np.ndarray, preferred: Representation) -> Representa
         fits: Whether entry (i, j, s) fits [d, d, 2] bool.
         preferred: Taken where it fits.
     """
-    size = len(fits)
     entries: dict[int, tuple[int, int]] = {}
-    for i in range(size):
+    both = fits & fits.transpose(1, 0, 2)  # an entry and that of its partner, which must have the same sign
+    for i in range(len(fits)):
         if i in entries:
             continue
         own = preferred.permutation[i], preferred.signs[i]
         # Two constants fit as a pair and as single components: single ones are the simpler explanation.
-        options = [own, (i, 1), (i, -1), *((j, s) for j in range(size) if j != i for s in (1, -1))]
-        pick = next((o for o in options if o[0] not in entries and _both_fit(fits, i, *o)), None)
+        options = [own, (i, 1), (i, -1), *((j, s) for j in range(len(fits)) if j != i for s in (1, -1))]
+        pick = next(((j, s) for j, s in options if j not in entries and both[i, j, int(s < 0)]), None)
         if pick is None:
             return None
         entries[i], entries[pick[0]] = pick, (i, pick[1])
-    permutation, signs = zip(*(entries[i] for i in range(size)), strict=True)
+    permutation, signs = zip(*(entries[i] for i in range(len(fits))), strict=True)
     return Representation(permutation, signs)
-
-
-def _both_fit(fits: np.ndarray, i: int, j: int, sign: int) -> bool:
-    place = 0 if sign > 0 else 1
-    return bool(fits[i, j, place] and fits[j, i, place])
 
 
 def name_of(representation: Representation, own: Mapping[str, Representation] | None = None) -> str:

@@ -114,12 +114,8 @@ class _Comparer:
 
     def _exclusions(self) -> Row:
         odd = set(self.model.exclude_signature.tolist()) - set(self.image.exclude_signature.tolist())
-        names = [
-            " and ".join(
-                self.model.body(body).name.removeprefix(ROBOT) for body in (pair >> 16, pair & 0xFFFF)
-            )
-            for pair in sorted(odd)
-        ]
+        bodies = [self.model.body(body).name.removeprefix(ROBOT) for body in range(self.model.nbody)]
+        names = [f"{bodies[pair >> 16]} and {bodies[pair & 0xFFFF]}" for pair in sorted(odd)]
         detail = f"no mirror image among them: {'; '.join(names)}" if odd else ""
         verdict = "unequal" if odd else "ok"
         return Row("model", "contact exclusions", verdict, float(len(odd)), 0.0, "pairs", detail=detail)

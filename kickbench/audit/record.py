@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -34,8 +35,7 @@ _LYING = 15
 """Steps for which envs of one kind go on after their episode's end."""
 
 
-@dataclass(frozen=True)
-class Reflection:
+class Reflection(NamedTuple):
     """The mirror maps that states are reflected with.
 
     Attributes:
@@ -53,16 +53,13 @@ class Reflection:
         """The reflection that follows from a joint table."""
         layout = task.scene.layout
         coordinates, image = layout.coordinates, {**image, **layout.scene_image}
-        return Reflection(
-            Mirror(mirror_qpos(coordinates, image)),
-            Mirror(mirror_qvel(coordinates, image)),
-            Mirror(mirror_actions(task.robot.spec.actuators, image)),
-        )
+        maps = mirror_qpos(coordinates, image), mirror_qvel(coordinates, image)
+        return Reflection(*map(Mirror, (*maps, mirror_actions(task.robot.spec.actuators, image))))
 
     def __call__(self, snapshot: Tensors) -> Tensors:
         """The mirror image of running episodes, except for the actor's samples: the audit judges terms."""
         exact = Tensors({name: part for name, part in snapshot.items() if name != "perception"})
-        return exact.mirrored(self.qpos, self.qvel, self.actions)
+        return exact.mirrored(*self)
 
 
 def reflection_of(task: CompiledTask, derivation: Derivation) -> Reflection:
@@ -106,7 +103,7 @@ class Pairs:
 
     Attributes:
         name: What it is.
-        unit: Its unit.
+        unit: Its unit; empty if it has none.
         groups: Observation groups that have it.
         bound: The term that it is the value of.
     """
@@ -115,23 +112,25 @@ class Pairs:
     unit: str = ""
     groups: tuple[str, ...] = ()
     bound: Bound | None = None
-    _originals: list[Tensor] = field(default_factory=list, repr=False)
-    _images: list[Tensor] = field(default_factory=list, repr=False)
+    _rows: list[Tensor] = field(default_factory=list, repr=False)
 
     def add(self, original: Tensor, image: Tensor, keep: Tensor) -> None:
         """Adds the rows of the envs in `keep` [B]."""
-        self._originals.append(original[keep].clone())
-        self._images.append(image[keep].clone())
+        self._rows.append(torch.stack([original[keep], image[keep]]))
 
     @cached_property
+    def _both(self) -> np.ndarray:
+        return torch.cat(self._rows, dim=1).double().numpy()
+
+    @property
     def original(self) -> np.ndarray:
         """Of the states [N, ...], float64."""
-        return torch.cat(self._originals).double().numpy()
+        return self._both[0]
 
-    @cached_property
+    @property
     def image(self) -> np.ndarray:
         """Of their mirror images [N, ...], float64."""
-        return torch.cat(self._images).double().numpy()
+        return self._both[1]
 
     @cached_property
     def misfit(self) -> np.ndarray:
@@ -219,7 +218,7 @@ class _Recorder:
             task,
             self.reflection,
             fields=_field_pairs(task),
-            rewards=tuple(Pairs(bound.name, bound.term.units, bound=bound) for bound, _ in task.rewards),
+            rewards=tuple(Pairs(bound.name, _unit(bound), bound=bound) for bound, _ in task.rewards),
             terminations=tuple(Pairs(bound.name, bound=bound) for bound in task.terminations),
             touches=tuple(map(Pairs, layout.contacts)),
             forces=tuple(Pairs(name, "N") for name in layout.forces),
@@ -298,6 +297,10 @@ def _field_pairs(task: CompiledTask) -> tuple[Pairs, ...]:
     for group, fields in task.groups.items():
         for item in fields:
             key = f"{item.key} {item.params.clip}"
-            known = found.get(key) or Pairs(item.name, item.bound.term.units, (), item.bound)
+            known = found.get(key) or Pairs(item.name, _unit(item.bound), (), item.bound)
             found[key] = replace(known, groups=(*known.groups, group))
     return tuple(found.values())
+
+
+def _unit(bound: Bound) -> str:
+    return "" if bound.term.units in ("1", "true/false") else bound.term.units

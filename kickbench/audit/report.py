@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, field
-from typing import Any, Literal
+from dataclasses import dataclass, field
+from typing import Any, Literal, NamedTuple
+
+from pydantic_core import to_jsonable_python
 
 from kickbench.results.tables import render_block
 
@@ -28,14 +29,27 @@ CHECKS = {
     "model": "5 model: geometry, masses, limits and gains against their mirror images",
     "policy": "6 policy: pi(rho o) against rho pi(o)",
 }
-Question = Literal["table", "robot", "policy"]
-SECTIONS: dict[Question, str] = {
-    "table": "Is the table right? (on the robot and its mirror image)",
-    "robot": "Is the robot symmetric?",
-    "policy": "Is the policy equivariant?",
+
+
+class Question(NamedTuple):
+    """A question that an audit answers.
+
+    Attributes:
+        heading: In words.
+        bit: What it adds to the exit code when its answer is no. 2 is that of wrong specifications.
+        no: That answer.
+    """
+
+    heading: str
+    bit: int
+    no: str
+
+
+QUESTIONS = {
+    "table": Question("Is the table right? (on the robot and its mirror image)", 1, "WRONG"),
+    "robot": Question("Is the robot symmetric?", 4, "unequal"),
+    "policy": Question("Is the policy equivariant?", 8, "NOT EQUIVARIANT"),
 }
-BITS: dict[Question, int] = {"table": 1, "robot": 4, "policy": 8}
-"""What a question adds to the exit code when its answer is no. 2 is that of wrong specifications."""
 
 
 @dataclass(frozen=True)
@@ -69,9 +83,16 @@ class Row:
         return self.verdict in ("FAIL", "unequal")
 
     @property
-    def question(self) -> Question:
+    def question(self) -> str:
         """The question that the row helps to answer."""
-        return "robot" if self.check == "model" else "policy" if self.check == "policy" else "table"
+        return {"model": "robot", "policy": "policy"}.get(self.check, "table")
+
+    @property
+    def cells(self) -> tuple[str, ...]:
+        """The line in a table."""
+        error = "-" if self.error is None else f"{self.error:.2g} {self.unit}".rstrip()
+        tolerance = "-" if self.tolerance is None else f"{self.tolerance:.1g}"
+        return self.name, error, tolerance, self.excited, self.verdict, self.detail
 
 
 @dataclass(frozen=True)
@@ -98,38 +119,30 @@ class Report:
     rows: tuple[Row, ...] = ()
     but_for: tuple[str, ...] = ()
 
-    def failures(self, question: Question) -> tuple[Row, ...]:
+    def failures(self, question: str) -> list[Row]:
         """Rows that say no to a question, in order."""
-        return tuple(row for row in self.rows if row.failed and row.question == question)
+        return [row for row in self.rows if row.failed and row.question == question]
 
     @property
     def exit_code(self) -> int:
-        """The sum of the bits of all questions whose answer is no; see `BITS`."""
-        return sum(bit for question, bit in BITS.items() if self.failures(question))
+        """The sum of the bits of all questions whose answer is no."""
+        return sum(question.bit for name, question in QUESTIONS.items() if self.failures(name))
 
     @property
-    def verdicts(self) -> dict[Question, str]:
+    def verdicts(self) -> dict[str, str]:
         """The answer to every question that was asked, in one line each."""
-        rows = {question: [row for row in self.rows if row.question == question] for question in SECTIONS}
-        unproven = [row.name for row in rows["table"] if row.verdict.endswith("excited")]
-        open_ends = f"; not proven, never or partly excited: {', '.join(unproven)}" if unproven else ""
-        action = next((row for row in rows["policy"]), None)
-        measured = action is not None and action.verdict == "measured"
-        size = f"measured: {action.error:.2g} of {action.excited}" if action is not None else ""
-        rest = f" but for: {', '.join(self.but_for)}" if self.but_for else ""
-        yes: dict[Question, str] = {
-            "table": f"right{open_ends}",
+        rows = {name: [row for row in self.rows if row.question == name] for name in QUESTIONS}
+        unproven = ", ".join(row.name for row in rows["table"] if row.verdict.endswith("excited"))
+        yes = {
+            "table": f"right; not proven, never or partly excited: {unproven}" if unproven else "right",
             "robot": "symmetric",
-            "policy": f"{'not claimed' if measured else 'equivariant'}{rest}; {size}",
         }
-        no = {"table": "WRONG", "robot": "unequal", "policy": "NOT EQUIVARIANT"}
-        return {
-            question: f"{no[question]}: {_first(failed)}"
-            if (failed := self.failures(question))
-            else yes[question]
-            for question in SECTIONS
-            if rows[question]
-        }
+        for action in rows["policy"]:
+            claimed = "not claimed" if action.verdict == "measured" else "equivariant"
+            rest = f" but for: {', '.join(self.but_for)}" if self.but_for else ""
+            yes["policy"] = f"{claimed}{rest}; measured: {action.error:.2g} of {action.excited}"
+        failed = {name: self.failures(name) for name in QUESTIONS if rows[name]}
+        return {n: f"{QUESTIONS[n].no}: {_first(no)}" if no else yes[n] for n, no in failed.items()}
 
     @property
     def conclusion(self) -> str:
@@ -139,10 +152,9 @@ class Report:
 
     def as_json(self) -> dict[str, Any]:
         """The report as plain data; infinities become null."""
-        rows = [{k: _finite(v) for k, v in asdict(row).items()} for row in self.rows]
-        head = {k: v for k, v in asdict(self).items() if k != "rows"}
-        answers = {"verdicts": self.verdicts, "exit_code": self.exit_code, "conclusion": self.conclusion}
-        return {**head, "passed": not self.exit_code, **answers, "rows": rows}
+        head = to_jsonable_python(self, inf_nan_mode="null")
+        rows, answers = head.pop("rows"), ("verdicts", "exit_code", "conclusion")
+        return {**head, "passed": not self.exit_code, **{k: getattr(self, k) for k in answers}, "rows": rows}
 
     def lines(self) -> Iterator[str]:
         """The report for people."""
@@ -153,12 +165,14 @@ class Report:
             yield f"the method's symmetry: equivariant but for: {excluded} (zero in check 6)"
         yield f"{self.states} states in {self.seconds:.0f} s: {happened}"
         for question, verdict in self.verdicts.items():
-            yield f"\n{SECTIONS[question]}"
+            yield f"\n{QUESTIONS[question].heading}"
             for check, title in CHECKS.items():
-                rows = [row for row in self.rows if row.check == check and row.question == question]
-                if rows:
+                cells = [row.cells for row in self.rows if row.check == check and row.question == question]
+                if cells:
+                    width = max(len(detail) for *_, detail in cells)
+                    cells = [(*others, detail.ljust(width)) for *others, detail in cells]
                     header = ("", _ERROR.get(check, "worst error"), "tolerance", "excited", "verdict", "")
-                    yield "\n" + render_block(title, header, [_cells(rows)], None)
+                    yield "\n" + render_block(title, header, [cells], None)
             yield f"\n{question}: {verdict}"
         yield f"\n{self.conclusion}"
 
@@ -172,22 +186,3 @@ def _first(failures: Sequence[Row]) -> str:
 
 _ERROR = {"dynamics": "99 % below"}
 """What the column of errors has, where it is not the worst error."""
-
-
-def _cells(rows: Sequence[Row]) -> list[tuple[str, ...]]:
-    width = max(len(row.detail) for row in rows)
-    return [
-        (
-            row.name,
-            "-" if row.error is None else f"{row.error:.2g} {row.unit}".rstrip(),
-            "-" if row.tolerance is None else f"{row.tolerance:.1g}",
-            row.excited,
-            row.verdict,
-            row.detail.ljust(width),
-        )
-        for row in rows
-    ]
-
-
-def _finite(value: Any) -> Any:
-    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -10,16 +10,15 @@ from kickbench.audit.checks import judge, policy_rows
 from kickbench.audit.model import derive_scene, model_rows
 from kickbench.audit.record import record
 from kickbench.audit.report import Report
-from kickbench.config.load import Loaded, LoadedMethod, load, load_method, load_task
+from kickbench.config.load import Loaded, LoadedMethod, load, load_method
 from kickbench.config.method import RepresentationSpec
 from kickbench.config.shipped import find
 from kickbench.config.yamlio import load_document
-from kickbench.envs.catalog import model_of_task
-from kickbench.envs.compiled_task import CompiledTask, compile_task
-from kickbench.errors import KickbenchError, shown
+from kickbench.envs.compiled_task import read_task
+from kickbench.errors import shown
 from kickbench.results.store import RunDirectory
 from kickbench.training.trained import load_run
-from kickbench.trials.trial import Trial, symmetry_of
+from kickbench.trials.trial import symmetry_of
 from kickbench.trials.validate import kind_of
 
 
@@ -48,17 +47,13 @@ def audit(
         KickbenchError: The run does not go with the task.
     """
     started = time.perf_counter()
-    compiled = compile_task(load_task(model_of_task, task, overrides))
+    compiled = read_task(task, overrides)
+    trained = load_run(run) if run else None
+    policy = trained.policy_for(compiled) if trained else None
     representations, method = _load_table(table, run)
     symmetry = symmetry_of(compiled, representations)
-    trained = None
-    if run is not None:
-        trained = load_run(run)
-        check_run(compiled, trained.trial, run)
-        method = trained.trial.method
-    partial = symmetry_of(compiled, representations, method)
+    partial = symmetry_of(compiled, representations, trained.trial.method if trained else method)
     derivation = derive_scene(compiled)
-    policy = trained.policy if trained else None
     recording = record(compiled, derivation, states, seed, threads, policy)
     rows = list(judge(recording, derivation, symmetry, compiled.robot.spec.symmetry.image()))
     rows += model_rows(compiled, derivation)
@@ -80,26 +75,10 @@ def _load_table(
     table: Path | None, run: Path | None
 ) -> tuple[Loaded[RepresentationSpec], LoadedMethod | None]:
     """The table, and the method that names it."""
-    if table is not None:
-        document = load_document(table)
-        kind = kind_of(document)
-        if kind not in ("method", "representations"):
-            raise document.error((), f"expected a method or a representation table, found a {kind} file")
-        method = load_method(table) if kind == "method" else None
-        return method.representations if method else load(RepresentationSpec, table), method
-    standard = find("standard", "representations")
-    return load(RepresentationSpec, RunDirectory(run).representations_spec if run else standard), None
-
-
-def check_run(task: CompiledTask, run: Trial, path: Path) -> None:
-    """Checks that a run's networks see what the task shows.
-
-    Raises:
-        KickbenchError: They see other fields.
-    """
-    for group, fields in task.groups.items():
-        mine, theirs = ([(f.name, f.size) for f in groups] for groups in (fields, run.task.groups[group]))
-        if mine != theirs:
-            names = ", ".join(name for name, _ in theirs)
-            what = f"its {group} sees {names}, which is not what {task.name} shows"
-            raise KickbenchError(f"--policy {path}: {what}")
+    own = RunDirectory(run).representations_spec if run else find("standard", "representations")
+    document = load_document(table or own)
+    kind = kind_of(document)
+    if kind not in ("method", "representations"):
+        raise document.error((), f"expected a method or a representation table, found a {kind} file")
+    method = load_method(table or own) if kind == "method" else None
+    return method.representations if method else load(RepresentationSpec, table or own), method

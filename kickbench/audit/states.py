@@ -44,7 +44,7 @@ class VariedInitialStates:
         self._task, self._layout = task, layout
         self._draws = _Draws(torch.Generator().manual_seed(seed))
         self._sampler = InitialStateSampler(task, self._draws.generator)
-        self._base = next((c for c in layout.coordinates if c.free and c.name != "ball"), None)
+        self._base = layout.base
 
     def __call__(self, mask: Tensor) -> InitialStates:
         """An initial state for every env; env i gets kind i mod 4."""

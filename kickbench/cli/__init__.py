@@ -13,7 +13,7 @@ from typing import Any, TextIO
 
 from kickbench.errors import KickbenchError, printable, shown
 
-_VERBS = ("train", "look", "policies", "define", "robot", "symmetry", "check")
+_VERBS = ("train", "look", "policies", "define", "robot", "check")
 """Modules with verbs."""
 _LISTS = {"reproduce": "--seeds", "bench": "--num-envs"}
 """Options that take several numbers at once."""

@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 import typer
 from typer.core import TyperGroup
 
+from kickbench.config.shipped import find, names
 from kickbench.errors import SpecError
 
 PANELS = ("Train", "Look at results", "Define", "Check")
@@ -47,14 +48,16 @@ _SETTINGS: dict[str, Any] = {
     "subcommand_metavar": "VERB ...",
 }
 app = typer.Typer(**_SETTINGS)
-symmetry = typer.Typer(
-    add_completion=False,
-    help="Derive joint pairs and signs from a model's geometry; check mirrors.",
-    **_SETTINGS,
-)
-app.add_typer(symmetry, name="symmetry", rich_help_panel="Define")
-robot = typer.Typer(add_completion=False, help="Write a robot file for an MJCF, and check one.", **_SETTINGS)
-app.add_typer(robot, name="robot", rich_help_panel="Define")
+
+
+def _group(name: str, text: str) -> typer.Typer:
+    group = typer.Typer(add_completion=False, help=text, **_SETTINGS)
+    app.add_typer(group, name=name, rich_help_panel="Define")
+    return group
+
+
+symmetry = _group("symmetry", "Derive joint pairs and signs from a model's geometry; check mirrors.")
+robot = _group("robot", "Write a robot file for an MJCF, and check one.")
 
 
 def verb(
@@ -103,21 +106,21 @@ def override_of(overrides: Sequence[str], key: str) -> str | None:
     return own[-1] if own else None
 
 
-def refuse_contradiction(overrides: Sequence[str], key: str, flag: str, values: Sequence[int]) -> None:
+def refuse_contradiction(overrides: Sequence[str], key: str, *values: int | None) -> None:
     """Refuses a flag and a `--set` that give one key two values: one of them would be ignored.
 
     Args:
         overrides: `key.path=value` texts.
-        key: The key that the flag sets.
-        flag: The flag.
-        values: What the flag gives; nothing if it is not there.
+        key: The key; the flag has the name of its last part.
+        values: What the flag gives; None or nothing if it is not there.
 
     Raises:
         SpecError: They differ.
     """
-    override, given = override_of(overrides, key), " ".join(map(str, values))
-    if override and values and {override.partition("=")[2].strip()} != set(map(str, values)):
-        raise SpecError.of(f"--set {override}", f"{flag} {given} sets {key}, too: give one of them only")
+    override, given = override_of(overrides, key), [str(value) for value in values if value is not None]
+    if override and given and {override.partition("=")[2].strip()} != {*given}:
+        flag = f"--{key.rpartition('.')[2].replace('_', '-')} {' '.join(given)}"
+        raise SpecError.of(f"--set {override}", f"{flag} sets {key}, too: give one of them only")
 
 
 def number(low: float, high: float) -> Callable[[str], float]:
@@ -151,19 +154,16 @@ def _size(text: str) -> Pixels:
 
 def names_of(*kinds: str) -> Callable[[str], list[str]]:
     """What a shell may complete an argument to: the names of shipped files."""
-
-    def complete(incomplete: str) -> list[str]:
-        from kickbench.config.shipped import names
-
-        return [name for kind in kinds for name in names(kind) if name.startswith(incomplete)]
-
-    return complete
+    return lambda incomplete: [n for kind in kinds for n in names(kind) if n.startswith(incomplete)]
 
 
-def argument(text: str, metavar: str, *kinds: str, default: Any = ..., **more: Any) -> Any:
-    """A positional argument; of some kinds of file: a path or a shipped name."""
-    if kinds:
-        more["autocompletion"] = names_of(*kinds)
+def file_of(*kinds: str) -> dict[str, Any]:
+    """Of an argument or option that is a file of some kinds: the verb gets its path, whatever names it."""
+    return {"autocompletion": names_of(*kinds), "callback": lambda path: path and find(path, *kinds)}
+
+
+def argument(text: str, metavar: str, default: Any = ..., **more: Any) -> Any:
+    """A positional argument."""
     return typer.Argument(default, help=text, metavar=metavar, show_default=False, **more)
 
 
@@ -185,19 +185,22 @@ def count(text: str, *flags: str, metavar: str = "N", least: int = 1, **more: An
 FILE: dict[str, Any] = {"exists": True, "dir_okay": False}
 FOLDER: dict[str, Any] = {"exists": True, "file_okay": False}
 """Of an argument or option that is a path: it must be there."""
+TASK: dict[str, Any] = {"metavar": "TASK", **file_of("task")}
+"""Of an argument or option that is a task."""
 NONE: list[Any] = []
 """Default of an option that may be repeated."""
 
 # What several verbs have; the default is with the verb.
-Task = Annotated[Path, argument("Task: a YAML file or a name of `kickbench list`.", "TASK", "task")]
-Method = Annotated[Path, argument("Method: a YAML file or a name; of a task's robot.", "METHOD", "method")]
-Experiment = Annotated[Path, argument("Experiment: a YAML file or a name.", "EXPERIMENT", "reported")]
+Task = Annotated[Path, argument("Task: a YAML file or a name of `kickbench list`.", **TASK)]
+_METHOD = "Method: a YAML file or a name; of a task's robot."
+Method = Annotated[Path, argument(_METHOD, "METHOD", autocompletion=names_of("method"))]
+_REPORTED = file_of("reported")
+Experiment = Annotated[Path, argument("Experiment: a YAML file or a name.", "EXPERIMENT", **_REPORTED)]
 Run = Annotated[Path, argument("Run directory.", "RUN")]
 Policy = Annotated[Path | None, option("Run directory whose policy is used.", default=..., metavar="RUN")]
 Roots = Annotated[list[Path], argument("Run directories, or folders of them.", "DIR...")]
-For = Annotated[
-    Path | None, option("Experiment of the runs: file or name.", default=..., metavar="EXPERIMENT")
-]
+_FOR = "Experiment of the runs: file or name."
+For = Annotated[Path | None, option(_FOR, default=..., metavar="EXPERIMENT", **_REPORTED)]
 Set = Annotated[list[str], option("Override values.", "--set", default=..., metavar="key.path=value")]
 Device = Annotated[Literal["cpu", "cuda"], typer.Option(help="Where to compute.")]
 Threads = Annotated[int | None, count("Threads (default: the cores this process may use).", default=...)]

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 _METHODS = ("baseline", "augmentation", "equivariant")
 _METHOD = "Method or table (default: the run's, or the standard one)."
+_TABLES = cli.names_of("method", "representations")
 _NUM_ENVS, _DEFAULT_ENVS = "algorithm.num_envs", 512
 _NEEDED = {"torch": "torch", "mujoco": "mujoco", "rsl-rl-lib": "rsl_rl", "tensordict": "tensordict"}
 """Packages without which nothing runs, and the modules they are imported as."""
@@ -32,7 +33,7 @@ _SECONDS = 120
 @cli.verb("Check", "audit k1_general equivariant")
 def audit(
     task: cli.Task,
-    method: Path | None = cli.argument(_METHOD, "[METHOD]", "method", "representations", default=None),
+    method: Path | None = cli.argument(_METHOD, "[METHOD]", default=None, autocompletion=_TABLES),
     policy: cli.Policy = None,
     states: int = cli.count("States to visit (default: 4096).", default=4096),
     seed: cli.Seed = 0,
@@ -45,7 +46,6 @@ def audit(
     Exit code: 0, or the sum of 1 (a table is wrong), 4 (the robot is unequal) and 8 (a policy that must be
     equivariant is not); 2: a specification is wrong, and nothing was audited.
     """
-    task = find(task, "task")
     if method is not None:
         is_table = str(method) in names("representations")
         method = find(method, "representations") if is_table else find_method(method, task, ["robot"])
@@ -58,7 +58,7 @@ def audit(
 
 @cli.verb("Check", "bench --num-envs 256 1024 --profile")
 def bench(
-    task: Path = cli.option("Task (default: mini_general).", metavar="TASK", default=Path("mini_general")),
+    task: Path = cli.option("Task (default: mini_general).", default=Path("mini_general"), **cli.TASK),
     methods: Path | None = cli.option("Folder of the three methods (default: the robot's).", metavar="DIR"),
     num_envs: list[int] = cli.count("Envs: one or more numbers (default: 512).", metavar="N...", default=[]),
     rounds: int = cli.count("Interleaved repetitions (default: 10).", default=10),
@@ -75,10 +75,9 @@ def bench(
 
     Exit code: 0; with `--proof` 1 if anything failed or could not be tried; 2: nothing was measured.
     """
-    file = find(task, "task")
     if proof and (device == "cpu" or json or profile):
         raise KickbenchError("--proof needs --device cuda, and neither --json nor --profile")
-    cli.refuse_contradiction(overrides, _NUM_ENVS, "--num-envs", num_envs)
+    cli.refuse_contradiction(overrides, _NUM_ENVS, *num_envs)
     from kickbench.bench.measure import measure, profile_iteration
     from kickbench.bench.report import print_report
     from kickbench.results.atomic import atomic_write_text, check_writable
@@ -89,7 +88,7 @@ def bench(
     default = [_DEFAULT_ENVS] if cli.override_of(overrides, _NUM_ENVS) is None else []
     sizes = [[f"{_NUM_ENVS}={number}"] for number in num_envs or default] or [[]]
     # All of them first: a wrong file is an error before anything is measured.
-    chosen = [_trials(file, methods, [*overrides, *size]) for size in sizes]
+    chosen = [_trials(task, methods, [*overrides, *size]) for size in sizes]
     if proof:
         from kickbench.bench.proof import prove
 

@@ -1,4 +1,4 @@
-"""Verbs for the YAML files: `list`, `new`, `show`, `validate`, `terms`, `schema` and `symmetry derive`."""
+"""Verbs for the YAML files: `list`, `new`, `show`, `validate`, `terms` and `schema`."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from kickbench.errors import KickbenchError, Problem, SpecError, printable, show
 
 Kind = Literal["task", "method", "robot", "representations", "reported"]
 Terms = Literal["observations", "rewards", "terminations", "randomizations"]
+_NAMES = cli.names_of(*FOLDERS)
 
 
 class _TorchLater:
@@ -68,7 +69,7 @@ def new(
 
 @cli.verb("Define", "validate my_task.yaml mini/equivariant")
 def validate(
-    files: list[Path] = cli.argument("YAML files of any kind, or names.", "FILE...", *FOLDERS),
+    files: list[Path] = cli.argument("YAML files of any kind, or names.", "FILE...", autocompletion=_NAMES),
     overrides: cli.Set = cli.NONE,
 ) -> None:
     """Check YAML files, a single task with every method among them, and report all errors."""
@@ -89,22 +90,21 @@ def validate(
 
 @cli.verb("Define", "show mini_home_field --set ball.mass=0.2")
 def show(
-    file: Path = cli.argument("A YAML file of any kind, or a name.", "FILE", *FOLDERS),
+    file: Path = cli.argument("A YAML file of any kind, or a name.", "FILE", **cli.file_of(*FOLDERS)),
     fields: Path | None = cli.option("Print how all mirrors by this method instead.", metavar="METHOD"),
     overrides: cli.Set = cli.NONE,
 ) -> None:
     """Print a resolved spec and where each value came from."""
-    path = find(file, *FOLDERS)
     if fields is not None:
-        return _show_fields(path, find_method(fields, path, overrides), overrides)
+        return _show_fields(file, find_method(fields, file, overrides), overrides)
     from kickbench.config.explain import explain
     from kickbench.config.load import load
     from kickbench.config.yamlio import load_document
     from kickbench.envs.catalog import model_of_task
     from kickbench.trials.validate import kind_of, model_of
 
-    kind = kind_of(load_document(path, overrides))
-    loaded = load(model_of_task if kind == "task" else model_of(kind), path, overrides)
+    kind = kind_of(load_document(file, overrides))
+    loaded = load(model_of_task if kind == "task" else model_of(kind), file, overrides)
     print(explain(loaded.spec, loaded.document).rstrip("\n"))
 
 
@@ -135,20 +135,6 @@ def schema(kind: Kind = cli.argument("Kind of file.", "KIND")) -> None:
     from kickbench.trials.validate import model_of
 
     print(json.dumps(json_schema(model_of(kind)), indent=2))
-
-
-@cli.verb("Define", "symmetry derive my_robot.xml", of=cli.symmetry)
-def derive(model: Path = cli.argument("MJCF file.", "MODEL")) -> int:
-    """Print the `symmetry:` block of a robot file, derived from the geometry of its MJCF."""
-    if not model.is_file():
-        raise KickbenchError(f"{model}: {'a folder, no file' if model.is_dir() else 'no such file'}")
-    from kickbench.sim.carried import compile_robot
-    from kickbench.sim.read_parts import read_parts
-    from kickbench.symmetry.derive import derive, symmetry_block
-
-    derivation = derive(read_parts(compile_robot(model)))
-    print(symmetry_block(derivation, model.name))
-    return 1 if derivation.unclear else 0
 
 
 def _show_fields(task: Path, method: Path, overrides: list[str]) -> None:

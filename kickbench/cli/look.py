@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Literal
 import typer
 
 from kickbench.cli import app as cli
-from kickbench.config.shipped import find
 from kickbench.errors import KickbenchError, shown
 
 if TYPE_CHECKING:
@@ -45,13 +44,12 @@ def claims(
     json: cli.Json = False,
 ) -> int:
     """Judge the claims of an experiment by its measured runs."""
-    file = find(experiment, "reported")
     from kickbench.results.frame import load_runs
     from kickbench.results.tables import unplanned_lines
     from kickbench.results.verdicts import judge, verdict_lines, verdicts_json
     from kickbench.trials.experiment import load_experiment
 
-    loaded = load_experiment(file)
+    loaded = load_experiment(experiment)
     # A missing default folder means that nothing is measured yet; a folder that the user names must exist.
     if folder and not folder.is_dir():
         raise KickbenchError(f"{folder}: no such folder")
@@ -69,11 +67,9 @@ def _when_fixed(experiment: LoadedExperiment, measured: pd.DataFrame) -> list[st
 
     runs = runs_of(measured)
     records = [origin.experiment for origin in runs.provenance[runs.counted]]
-    these = sum(record is not None and record.claims == experiment.claims_hash for record in records)
-    unknown = sum(record is None for record in records)
-    counts = {"with these claims": these, "with other claims": len(records) - these - unknown}
-    counts["without a record of claims"] = unknown
-    said = ", ".join(f"{count} {words}" for words, count in counts.items() if count)
+    kinds = ("with these claims", "with other claims", "without a record of claims")
+    found = [kinds[2 if r is None else int(r.claims != experiment.claims_hash)] for r in records]
+    said = ", ".join(f"{found.count(kind)} {kind}" for kind in kinds if kind in found)
     return [f"{len(records)} runs, begun {said}"] if records else []
 
 
@@ -95,12 +91,11 @@ def report(
         return
     if folder is None:
         raise KickbenchError("expected a folder of runs: kickbench report DIR, or kickbench report --readme")
-    file = find(experiment, "reported") if experiment else None
     from kickbench.report.page import write_report
     from kickbench.trials.experiment import load_experiment
 
     out = out or folder / "report.html"
-    write_report(folder, out, load_experiment(file) if file else None)
+    write_report(folder, out, load_experiment(experiment) if experiment else None)
     print(shown(out))
 
 

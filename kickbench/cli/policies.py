@@ -9,6 +9,7 @@ from kickbench.cli import app as cli
 from kickbench.config.shipped import find
 from kickbench.errors import KickbenchError, shown
 
+_PLAYED = "Run directory; or a task, for zero action."
 _SHEET_STATES, _EPISODES = 9, 3
 _SHEET_SIZE, _FILM_SIZE = (400, 300), (640, 480)
 
@@ -16,7 +17,7 @@ _SHEET_SIZE, _FILM_SIZE = (400, 300), (640, 480)
 @cli.verb("Train", "eval runs/mini_home_field/equivariant/seed1 --episodes 500", name="eval")
 def evaluate(
     run: cli.Run,
-    task: Path | None = cli.option("Another task: file or name (default: the run's).", metavar="TASK"),
+    task: Path | None = cli.option("Another task: file or name (default: the run's).", **cli.TASK),
     grid: bool = cli.flag("On a goal grid: every ball position with every target.", "--grid"),
     save: bool = cli.flag("Keep what --task or --grid gives in RUN/also/<task>[_grid].json.", "--save"),
     episodes: int | None = cli.count("Episodes a side (default: the task's), of a grid: a place (1)."),
@@ -28,7 +29,6 @@ def evaluate(
     """Evaluate the policy of a finished run again."""
     if save and not (task or grid):
         raise KickbenchError("--save keeps other figures beside the run's own: it needs --task or --grid")
-    task = find(task, "task") if task else None
     from kickbench.launch.run import evaluate as measure
     from kickbench.results.frame import frame_of
     from kickbench.results.integrity import write_also
@@ -71,7 +71,6 @@ def render(
     overrides: cli.Set = cli.NONE,
 ) -> None:
     """Draw initial states of a task, or film episodes."""
-    file = find(task, "task")
     from kickbench.view.backend import check_mujoco
 
     check_mujoco()
@@ -86,7 +85,7 @@ def render(
     from kickbench.results.atomic import atomic_file
     from kickbench.view.pictures import contact_sheet, film_runs
 
-    compiled = read_task(file, overrides)
+    compiled = read_task(task, overrides)
     out = out or Path(f"{compiled.name}.png")
     seed = compiled.spec.evaluation.seed if seed is None else seed
     if suffix == ".png":
@@ -107,8 +106,8 @@ def _refuse(reason: str, **options: object) -> None:
 
 @cli.verb("Look at results", "play runs/mini_home_field/equivariant/seed0")
 def play(
-    path: Path = cli.argument("Run directory; or a task, for zero action.", "RUN|TASK", "task"),
-    task: Path | None = cli.option("Another task for the run's policy.", metavar="TASK"),
+    path: Path = cli.argument(_PLAYED, "RUN|TASK", autocompletion=cli.names_of("task")),
+    task: Path | None = cli.option("Another task for the run's policy.", **cli.TASK),
     seed: cli.TaskSeed = None,
     port: int = cli.option("Port, or the next free (default: 8080).", default=8080, min=0, max=2**16 - 1),
     host: str = cli.option("Interface; who reaches it controls the page.", default="127.0.0.1"),
@@ -118,14 +117,13 @@ def play(
 ) -> None:
     """Show a policy live in a browser."""
     path = path if path.is_dir() else find(path, "task")
-    task = find(task, "task") if task else None
     from kickbench.view.backend import check_mujoco
 
     check_mujoco()
     from kickbench.envs.compiled_task import read_task
     from kickbench.training.trained import load_run
     from kickbench.view.play import play as show
-    from kickbench.view.session import fitting
+    from kickbench.view.session import Session
 
     run = load_run(path, trust_code=trust_code, unfinished=True) if path.is_dir() else None
     if run is None and task is not None:
@@ -135,15 +133,9 @@ def play(
     else:
         compiled = read_task(task or (run.directory.task_spec if run else path), overrides)
         compiled = replace(compiled, is_trusted=run is None or task is not None or trust_code)
-    show(
-        compiled,
-        fitting(compiled, run) if run else None,
-        f"kickbench play {shown(path)}",
-        seed=compiled.spec.evaluation.seed if seed is None else seed,
-        host=host,
-        port=port,
-        browser=browser,
-    )
+    policy, protocol = run.policy_for(compiled) if run else None, compiled.spec.evaluation
+    seed, title = protocol.seed if seed is None else seed, f"kickbench play {shown(path)}"
+    show(Session(compiled, policy, seed, protocol.episodes, title), host, port, browser)
 
 
 @cli.verb("Look at results", "export runs/mini_home_field/equivariant/seed0")

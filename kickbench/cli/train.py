@@ -55,12 +55,9 @@ def run(
     cli.exclude("--resume", resume, "--force", force)
     if init_std is not None and init_from is None:
         raise KickbenchError("--init-std replaces the standard deviation of a policy: it needs --init-from")
-    options["task"] = find(task, "task")
-    options["method"] = find_method(method, options["task"], overrides)
-    options["experiment"] = find(experiment, "reported") if experiment else None
-    for flag, value in (("iterations", iterations), ("num_envs", num_envs)):
-        values = [] if value is None else [value]
-        cli.refuse_contradiction(overrides, f"algorithm.{flag}", f"--{flag.replace('_', '-')}", values)
+    options["method"] = find_method(method, task, overrides)
+    cli.refuse_contradiction(overrides, "algorithm.iterations", iterations)
+    cli.refuse_contradiction(overrides, "algorithm.num_envs", num_envs)
     from kickbench.launch.run import RunRequest
     from kickbench.launch.run import run as train
     from kickbench.results.frame import frame_of
@@ -97,7 +94,6 @@ def reproduce(
     dry_run: bool = cli.flag("Show the plan, write nothing.", "--dry-run"),
 ) -> int:
     """Run a whole experiment, or what is left of it."""
-    file = find(experiment, "reported")
     if len(set(seeds)) < len(seeds):
         raise KickbenchError("--seeds: a seed is there twice")
     from kickbench.launch.cluster import RayExecutor, require_ray
@@ -116,10 +112,11 @@ def reproduce(
     threads = threads or cpus_per_run
     gpus = float(device != "cpu") if gpus_per_run is None else gpus_per_run
     selection = Selection(tuple(only), tuple(seeds), scale, tuple(overrides), out, device, threads)
-    plan = make_plan(load_experiment(file), selection)
-    _print_plan(
-        plan, jobs, "as many at a time as fit on Ray" if on == "ray" else f"{jobs} at a time", threads
-    )
+    plan = make_plan(load_experiment(experiment), selection)
+    how = "as many at a time as fit on Ray" if on == "ray" else f"{jobs} at a time"
+    how = f"; {how}, {threads} thread{'s' * (threads > 1)} each"
+    _print_states(plan.record.title(shown(plan.folder)), list(_planned(plan)), jobs, how)
+    print(flush=True)
     if dry_run:
         return 0
     carried_out = carry_out(
@@ -130,18 +127,25 @@ def reproduce(
     return _exit_code(carried_out)
 
 
-def _print_plan(plan: Plan, at_a_time: int, how: str, threads: int) -> None:
+def _planned(plan: Plan) -> Iterator[tuple[str, RunState, str]]:
+    """Name, state and remark of the runs of a plan."""
+    for run in plan.runs:
+        missing = ", ".join(run.missing_evaluations)
+        yield run.name, run.read_state(), f"to be evaluated on {missing}" if missing else ""
+
+
+def _print_states(
+    title: str, runs: list[tuple[str, RunState, str]], at_a_time: int | None, how: str = ""
+) -> None:
+    """Prints how far runs are, and how long the rest takes, so many at a time; None: there is no rest."""
     from kickbench.launch.state import counts, run_table, time_left
 
-    rows, states = [], []
-    for run in plan.runs:
-        missing, state = ", ".join(run.missing_evaluations), run.read_state()
-        rows.append((run.name, state, f"to be evaluated on {missing}" if missing else ""))
-        states.append((run.record.arm, state))
-    print(run_table(plan.record.title(shown(plan.folder)), rows))
-    each = f"{threads} thread{'s' * (threads > 1)} each"
-    print(f"\n{counts([state for _, state in states])}; {how}, {each}")
-    print(f"time left: {time_left(states, at_a_time)}\n", flush=True)
+    print(run_table(title, runs))
+    print(f"\n{counts([state for _, state, _ in runs])}{how}")
+    if at_a_time is not None:
+        # The folder above a seed's is its condition; without a plan it is the nearest thing to one.
+        conditions = [(str(Path(name).parent), state) for name, state, _ in runs]
+        print(f"time left: {time_left(conditions, at_a_time)}")
 
 
 def _print_results(plan: Plan) -> None:
@@ -259,20 +263,15 @@ def _pictures(folder: Path) -> Iterator[str]:
 @cli.verb("Train", "status runs/mini_home_field")
 def status(root: Path = cli.argument("Folder of runs.", "DIR", **cli.FOLDER)) -> None:
     """Print how far the runs of a folder are."""
-    from kickbench.launch.state import counts, read_record, run_table, time_left
+    from kickbench.launch.state import read_record
 
     record = read_record(root)
     runs = list(_states(root, record))
     if not runs:
         raise KickbenchError(f"{root}: holds no runs and no plan")
-    print(run_table(record.title(shown(root)) if record else shown(root), runs))
-    states = [state for _, state, _ in runs]
-    print(f"\n{counts(states)}")
-    if any(state.state != "finished" for state in states):
-        running = sum(state.state == "running" for state in states)
-        # Without a plan the folder above a seed's is the nearest thing to a condition.
-        conditions = [(str(Path(name).parent), state) for name, state, _ in runs]
-        print(f"time left: {time_left(conditions, max(1, running))}")
+    states = [state.state for _, state, _ in runs]
+    at_a_time = max(1, states.count("running")) if {*states} != {"finished"} else None
+    _print_states(record.title(shown(root)) if record else shown(root), runs, at_a_time)
 
 
 def _states(root: Path, record: PlanRecord | None) -> Iterator[tuple[str, RunState, str]]:
@@ -284,18 +283,17 @@ def _states(root: Path, record: PlanRecord | None) -> Iterator[tuple[str, RunSta
     frame = load_runs(root)
     found = {run.path.relative_to(root): run for _, run in runs_of(frame).iterrows()}
     planned = {run_path(Path(), run.arm, run.seed): run for run in record.runs} if record else {}
-    for folder, run in planned.items():
-        there = folder in found
-        state = state_of(found[folder], run.iterations) if there else RunState("not begun", 0, run.iterations)
-        missing = [task for task in run.also if not RunDirectory(root / folder).also(task).is_file()]
-        is_due = missing and there and found[folder].state == "finished"
-        remarks = [f"not evaluated on {', '.join(missing)}"] if is_due else []
+    for folder, plan in planned.items():
+        run, remarks = found.pop(folder, None), []
+        state = RunState("not begun", 0, plan.iterations) if run is None else state_of(run, plan.iterations)
+        missing = [task for task in plan.also if not RunDirectory(root / folder).also(task).is_file()]
+        if missing and run is not None and run.state == "finished":
+            remarks = [f"not evaluated on {', '.join(missing)}"]
         yield folder.as_posix(), state, "; ".join([*remarks, *_remarks(frame, root / folder)])
     for folder, run in found.items():
-        if folder not in planned:
-            remarks = ["not in the plan"] if planned else []
-            remarks += [f"scaled down to {run.scale:g}"] if run.scale > 0 else []
-            yield folder.as_posix(), state_of(run), "; ".join([*remarks, *_remarks(frame, run.path)])
+        remarks = ["not in the plan"] if planned else []
+        remarks += [f"scaled down to {run.scale:g}"] if run.scale > 0 else []
+        yield folder.as_posix(), state_of(run), "; ".join([*remarks, *_remarks(frame, run.path)])
 
 
 def _remarks(frame: pd.DataFrame, path: Path) -> list[str]:

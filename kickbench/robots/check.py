@@ -19,7 +19,7 @@ from kickbench.envs.compiled_task import CompiledTask, read_task
 from kickbench.errors import shown
 from kickbench.results.tables import render_block
 from kickbench.robots.guess import GRAVITY, efforts_of, supports
-from kickbench.robots.stand import ENVS, SECONDS, Standing, stand
+from kickbench.robots.stand import ENVS, SECONDS, Standing, default_pose, stand
 from kickbench.sim.check import read_robot
 from kickbench.sim.plausible import SAFE, Finding, Stepped, findings, stepped
 from kickbench.sim.pose import base_joint, lowest_point, posed, touching_geoms
@@ -70,6 +70,11 @@ class RobotReport:
     box: tuple[float, float]
 
     @property
+    def poses(self) -> list[np.ndarray]:
+        """Generalised positions before it stands, and after each of `standings`."""
+        return [default_pose(self.task), *(standing.last for standing in self.standings)]
+
+    @property
     def failed(self) -> bool:
         """Whether a fact fails."""
         return any(fact.verdict == "FAIL" for fact in self.facts)
@@ -85,13 +90,9 @@ class RobotReport:
         facts = [(f.name, f.value, f.verdict, f.detail.ljust(width)) for f in self.facts]
         yield render_block(f"robot {shown(self.robot)}", _HEADER, [facts], None)
         joints = [(of.joint, f"{of.damping:.3g}", f"{100 * of.share:.0f} %") for of in self.joints]
-        yield ""
-        yield render_block("", ("joint", "kd dt / I", "of instability"), [joints], None)
-        failures = [fact for fact in self.facts if fact.verdict == "FAIL"]
-        yield ""
-        yield (
-            f"{failures[0].name}: {failures[0].detail or failures[0].value}" if failures else "no fact fails"
-        )
+        yield "\n" + render_block("", ("joint", "kd dt / I", "of instability"), [joints], None)
+        failure = next((fact for fact in self.facts if fact.verdict == "FAIL"), None)
+        yield f"\n{failure.name}: {failure.detail or failure.value}" if failure else "\nno fact fails"
 
 
 def check_robot(file: Path, task: Path | str = "mini_general") -> RobotReport:
@@ -104,12 +105,12 @@ def check_robot(file: Path, task: Path | str = "mini_general") -> RobotReport:
     Raises:
         SpecError: The robot file or its MJCF is wrong.
     """
-    tasks = {way: _task(file, task, *way) for way in product(_TIMESTEPS, _INTEGRATORS)}
+    tasks = [_task(file, task, *way) for way in product(_TIMESTEPS, _INTEGRATORS)]
     own = _task(file, task)
     robot, simulation = own.robot, own.spec.simulation
     _, model = read_robot(robot)
     data = posed(model, robot.spec.initial.position, robot.spec.pose)
-    standings = tuple(map(stand, tasks.values()))
+    standings = tuple(map(stand, tasks))
     best = next((s for s in reversed(standings) if s.stands), None)
     joints = tuple(stepped(robot.spec, model, simulation.timestep, simulation.integrator))
     facts = (
@@ -198,13 +199,14 @@ def _ankles(robot: RobotSpec, model: mujoco.MjModel, data: mujoco.MjData) -> Ite
 
 
 def _steps(joints: Sequence[Stepped], simulation: SimulationSpec) -> Fact:
-    timestep, integrator = simulation.timestep, simulation.integrator
     worst = max(joints, key=lambda joint: joint.share)
     verdict: Verdict = "ok" if worst.share <= SAFE else "warn"
     words = f"'{worst.joint}' comes nearest to instability, which is at 100 %"
-    return Fact(
-        f"time step {1000 * timestep:g} ms, {integrator}", f"{100 * worst.share:.0f} %", verdict, words
-    )
+    return Fact(f"time step {_stepping(simulation)}", f"{100 * worst.share:.0f} %", verdict, words)
+
+
+def _stepping(simulation: SimulationSpec) -> str:
+    return f"{1000 * simulation.timestep:g} ms, {simulation.integrator}"
 
 
 def _standing(standings: Sequence[Standing], can_fall: bool) -> Iterator[Fact]:
@@ -216,7 +218,7 @@ def _standing(standings: Sequence[Standing], can_fall: bool) -> Iterator[Fact]:
             words += f"; {standing.unstable} became unstable"
         verdict: Verdict = "ok" if standing.stands else "warn" if works else "FAIL"
         what = "stands" if can_fall else "stays finite"
-        name = f"{what}, {1000 * standing.timestep:g} ms, {standing.integrator}"
+        name = f"{what}, {_stepping(standing.simulation)}"
         yield Fact(name, f"{np.median(seconds):.2f} s", verdict, words)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -63,21 +63,6 @@ STEPPINGS = (
 
 
 @dataclass(frozen=True)
-class Drive:
-    """A joint that an action moves.
-
-    Attributes:
-        name: Name of the actuator.
-        joint: Its joint.
-        effort: Largest torque or force, N m or N; None: the MJCF does not say.
-    """
-
-    name: str
-    joint: str
-    effort: float | None
-
-
-@dataclass(frozen=True)
 class Gains:
     """Gains by joint, and how the physics is to be stepped with them."""
 
@@ -113,16 +98,25 @@ class Candidate:
         return [j for j in range(self.model.njnt) if j != base_joint(self.model)]
 
     @cached_property
+    def _reference(self) -> dict[int, float]:
+        """Position of every joint in the keyframe or the reference pose."""
+        qpos = self.model.key_qpos[0] if self.model.nkey else self.model.qpos0
+        return {j: round(float(qpos[self.model.jnt_qposadr[j]]), 6) for j in self.hinges}
+
+    def _clipped(self, joint: int, value: float) -> float:
+        low, high = self.model.jnt_range[joint] if self.model.jnt_limited[joint] else (-np.inf, np.inf)
+        return float(np.clip(value, low, high))
+
+    @cached_property
     def moved(self) -> list[str]:
         """Joints whose position in the keyframe or the reference pose is outside their range."""
-        free = self._reference()
-        return [self.model.joint(j).name for j in self.hinges if self._clipped(j, free) != free[j]]
+        free = self._reference.items()
+        return [self.model.joint(j).name for j, value in free if self._clipped(j, value) != value]
 
     @cached_property
     def joints(self) -> dict[str, float]:
         """Position of every joint."""
-        free = self._reference()
-        pose = {j: self._clipped(j, free) for j in self.hinges}
+        pose = {j: self._clipped(j, value) for j, value in self._reference.items()}
         pose = pose if self.model.nkey else self._balanced(pose)
         return {self.model.joint(j).name: value for j, value in pose.items()}
 
@@ -136,8 +130,7 @@ class Candidate:
             tried = self._leaning({j: value + _TURN * turns.get(j, 0.0) for j, value in pose.items()})[0]
             if abs(ahead - tried) > 1e-6:
                 angle = _TURN * ahead / (ahead - tried)
-                turned = {j: value + angle * turns.get(j, 0.0) for j, value in pose.items()}
-                pose = {j: self._clipped(j, turned) for j in pose}
+                pose = {j: self._clipped(j, q + angle * turns.get(j, 0.0)) for j, q in pose.items()}
         return pose
 
     def _leaning(self, pose: Mapping[int, float]) -> tuple[float, float, dict[int, float]]:
@@ -152,14 +145,6 @@ class Candidate:
                 turns |= {lowest: -np.sign(pitch[lowest]), highest: np.sign(pitch[highest])}
         ahead = float(model.body_mass[1:] @ data.xipos[1:, 0] / self.mass - (min(ends) + max(ends)) / 2.0)
         return ahead, (max(ends) - min(ends)) / 4.0, turns
-
-    def _reference(self) -> dict[int, float]:
-        qpos = self.model.key_qpos[0] if self.model.nkey else self.model.qpos0
-        return {j: round(float(qpos[self.model.jnt_qposadr[j]]), 6) for j in self.hinges}
-
-    def _clipped(self, joint: int, free: Mapping[int, float]) -> float:
-        low, high = self.model.jnt_range[joint] if self.model.jnt_limited[joint] else (-np.inf, np.inf)
-        return float(np.clip(free[joint], low, high))
 
     @cached_property
     def height(self) -> float:
@@ -204,14 +189,12 @@ class Candidate:
     # Drives and gains
 
     @cached_property
-    def drives(self) -> list[Drive]:
-        """The MJCF's actuators that drive a joint, the first of each; without any, all joints."""
-        model, efforts = self.model, efforts_of(self.model)
-        names = {j: model.actuator(a).name or model.joint(j).name for j, a in _driving(model).items()}
-        names = names or {j: model.joint(j).name for j in self.hinges}
-        return [
-            Drive(name, model.joint(j).name, efforts.get(model.joint(j).name)) for j, name in names.items()
-        ]
+    def drives(self) -> dict[str, str]:
+        """Actuators of the joints that they drive, the MJCF's first of each; without any, all joints."""
+        model = self.model
+        names = {model.joint(j).name: model.actuator(a).name for j, a in _driving(model).items()}
+        names = names or {model.joint(j).name: "" for j in self.hinges}
+        return {joint: name or joint for joint, name in names.items()}
 
     @cached_property
     def mass(self) -> float:
@@ -250,8 +233,8 @@ class Candidate:
         return next((g for g in self._options() if g.stands), None) or list(self._options())[-1]
 
     def _options(self) -> Iterator[Gains]:
-        model, driven = self.model, [drive.joint for drive in self.drives]
-        dofs = {name: int(model.joint(name).dofadr[0]) for name in driven}
+        model = self.model
+        dofs = {name: int(model.joint(name).dofadr[0]) for name in self.drives}
         apparent, own = apparent_inertia(model, self.data), _own_inertia(model, self.data)
         sway = _SWAYING**2 * self.mass * self.centre**2 / max(1, len(self.supports))
         for stepping in STEPPINGS:
@@ -339,8 +322,3 @@ def _own_inertia(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
 def two_digits(value: float) -> float:
     """A number with two significant digits."""
     return float(f"{value:.2g}")
-
-
-def names_of(model: mujoco.MjModel, bodies: Sequence[int]) -> str:
-    """Names of bodies for a comment."""
-    return ", ".join(model.body(body).name for body in bodies)

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from kickbench.config.task import SimulationSpec
 from kickbench.envs.compiled_task import CompiledTask
 from kickbench.sim.cpu import CpuEngine
+from kickbench.sim.layout import SceneLayout
 
 ENVS, SECONDS = 64, 5.0
 _SETTLED = 0.5
@@ -29,21 +32,17 @@ class Standing:
     """What came of one way to step the physics.
 
     Attributes:
-        timestep: Physics time step, s.
-        integrator: MuJoCo's integrator.
+        simulation: Time step and integrator.
         seconds: How long each env stood, `SECONDS` at most [B], s; if one became unstable, until then.
         unstable: Envs that ended with NaN, infinity or an error of MuJoCo's.
         speed: Largest speed of every driven joint while its env stood [joints], rad/s or m/s.
-        first: Generalised positions of the default pose, ball away [nq].
         last: Generalised positions of the first env at the end [nq].
     """
 
-    timestep: float
-    integrator: str
+    simulation: SimulationSpec
     seconds: np.ndarray
     unstable: int
     speed: np.ndarray
-    first: np.ndarray
     last: np.ndarray
 
     @property
@@ -60,45 +59,26 @@ def stand(task: CompiledTask, seed: int = 0) -> Standing:
         seed: Seed of the disturbances.
     """
     simulation, layout = task.spec.simulation, task.scene.layout
-    engine = CpuEngine(task.scene.model, ENVS, simulation.decimation)
-    base = next((c for c in layout.coordinates if c.free and c.name != "ball"), None)
-    qpos, qvel = _disturbed(task, torch.Generator().manual_seed(seed))
-    engine.reset(torch.ones(ENVS, dtype=torch.bool), qpos, qvel)
+    up, seconds, interval = torch.ones(ENVS, dtype=torch.bool), torch.zeros(ENVS), simulation.control_interval
     target = torch.as_tensor(layout.default_target).expand(ENVS, -1)
-    up, steps = torch.ones(ENVS, dtype=torch.bool), round(SECONDS / simulation.control_interval)
-    seconds, failed = torch.zeros(ENVS), torch.zeros(ENVS, dtype=torch.bool)
-    speed, height = (
-        torch.zeros(len(layout.joint_qvel)),
-        0.0 if base is None else float(qpos[0, base.qpos + 2]),
-    )
-    try:
-        for step in range(steps):
+    speed = torch.zeros(len(layout.joint_qvel))
+    with closing(CpuEngine(task.scene.model, ENVS, simulation.decimation)) as engine:
+        engine.reset(torch.ones_like(up), *_disturbed(task, torch.Generator().manual_seed(seed)))
+        for step in range(1, round(SECONDS / interval) + 1):
             engine.step(target)
-            failed |= engine.failed
-            up &= ~engine.failed
-            if base is not None:
-                up &= _upright(engine.qpos[:, base.qpos : base.qpos + 7], height)
-            seconds[up] = (step + 1) * simulation.control_interval
-            if failed.any() or not up.any():
+            up &= ~engine.failed & _upright(layout, engine.qpos)
+            seconds[up] = step * interval
+            if engine.failed.any() or not up.any():
                 break
-            if (step + 1) * simulation.control_interval >= _SETTLED:
+            if step * interval >= _SETTLED:
                 moving = engine.qvel[up][:, layout.joint_qvel].abs().amax(dim=0)
                 speed = torch.maximum(speed, moving.float())
-        last = engine.qpos[0].numpy().copy()
-    finally:
-        engine.close()
-    return Standing(
-        simulation.timestep,
-        simulation.integrator,
-        seconds.numpy(),
-        int(failed.sum()),
-        speed.numpy(),
-        _default(task),
-        last,
-    )
+        unstable, last = int(engine.failed.sum()), engine.qpos[0].numpy().copy()
+    return Standing(simulation, seconds.numpy(), unstable, speed.numpy(), last)
 
 
-def _default(task: CompiledTask) -> np.ndarray:
+def default_pose(task: CompiledTask) -> np.ndarray:
+    """Generalised positions of a task's robot before it is disturbed, with the ball away [nq]."""
     qpos = task.scene.layout.default_qpos.copy()
     qpos[task.scene.layout.ball_qpos] = _BALL
     return qpos
@@ -106,19 +86,20 @@ def _default(task: CompiledTask) -> np.ndarray:
 
 def _disturbed(task: CompiledTask, draws: torch.Generator) -> tuple[Tensor, Tensor]:
     """The default pose, a little off in every env."""
-    layout, model = task.scene.layout, task.scene.model
-    qpos = torch.as_tensor(_default(task)).repeat(ENVS, 1)
-    qvel = torch.zeros(ENVS, model.nv, dtype=torch.float64)
+    layout = task.scene.layout
+    qpos = torch.as_tensor(default_pose(task)).repeat(ENVS, 1)
+    qvel = torch.zeros(ENVS, task.scene.model.nv, dtype=torch.float64)
     qpos[:, layout.joint_qpos] += _JOINT * torch.randn(ENVS, len(layout.joint_qpos), generator=draws)
-    for coordinate in layout.coordinates:
-        if coordinate.free and coordinate.name != "ball":
-            place = coordinate.qvel
-            qvel[:, place : place + 3] = _SHIFT * torch.randn(ENVS, 3, generator=draws).double()
-            qvel[:, place + 3 : place + 6] = _TURN * torch.randn(ENVS, 3, generator=draws).double()
+    if (base := layout.base) is not None:
+        for first, size in ((base.qvel, _SHIFT), (base.qvel + 3, _TURN)):
+            qvel[:, first : first + 3] = size * torch.randn(ENVS, 3, generator=draws).double()
     return qpos, qvel
 
 
-def _upright(base: Tensor, height: float) -> Tensor:
-    """Which bases [B, 7] are near their height and upright [B] bool."""
-    vertical = 1.0 - 2.0 * (base[:, 4] ** 2 + base[:, 5] ** 2)
-    return (base[:, 2] > _LOW * height) & (vertical > _UPRIGHT)
+def _upright(layout: SceneLayout, qpos: Tensor) -> Tensor:
+    """In which envs the base is near its height and upright [B] bool: without a free base in all of them."""
+    if (base := layout.base) is None:
+        return torch.ones(len(qpos), dtype=torch.bool)
+    place = qpos[:, base.qpos : base.qpos + 7]
+    vertical = 1.0 - 2.0 * (place[:, 4] ** 2 + place[:, 5] ** 2)
+    return (place[:, 2] > _LOW * layout.default_qpos[base.qpos + 2]) & (vertical > _UPRIGHT)

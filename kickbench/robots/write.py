@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from kickbench.config.yamltree import flow_yaml
-from kickbench.robots.guess import Candidate, Drive, names_of, two_digits
+from kickbench.robots.guess import Candidate, efforts_of, two_digits
 from kickbench.symmetry.derive import symmetry_block
 
 _SCALE = 0.25
@@ -28,10 +28,8 @@ def robot_file(model: Path, out: Path) -> str:
     """
     robot = Candidate(model)
     parts = (_head(robot, model, out), _initial(robot), _actuators(robot), _feet(robot))
-    return (
-        "\n".join(["\n".join(part) + "\n" for part in parts])
-        + f"\n{symmetry_block(robot.derivation, model.name)}\n"
-    )
+    blocks = *map("\n".join, parts), symmetry_block(robot.derivation, model.name)
+    return "\n\n".join(blocks) + "\n"
 
 
 def _head(robot: Candidate, model: Path, out: Path) -> Iterator[str]:
@@ -70,25 +68,24 @@ def _actuators(robot: Candidate) -> Iterator[str]:
     yield "# Both no more than the time step allows."
     yield "# GUESS: scale, rad or m: 0.25, or an eighth of the joint's range."
     yield "actuators:"
-    names, joints = ([flow_yaml(getattr(d, key)) for d in robot.drives] for key in ("name", "joint"))
-    wide, width = max(map(len, names)), max(map(len, joints))
-    for name, joint, drive in zip(names, joints, robot.drives, strict=True):
-        head = f"  {name + ':':{wide + 1}} {{kind: position, joint: {joint + ',':{width + 1}}"
-        yield f"{head} {_servo(robot, drive)}"
+    efforts, drives = efforts_of(robot.model), robot.drives
+    wide, width = (1 + max(len(flow_yaml(n)) for n in names) for names in (drives.values(), drives))
+    for joint, name in drives.items():
+        head = f"  {flow_yaml(name) + ':':{wide}} {{kind: position, joint: {flow_yaml(joint) + ',':{width}}"
+        yield f"{head} {_servo(robot, joint, efforts.get(joint))}"
 
 
-def _servo(robot: Candidate, drive: Drive) -> str:
-    kp, kd = robot.gains.kp[drive.joint], robot.gains.kd[drive.joint]
-    effort, note = drive.effort, ""
+def _servo(robot: Candidate, joint: str, effort: float | None) -> str:
+    kp, kd, note = robot.gains.kp[joint], robot.gains.kd[joint], ""
     if effort is None:
         effort, note = two_digits(max(kp / 2.0, 1e-3)), "   # GUESS: effort, N m: what kp asks for at 0.5 rad"
-    low, high = robot.model.joint(drive.joint).range
+    low, high = robot.model.joint(joint).range
     scale = two_digits(min(_SCALE, (high - low) / 8.0)) if high > low else _SCALE
     return f"kp: {kp!r}, kd: {kd!r}, effort: {float(f'{effort:.6g}')!r}, scale: {scale!r}}}{note}"
 
 
 def _feet(robot: Candidate) -> Iterator[str]:
-    standing = names_of(robot.model, robot.supports)
+    standing = ", ".join(robot.model.body(body).name for body in robot.supports)
     if not robot.feet:
         yield f"# NOT FOUND: feet; no left and right body among those that stand on the floor: {standing}"
         return

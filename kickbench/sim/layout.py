@@ -147,6 +147,11 @@ class SceneLayout:
     obstacles: ObstacleLayout | None = None
 
     @property
+    def base(self) -> Coordinate | None:
+        """The robot's free joint, if it has one."""
+        return next((c for c in self.coordinates if c.free and c.name != "ball"), None)
+
+    @property
     def scene_image(self) -> dict[str, tuple[str, int]]:
         """Images of the joints that are none of the robot's, in the form of a joint table."""
         slides = [c.name for c in self.coordinates if c.name.startswith(SLIDE)]

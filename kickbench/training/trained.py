@@ -13,6 +13,7 @@ from kickbench.config.method import MethodSpec, RepresentationSpec
 from kickbench.config.robot import RobotSpec
 from kickbench.config.shipped import find
 from kickbench.config.task import TaskSpec
+from kickbench.envs.compiled_task import CompiledTask
 from kickbench.errors import KickbenchError, shown
 from kickbench.nets.build import TrainedPolicy, build_actor
 from kickbench.results import integrity
@@ -59,6 +60,21 @@ class Run:
             KickbenchError: The run is not evaluated yet, or the file is damaged.
         """
         return load_metrics(self.directory.metrics)
+
+    def policy_for(self, task: CompiledTask) -> TrainedPolicy:
+        """The policy, if it fits a task that need not be the one that it was trained on.
+
+        Raises:
+            KickbenchError: It sees or moves something else than the task has.
+        """
+        own, path = self.trial.task, self.directory.path
+        sees, has = (", ".join(f"{f.name} ({f.size})" for f in t.groups["actor"]) for t in (own, task))
+        if sees != has:
+            raise KickbenchError(f"{path}: its policy sees {sees}; the task {task.name} has {has}")
+        moves, has = (", ".join(each.scene.layout.actuator_names) for each in (own, task))
+        if moves != has:
+            raise KickbenchError(f"{path}: its policy moves {moves}; the task's robot has {has}")
+        return self.policy
 
 
 def load_run(

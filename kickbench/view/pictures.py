@@ -16,7 +16,7 @@ from kickbench.results.atomic import atomic_file
 from kickbench.results.metrics import load_metrics
 from kickbench.results.store import RunDirectory
 from kickbench.training.trained import load_run
-from kickbench.view.session import Session, evaluation_initial_states, fitting
+from kickbench.view.session import Session, evaluation_initial_states
 from kickbench.view.stage import Stage
 
 _INK, _PAPER, _PALE, _WHITE = (32, 38, 44), (250, 250, 248), (104, 112, 120), (255, 255, 255)
@@ -123,11 +123,11 @@ def film_runs(
     Raises:
         KickbenchError: There is no OpenGL, or a run has no policy for the task.
     """
-    policies = [fitting(task, load_run(run, unfinished=True)) for run in runs] or [None]
+    policies = [load_run(run, unfinished=True).policy_for(task) for run in runs] or [None]
     titles = [_title(run) for run in runs] if len(runs) > 1 else [""]
     named = zip(policies, titles, strict=True)
     sessions = [Session(task, policy, seed, episodes, title) for policy, title in named]
-    frames = tracked(film(task, sessions, episodes, *size, mirrored=mirrored), "drawing", "frames")
+    frames = tracked(film(sessions, episodes, *size, mirrored=mirrored), "drawing", "frames")
     write_webp(out, frames, frame_time(task))
 
 
@@ -147,19 +147,12 @@ def frame_time(task: CompiledTask) -> float:
 
 
 def film(
-    task: CompiledTask,
-    sessions: Sequence[Session],
-    episodes: int,
-    width: int,
-    height: int,
-    *,
-    mirrored: bool = False,
+    sessions: Sequence[Session], episodes: int, width: int, height: int, *, mirrored: bool = False
 ) -> Iterator[Image.Image]:
     """Draws episodes one after the other, those of several policies from the same initial state side by side.
 
     Args:
-        task: The task.
-        sessions: The policies; the title of each is the heading of its part of the picture.
+        sessions: The policies, on one task; the title of each is the heading of its part of the picture.
         episodes: Number of episodes.
         width: Width of one policy's part, pixels.
         height: Its height, pixels.
@@ -168,6 +161,7 @@ def film(
     Raises:
         KickbenchError: There is no OpenGL.
     """
+    task = sessions[0].env.task
     with Stage(task, width, height) as stage:
         for number in range(episodes):
             for session in sessions:

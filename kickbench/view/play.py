@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from contextlib import closing
 from typing import Any
 
 # pyright: reportAttributeAccessIssue=false
@@ -12,7 +13,6 @@ import numpy as np
 from kickbench.envs.compiled_task import CompiledTask
 from kickbench.envs.episode import FOOT_NAMES
 from kickbench.errors import KickbenchError
-from kickbench.evaluation.rollouts import Policy
 from kickbench.nets.build import torch_threads
 from kickbench.sim.silence import silent
 from kickbench.view.session import Session
@@ -170,23 +170,11 @@ def slider_limits(task: CompiledTask) -> np.ndarray:
     return limits + margin[:, None] * [-1.0, 1.0]
 
 
-def play(
-    task: CompiledTask,
-    policy: Policy | None,
-    title: str,
-    *,
-    seed: int,
-    host: str,
-    port: int,
-    browser: bool | None,
-) -> None:
-    """Shows a policy on a task in a browser until Ctrl-C.
+def play(session: Session, host: str, port: int, browser: bool | None) -> None:
+    """Shows a session in a browser until Ctrl-C, and closes it.
 
     Args:
-        task: Compiled task.
-        policy: Deterministic policy; None: zero action.
-        title: Title of page and window.
-        seed: Seed of the initial states.
+        session: A session, whose title is that of page and window.
         host: Interface to bind.
         port: Port; if it is taken, one of the next.
         browser: Whether to open a browser; None: if there is one.
@@ -194,15 +182,10 @@ def play(
     Raises:
         KickbenchError: MuJoCo has no viewer that can be guarded, or `studio.show` fails.
     """
-    try:
-        from kickbench.view.studio import show
-    except (ImportError, AttributeError) as error:
-        raise KickbenchError(
-            f"MuJoCo {mujoco.__version__} lacks the tested web viewer ({error}): pip install 'mujoco==4.0.*'"
-        ) from None
-    session = Session(task, policy, seed, task.spec.evaluation.episodes, title)
-    try:
-        with torch_threads(1):
-            show(dress(task.scene.spec, 640, 480), Player(session), title, host, port, browser)
-    finally:
-        session.close()
+    with closing(session), torch_threads(1):
+        try:
+            from kickbench.view.studio import show
+        except (ImportError, AttributeError) as error:
+            what = f"MuJoCo {mujoco.__version__} lacks the tested web viewer ({error})"
+            raise KickbenchError(f"{what}: pip install 'mujoco==4.0.*'") from None
+        show(dress(session.env.task.scene.spec, 640, 480), Player(session), host, port, browser)

@@ -14,11 +14,9 @@ from kickbench.envs.engines import make_engine
 from kickbench.envs.env import KickEnv
 from kickbench.envs.episode import Outcome
 from kickbench.envs.initial_states import InitialStates
-from kickbench.errors import KickbenchError
 from kickbench.evaluation.rollouts import Policy, draw_initial_states
 from kickbench.results.episode_table import NON_FINITE
 from kickbench.symmetry.torch_ops import Mirror
-from kickbench.training.trained import Run
 from kickbench.trials.trial import state_symmetry
 
 
@@ -150,19 +148,3 @@ class Session:
     def close(self) -> None:
         """Frees the engine."""
         self.env.engine.close()
-
-
-def fitting(task: CompiledTask, run: Run) -> Policy:
-    """The policy of a run, if it fits a task that need not be the one that it was trained on.
-
-    Raises:
-        KickbenchError: It sees or moves something else than the task has.
-    """
-    trained, path = run.trial.task, run.directory.path
-    sees, has = (", ".join(f"{f.name} ({f.size})" for f in each.groups["actor"]) for each in (trained, task))
-    if sees != has:
-        raise KickbenchError(f"{path}: its policy sees {sees}; the task {task.name} has {has}")
-    moves, has = (", ".join(each.scene.layout.actuator_names) for each in (trained, task))
-    if moves != has:
-        raise KickbenchError(f"{path}: its policy moves {moves}; the task's robot has {has}")
-    return run.policy

@@ -39,15 +39,12 @@ _PATIENCE = 30.0
 _REPLACED = ((web_server, "serve"), (web_server, "bind_public_socket"), (web_viewer, "_print_url_banner"))
 
 
-def show(
-    model: mujoco.MjModel, player: Player, title: str, host: str, port: int, browser: bool | None
-) -> None:
+def show(model: mujoco.MjModel, player: Player, host: str, port: int, browser: bool | None) -> None:
     """Serves a model to browsers until Ctrl-C; prints the address.
 
     Args:
         model: What is shown.
-        player: Its state and controls.
-        title: Title of the page.
+        player: Its state and controls; the title of its session is that of the page.
         host: Interface to bind.
         port: Port; if it is taken, one of the next.
         browser: Whether to open a browser; None: if there is one.
@@ -67,7 +64,7 @@ def show(
     serving = _guard(server, names)
     logging.getLogger("WebServer").setLevel(logging.WARNING)
     with server:
-        config = viewer_protocol.ViewerConfig(title=title, gfx="web", http_port=taken)
+        config = viewer_protocol.ViewerConfig(title=player.session.title, gfx="web", http_port=taken)
         endpoint, _ = launch_thread.make_thread_endpoints()
         viewer = web_viewer.WebViewer(config, endpoint, model=model, plugins=[_Plugin(player)])
         signal.signal(signal.SIGINT, _interrupt)

@@ -41,7 +41,7 @@ def samples(representation: Representation, count: int = 50) -> tuple[np.ndarray
 
 def measure(original: np.ndarray, image: np.ndarray, declared: Representation) -> Measurement:
     peak = float(np.abs(original).max(initial=0.0))
-    return judge_misfits(misfits(original, image), declared, 1e-6 * peak, peak)
+    return judge_misfits(misfits(original, image), declared, 1e-6 * peak)
 
 
 @settings(deadline=None, max_examples=40)

@@ -100,7 +100,7 @@ def short(experiment):
 
 
 def test_a_film_shows_every_second_state_and_holds_the_last(opengl, short):
-    frames = list(film(short, [Session(short, drive(1.0), 3, 2)], 2, 96, 72))
+    frames = list(film([Session(short, drive(1.0), 3, 2)], 2, 96, 72))
     assert len(frames) == 2 * (11 + 20)
     assert all(frame.size == (96, 72) for frame in frames)
     first, last = (np.asarray(frames[i]).astype(int) for i in (0, 10))
@@ -112,7 +112,7 @@ def test_policies_are_shown_side_by_side_until_the_last_has_ended(opengl, short)
     one, other = (Session(short, drive(v), 3, 1, f"{v} m/s") for v in (1.0, 0.5))
     step = other.step
     other.step = lambda: None if other.outcome and other.outcome.steps[0] > 5 else step()
-    frames = film(short, [one, other], 1, 96, 72)
+    frames = film([one, other], 1, 96, 72)
     shown = [np.asarray(next(frames)) for _ in range(11)]
     assert one.ending
     assert not other.ending
@@ -125,8 +125,8 @@ def test_policies_are_shown_side_by_side_until_the_last_has_ended(opengl, short)
 
 def test_a_mirrored_film_shows_the_mirror_image(opengl, short):
     home, mirrored = Session(short, None, 3, 1), Session(short, None, 3, 1)
-    next(film(short, [home], 1, 96, 72))
-    next(film(short, [mirrored], 1, 96, 72, mirrored=True))
+    next(film([home], 1, 96, 72))
+    next(film([mirrored], 1, 96, 72, mirrored=True))
     np.testing.assert_allclose(mirrored.places, home.places * [1, -1, 1, -1])
 
 

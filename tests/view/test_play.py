@@ -187,15 +187,17 @@ def test_sliders_reach_both_sides_of_a_home_field(task):
 
 SERVER = """
 import sys, mujoco
+from types import SimpleNamespace
 from kickbench.view.studio import show
 
 class Nothing:
+    session = SimpleNamespace(title="test")
     def prepare(self, viewer): ...
     def update(self, viewer): ...
     def draw(self, imgui): ...
 
 model = mujoco.MjModel.from_xml_string("<mujoco><worldbody><geom size='1'/></worldbody></mujoco>")
-show(model, Nothing(), "test", sys.argv[1], 0, False)
+show(model, Nothing(), sys.argv[1], 0, False)
 """
 
 
@@ -328,7 +330,7 @@ def test_a_viewer_that_cannot_be_guarded_is_not_started(monkeypatch, module, nam
     monkeypatch.delattr(module, name)
     monkeypatch.setattr(studio, "listen", lambda *_: pytest.fail("it listens"))
     with pytest.raises(KickbenchError, match=rf"has no .*{name}.*pip install 'mujoco==4\.0\.\*'"):
-        studio.show(mujoco.MjModel.from_xml_string("<mujoco/>"), None, "test", "127.0.0.1", 0, False)
+        studio.show(mujoco.MjModel.from_xml_string("<mujoco/>"), None, "127.0.0.1", 0, False)
 
 
 def complaint(capsys, *arguments: object) -> str:

@@ -15,7 +15,7 @@ from kickbench.errors import KickbenchError
 from kickbench.evaluation.rollouts import mirror_initial_states, run_episodes
 from kickbench.training.checkpoint import Checkpoints
 from kickbench.training.trained import load_run
-from kickbench.view.session import Session, evaluation_initial_states, fitting
+from kickbench.view.session import Session, evaluation_initial_states
 
 ROOT = Path(__file__).parents[2]
 
@@ -119,7 +119,7 @@ def test_without_a_policy_the_robot_stands_until_time_is_out(task):
 
 
 def test_a_policy_runs_on_another_task_of_the_same_robot(task, trained):
-    session = Session(task, fitting(task, load_run(trained.path)), 7, 1)
+    session = Session(task, load_run(trained.path).policy_for(task), 7, 1)
     session.step()
     assert session.outcome is not None
     session.close()
@@ -129,15 +129,15 @@ def test_a_policy_that_sees_other_fields_is_refused(trained):
     path = ROOT / "tasks" / "mini_general.yaml"
     other = compile_task(load_task(model_of_task, path, ["observations.actor.base_ang_vel=null"]))
     with pytest.raises(KickbenchError, match=r"its policy sees .*base_ang_vel .*; the task mini_general has"):
-        fitting(other, load_run(trained.path))
+        load_run(trained.path).policy_for(other)
 
 
 def test_a_run_that_is_not_finished_gives_the_policy_of_its_last_checkpoint(task, trained, capsys):
-    finished = fitting(task, load_run(trained.path))
+    finished = load_run(trained.path).policy_for(task)
     weights = {"learner": {"actor_state_dict": finished.network.state_dict()}, "iteration": 3}
     Checkpoints(trained.checkpoints).save(3, weights)
     trained.policy.unlink()
-    policy = fitting(task, load_run(trained.path, unfinished=True))
+    policy = load_run(trained.path, unfinished=True).policy_for(task)
     assert "not finished; this is its policy after 3 iterations" in capsys.readouterr().err
     observations = torch.randn(5, sum(field.size for field in task.groups["actor"]))
     assert torch.equal(policy(observations), finished(observations))
