@@ -11,10 +11,10 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
-from kickbench.config.robot import ActuatorSpec, FootSpec, RobotSpec
+from kickbench.config.robot import ActuatorSpec, RobotSpec
 from kickbench.config.task import ObstaclesSpec
-from kickbench.sim.pose import touching_geoms, upright_box
-from kickbench.sim.sensors import ROBOT, SIDES, SensorGroup, SensorPlan, robot_feet
+from kickbench.sim.pose import foot_geoms, touching_geoms, upright_box
+from kickbench.sim.sensors import ROBOT, SIDES, SensorGroup, robot_feet
 from kickbench.symmetry.mirror import Coordinate
 
 Indices = np.ndarray
@@ -153,7 +153,6 @@ class SceneLayout:
 def read_layout(
     model: mujoco.MjModel,
     robot: RobotSpec,
-    plans: Sequence[SensorPlan],
     needs: Collection[SensorGroup] = (),
     obstacles: ObstaclesSpec | None = None,
 ) -> SceneLayout:
@@ -162,8 +161,7 @@ def read_layout(
     Args:
         model: The compiled scene.
         robot: The robot.
-        plans: Its sensors.
-        needs: The groups that they were planned for.
+        needs: The sensor groups that it was asked for.
         obstacles: The task's obstacles.
     """
     by_name = coordinates_of(model)
@@ -173,7 +171,7 @@ def read_layout(
     default = _default_qpos(model, robot, by_name)
     joint_sides = _joint_sides(robot)
     sides = _body_sides(model, joint_sides)
-    frames, contacts, forces = _sensor_maps(model, plans)
+    frames, contacts, forces = _sensor_maps(model)
     if "body_floor" in needs:  # where the feet alone collide there is nothing to sense of the rest
         contacts.setdefault("body_floor", np.array([], dtype=np.int64))
     return SceneLayout(
@@ -194,7 +192,7 @@ def read_layout(
         contacts=contacts,
         forces=forces,
         feet=tuple(feet),
-        foot_geoms=tuple(_foot_geoms(model, foot) for foot in feet.values()),
+        foot_geoms=tuple(np.array(foot_geoms(model, foot, ROBOT), dtype=np.int64) for foot in feet.values()),
         base_body=model.body(ROBOT + robot.base).id,
         body_sides=sides,
         actuator_sides=np.array([joint_sides.get(str(spec.joint), MIDDLE) for spec in actuators]),
@@ -258,12 +256,6 @@ def _default_qpos(model: mujoco.MjModel, robot: RobotSpec, by_name: Mapping[str,
     return qpos
 
 
-def _foot_geoms(model: mujoco.MjModel, foot: FootSpec) -> Indices:
-    if foot.geoms:
-        return np.array([model.geom(ROBOT + geom).id for geom in foot.geoms], dtype=np.int64)
-    return np.flatnonzero(model.geom_bodyid == model.body(ROBOT + foot.body).id)
-
-
 def _joint_sides(robot: RobotSpec) -> dict[str, int]:
     """Sides of the joints that have one."""
     pairs = (robot.symmetry.regular, robot.symmetry.regular_sign)
@@ -281,18 +273,18 @@ def _body_sides(model: mujoco.MjModel, joint_sides: Mapping[str, int]) -> Indice
     return sides
 
 
-def _sensor_maps(model: mujoco.MjModel, plans: Sequence[SensorPlan]) -> tuple[dict[str, Indices], ...]:
+def _sensor_maps(model: mujoco.MjModel) -> tuple[dict[str, Indices], ...]:
     """Places in sensordata by channel: of frames, contact counts and forces."""
     frames, found, forces = defaultdict(list), defaultdict(list), defaultdict(list)
-    for plan in plans:
-        sensor = model.sensor(plan.name)
-        places = range(int(sensor.adr[0]), int(sensor.adr[0] + sensor.dim[0]))
-        if plan.is_contact:
-            found[plan.channel].append(places[0])
-            if plan.force:
-                forces[plan.channel].append(places[1:4])
-        else:
-            frames[plan.channel] += places
+    for number in range(model.nsensor):
+        channel, first = model.sensor(number).name.rpartition(".")[0], int(model.sensor_adr[number])
+        places = range(first, first + int(model.sensor_dim[number]))
+        if model.sensor_type[number] != mujoco.mjtSensor.mjSENS_CONTACT:
+            frames[channel] += places
+            continue
+        found[channel].append(first)
+        if len(places) > 1:
+            forces[channel].append(places[1:])
     return tuple(
         {name: np.array(places) for name, places in maps.items()} for maps in (frames, found, forces)
     )

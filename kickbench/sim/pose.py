@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from kickbench.config.base import Vector3
-from kickbench.config.robot import ActuatorSpec
+from kickbench.config.robot import ActuatorSpec, FootSpec
 from kickbench.sim.silence import silent
 
 _FREE = mujoco.mjtJoint.mjJNT_FREE
@@ -40,6 +40,13 @@ def touching_geoms(model: mujoco.MjModel, body: int | None = None) -> list[int]:
     touches = (model.geom_contype | model.geom_conaffinity).astype(bool)
     owners = model.geom_bodyid
     return np.flatnonzero(touches & (owners > 0 if body is None else owners == body)).tolist()
+
+
+def foot_geoms(model: mujoco.MjModel, foot: FootSpec, prefix: str = "") -> list[int]:
+    """Geoms of a foot, in the robot's own model or in one where its names have a prefix."""
+    if foot.geoms:
+        return [model.geom(prefix + name).id for name in foot.geoms]
+    return np.flatnonzero(model.geom_bodyid == model.body(prefix + foot.body).id).tolist()
 
 
 def lowest_point(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> float:
