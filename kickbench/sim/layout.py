@@ -13,7 +13,7 @@ import numpy as np
 
 from kickbench.config.robot import ActuatorSpec, RobotSpec
 from kickbench.config.task import ObstaclesSpec
-from kickbench.sim.pose import foot_geoms, touching_geoms, upright_box
+from kickbench.sim.pose import foot_geoms, posed, touching_geoms, upright_box
 from kickbench.sim.sensors import ROBOT, SIDES, SensorGroup, robot_feet
 from kickbench.symmetry.mirror import Coordinate
 
@@ -168,7 +168,9 @@ def read_layout(
     actuators = list(robot.actuators.values())
     observed, feet = robot.observed_joints, robot_feet(robot)
     joints = np.array([model.joint(ROBOT + name).id for name in observed], dtype=np.int64)
-    default = _default_qpos(model, robot, by_name)
+    data, ball = posed(model, robot.initial.position, robot.pose, ROBOT), by_name["ball"]
+    default = data.qpos.copy()
+    default[ball.qpos : ball.qpos + 2] = 0.0
     joint_sides = _joint_sides(robot)
     sides = _body_sides(model, joint_sides)
     frames, contacts, forces = _sensor_maps(model)
@@ -181,8 +183,8 @@ def read_layout(
         joint_qpos=model.jnt_qposadr[joints].astype(np.int64),
         joint_qvel=model.jnt_dofadr[joints].astype(np.int64),
         joint_range=joint_ranges(model, joints),
-        ball_qpos=by_name["ball"].qpos,
-        ball_qvel=by_name["ball"].qvel,
+        ball_qpos=ball.qpos,
+        ball_qvel=ball.qvel,
         default_qpos=default,
         default_target=np.array(
             [default[by_name[str(s.joint)].qpos] if s.kind == "position" else 0.0 for s in actuators]
@@ -197,8 +199,8 @@ def read_layout(
         body_sides=sides,
         actuator_sides=np.array([joint_sides.get(str(spec.joint), MIDDLE) for spec in actuators]),
         servos=Servo(*map(np.array, zip(*map(Servo.of, actuators), strict=True))),
-        footprint=_footprint(model, default, sides, 2.0 * model.geom("ball").size[0]),
-        obstacles=_obstacles(model, by_name, default, sides, obstacles) if obstacles else None,
+        footprint=_footprint(model, data, sides, 2.0 * model.geom("ball").size[0]),
+        obstacles=_obstacles(model, by_name, data, sides, obstacles) if obstacles else None,
         **_goal(model, by_name),
     )
 
@@ -212,7 +214,7 @@ def joint_ranges(model: mujoco.MjModel, joints: Sequence[int] | Indices) -> np.n
 def _obstacles(
     model: mujoco.MjModel,
     by_name: Mapping[str, Coordinate],
-    default: np.ndarray,
+    data: mujoco.MjData,
     sides: Indices,
     spec: ObstaclesSpec,
 ) -> ObstacleLayout:
@@ -222,7 +224,7 @@ def _obstacles(
         qvel=slice(first.qvel, first.qvel + 2 * spec.count),
         observed=spec.observed or spec.count,
         height=height,
-        footprint=_footprint(model, default, sides, 2.0 * height),
+        footprint=_footprint(model, data, sides, 2.0 * height),
     )
 
 
@@ -242,18 +244,6 @@ def coordinates_of(model: mujoco.MjModel) -> dict[str, Coordinate]:
         free = bool(model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE)
         found[name] = Coordinate(name, free, int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint]))
     return found
-
-
-def _default_qpos(model: mujoco.MjModel, robot: RobotSpec, by_name: Mapping[str, Coordinate]) -> np.ndarray:
-    qpos = model.qpos0.copy()
-    for name, value in robot.pose.items():
-        qpos[by_name[name].qpos] = value
-    base = next((c for c in by_name.values() if c.free and c.name != "ball"), None)
-    if base is not None and robot.initial.position is not None:
-        qpos[base.qpos : base.qpos + 3] = robot.initial.position
-    ball = by_name["ball"].qpos
-    qpos[ball : ball + 2] = 0.0
-    return qpos
 
 
 def _joint_sides(robot: RobotSpec) -> dict[str, int]:
@@ -290,11 +280,8 @@ def _sensor_maps(model: mujoco.MjModel) -> tuple[dict[str, Indices], ...]:
     )
 
 
-def _footprint(model: mujoco.MjModel, qpos: np.ndarray, sides: Indices, top: float) -> np.ndarray:
+def _footprint(model: mujoco.MjModel, data: mujoco.MjData, sides: Indices, top: float) -> np.ndarray:
     """Ground rectangles of the robot's colliding geoms that reach below a height."""
-    data = mujoco.MjData(model)
-    data.qpos[:] = qpos
-    mujoco.mj_kinematics(model, data)
     of_robot = [g for g in touching_geoms(model) if sides[model.geom_bodyid[g]] != NO_SIDE]
     boxes = [upright_box(model, data, geom) for geom in of_robot]
     ground = [(low[0], high[0], low[1], high[1]) for low, high in boxes if low[2] < top]

@@ -17,15 +17,24 @@ _Geom = mujoco.mjtGeom
 
 
 @silent()
-def posed(model: mujoco.MjModel, position: Vector3 | None, joints: Mapping[str, float]) -> mujoco.MjData:
-    """The default pose of a robot's own model, with the places of all bodies and the joint-space inertia."""
+def posed(
+    model: mujoco.MjModel, position: Vector3 | None, joints: Mapping[str, float], prefix: str = ""
+) -> mujoco.MjData:
+    """The default pose of a robot, with the places of all bodies and the joint-space inertia.
+
+    Args:
+        model: The robot's own model, or a scene in which the robot comes first.
+        position: Where its base is, m; None: as in the model.
+        joints: Positions of joints, rad or m; the others are at their reference.
+        prefix: How the names of the robot's joints begin in the model.
+    """
     data = mujoco.MjData(model)
     base = base_joint(model)
     if base is not None and position is not None:
         place = model.jnt_qposadr[base]
         data.qpos[place : place + 3] = position
     for name, value in joints.items():
-        data.joint(name).qpos[0] = value
+        data.joint(prefix + name).qpos[0] = value
     mujoco.mj_forward(model, data)
     return data
 

@@ -187,7 +187,7 @@ class WarpEngine(Engine):
 
     def model_field(self, name: str) -> np.ndarray:
         """See `Engine.model_field`."""
-        values = self._model.field(name)
+        values = wp.to_torch(getattr(self._model.substep, name))
         return values.expand(self.num_envs, *values.shape[1:]).cpu().numpy()
 
 
@@ -229,10 +229,6 @@ class DeviceModel:
         flags = int(self.substep.opt.disableflags) | int(mjw.DisableBit.SENSOR)
         self.substep.opt = dataclasses.replace(self.substep.opt, disableflags=flags)
         self._varied: dict[str, Tensor] = {}
-
-    def field(self, name: str) -> Tensor:
-        """A field of the model [1 or B, ...]."""
-        return wp.to_torch(getattr(self.substep, name))
 
     def set(self, mask: Tensor, fields: Sequence[ModelField], scratch: mjw.Data) -> None:
         """Sets fields in the envs in `mask` [B] bool; see `Engine.set_model`.
