@@ -81,7 +81,7 @@ def add_sensors(
     for name, objtype, objname, other in _contacts(robot, root, body_geoms, groups, obstacles):
         contact = scene.add_sensor(name=name, type=_Sensor.mjSENS_CONTACT, objtype=objtype, objname=objname)
         contact.reftype, contact.refname = _Obj.mjOBJ_GEOM, other
-        with_force = "_foot_floor." in name
+        with_force = "_foot_floor." in name  # nobody reads the forces of other contacts
         contact.intprm[0:3] = [_FOUND | _FORCE, _NETFORCE, 1] if with_force else [_FOUND, 0, 1]
 
 
