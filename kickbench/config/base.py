@@ -20,8 +20,7 @@ from pydantic import (
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticCustomError
 
-from kickbench.config.yamlio import check_regular, unreadable
-from kickbench.config.yamltree import Located
+from kickbench.config.yamlio import Located, check_regular, unreadable
 
 
 class Spec(BaseModel):

@@ -11,7 +11,7 @@ from pydantic.json_schema import GenerateJsonSchema
 
 from kickbench.config.base import Spec
 from kickbench.config.yamlio import EXTENDS, Document
-from kickbench.config.yamltree import Tree, flow_yaml
+from kickbench.config.yamltree import flow_yaml, value_at
 from kickbench.errors import KeyPath, from_here
 
 _MAX_FLOW = 72
@@ -30,24 +30,23 @@ def explain(model_instance: Spec, document: Document) -> str:
         model_instance: A validated spec.
         document: The document it was made of.
     """
-    data = _visible(model_instance.model_dump(mode="json"), (), document)
+    data = _visible(model_instance.model_dump(mode="json"), document.data)
     lines = list(_lines(data, (), document)) or [("{}", "")]
     widths = [len(text) for text, source in lines if source and len(text) <= _MAX_ALIGNED]
     width = max(widths, default=0)
     return "".join(f"{text:<{width}}  # {source}\n" if source else f"{text}\n" for text, source in lines)
 
 
-def _visible(value: Any, path: KeyPath, document: Document) -> Any:
+def _visible(value: Any, written: Any) -> Any:
     """Drops nulls that no file wrote, and puts written keys first, in the order written."""
     if isinstance(value, list):
-        return [_visible(item, (*path, index), document) for index, item in enumerate(value)]
+        return [_visible(item, value_at(written, (index,))) for index, item in enumerate(value)]
     if not isinstance(value, dict):
         return value
-    tree = document.node(path)
-    written = tree.value if tree and isinstance(tree.value, dict) else {}
-    order = [key for key in written if key in value] + [key for key in value if key not in written]
+    written = written if isinstance(written, dict) else {}
+    order = dict.fromkeys([*(key for key in written if key in value), *value])
     kept = [key for key in order if value[key] is not None or key in written]
-    return {key: _visible(value[key], (*path, key), document) for key in kept}
+    return {key: _visible(value[key], written.get(key)) for key in kept}
 
 
 def _lines(value: Any, path: KeyPath, document: Document) -> Iterator[tuple[str, str]]:
@@ -80,20 +79,15 @@ def _leaf(value: Any) -> str:
 
 def _source(path: KeyPath, document: Document) -> str:
     """Names the places that gave a value: one, unless an override changed a part of a list."""
-    tree: Tree | None = document.tree
-    for key in path:
-        below = tree.child(key) if tree else None
-        if below is None and tree and isinstance(tree.value, dict | list):
-            return "default"
-        # A scalar may stand for a whole structure: its parts were written where it was.
-        tree = below or tree
-    return ", ".join(dict.fromkeys(_places(tree))) if tree else "default"
-
-
-def _places(tree: Tree) -> Iterator[str]:
-    yield tree.key.place
-    items = tree.value if isinstance(tree.value, list) else []
-    yield from (place for item in items for place in _places(item) if item.key.is_override)
+    near = document.nearest(path)
+    written, places = value_at(document.data, near), [document.mark(near)]
+    # A scalar may stand for a whole structure: its parts were written where it was.
+    if near != path and isinstance(written, dict | list):
+        return "default"
+    if isinstance(written, list):
+        items = (document.mark((*near, index)) for index in range(len(written)))
+        places += [mark for mark in items if mark.is_override]
+    return ", ".join(dict.fromkeys(mark.place for mark in places))
 
 
 def json_schema(model: type[BaseModel]) -> dict[str, Any]:

@@ -37,7 +37,9 @@ class Loaded(Generic[S]):
         Raises:
             SpecError: A value does not fit.
         """
-        document = self.document.changed(values)
+        document = self.document
+        for key, value in values.items():
+            document = document.overridden(f"{key}={value}")
         return replace(self, spec=validate(type(self.spec), document), document=document)
 
 
@@ -66,7 +68,7 @@ def load(
     document = load_document(path, overrides)
     known = model if isinstance(model, type) else model(document)
     if known is RobotSpec:
-        document = replace(document, tree=pairs_apart(document.tree))
+        document = pairs_apart(document)
     return Loaded(validate(cast("type[S]", known), document), document)
 
 

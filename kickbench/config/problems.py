@@ -15,7 +15,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from kickbench.config.yamlio import EXTENDS, Document
-from kickbench.config.yamltree import describe
+from kickbench.config.yamltree import describe, has, value_at
 from kickbench.errors import KeyPath, Problem, SpecError, did_you_mean
 
 S = TypeVar("S", bound=BaseModel)
@@ -33,7 +33,7 @@ def validate(model: type[S], document: Document) -> S:
     Raises:
         SpecError: With every problem of the document, in the order of its lines.
     """
-    data, models = document.tree.plain(located=True), defaultdict[int, list[type[BaseModel]]](list)
+    data, models = document.located(), defaultdict[int, list[type[BaseModel]]](list)
     try:
         return model.model_validate(data, context=models)
     except ValidationError as error:
@@ -74,7 +74,7 @@ class _Wording:
         """All of them."""
         yield from self.found
         for path, expected in self.expected.items():
-            what = f"expected {' or '.join(expected)}, found {describe(_value_at(self.document.data, path))}"
+            what = f"expected {' or '.join(expected)}, found {describe(value_at(self.document.data, path))}"
             yield Problem(
                 self.document.value_mark(path), path, what, next(filter(None, expected.values()), None)
             )
@@ -108,7 +108,7 @@ class _Wording:
         self.found.append(self.document.problem(path, message, hint))
 
     def _unknown_key(self, path: KeyPath) -> None:
-        name, above = str(path[-1]), _value_at(self.data, path[:-1])
+        name, above = str(path[-1]), value_at(self.data, path[:-1])
         known = list(dict.fromkeys(key for model in self.models[id(above)] for key in model.model_fields))
         # A key that is already there is not the one that was misspelt.
         free = [key for key in known if key not in above]
@@ -124,7 +124,7 @@ class _Wording:
         if isinstance(name, int):  # an entry of a tuple of fixed length
             self.expected.setdefault(above, {})["more entries"] = None
             return
-        known = self.models[id(_value_at(self.data, above))]
+        known = self.models[id(value_at(self.data, above))]
         fields = [model.model_fields[name] for model in known if name in model.model_fields]
         description = next((field.description for field in fields if field.description), "")
         self._report(path, f"missing key '{name}'", " ".join(description.split()) or None)
@@ -169,21 +169,9 @@ def _path(location: tuple[int | str, ...], data: Any, absent: bool) -> tuple[Key
     keys = location[:-1] if of_key else location
     path: list[str | int] = []
     for index, key in enumerate(keys):
-        if _has(data, key):
+        if has(data, key):
             data = data[key]
             path.append(key)
         elif absent and index == len(keys) - 1:
             path.append(key)
     return tuple(path), of_key
-
-
-def _has(data: Any, key: str | int) -> bool:
-    if isinstance(data, Mapping):
-        return key in data
-    return isinstance(data, list) and isinstance(key, int) and key < len(data)
-
-
-def _value_at(data: Any, path: KeyPath) -> Any:
-    for key in path:
-        data = data[key]
-    return data

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import Annotated, Literal
 
@@ -18,7 +17,7 @@ from kickbench.config.base import (
     Vector3,
     distinct,
 )
-from kickbench.config.yamltree import Tree
+from kickbench.config.yamlio import Document
 from kickbench.errors import Problem, SpecError
 
 BaseAxis = Literal["x", "y", "z", "rx", "ry", "rz"]
@@ -226,27 +225,21 @@ class RobotSpec(Spec):
         return pose
 
 
-def pairs_apart(robot: Tree) -> Tree:
-    """Robot data with two entries per actuator whose `joint` is `[left, right]`, named after the joints."""
-    actuators = robot.child("actuators")
-    if actuators is None or not isinstance(actuators.value, dict):
+def pairs_apart(robot: Document) -> Document:
+    """The robot with two entries per actuator whose `joint` is `[left, right]`, named after the joints."""
+    actuators = robot.data.get("actuators")
+    if not isinstance(actuators, dict):
         return robot
-    apart: dict[str, Tree] = {}
-    for key, tree in actuators.value.items():
-        for name, entry in _apart(key, tree):
+    apart, places = {}, dict(robot.places)
+    for key, entry in actuators.items():
+        joint = entry.get("joint") if isinstance(entry, dict) else None
+        pair = joint if isinstance(joint, list) and len(joint) == 2 else []
+        within = {path[2:]: place for path, place in robot.places.items() if path[:2] == ("actuators", key)}
+        for side, name in enumerate(map(str, pair or [key])):
             if name in apart:
-                path = ("actuators", name)
-                raise SpecError([Problem(tree.key, path, f"there are two actuators of the name '{name}'")])
-            apart[name] = entry
-    assert isinstance(robot.value, dict)
-    return replace(robot, value={**robot.value, "actuators": replace(actuators, value=apart)})
-
-
-def _apart(name: str, entry: Tree) -> Iterator[tuple[str, Tree]]:
-    joint = entry.child("joint")
-    sides = joint.value if joint and isinstance(joint.value, list) else []
-    if len(sides) != 2 or not isinstance(entry.value, dict):
-        yield name, entry
-        return
-    for side in sides:
-        yield str(side.value), replace(entry, value={**entry.value, "joint": side})
+                what = f"there are two actuators of the name '{name}'"
+                raise SpecError([Problem(robot.mark(("actuators", key)), ("actuators", name), what)])
+            apart[name] = {**entry, "joint": pair[side]} if pair else entry
+            own = within | ({("joint",): within["joint", side]} if pair else {})
+            places |= {("actuators", name, *path): place for path, place in own.items()}
+    return replace(robot, data={**robot.data, "actuators": apart}, places=places)

@@ -62,27 +62,24 @@ def find_method(text: str | Path, task: Path, overrides: Sequence[str] = ()) -> 
         KickbenchError: It is shipped for another robot: `mini/` is for `mini_kicker`, a folder that no
             robot's name begins with for the robots without one.
     """
+    from kickbench.config.yamlio import load_document  # not needed for --help
+
+    methods = names("method")
     try:
-        return _find_method(text, task, any(text.startswith("robot") for text in overrides))
+        robot = _robot_of_task(task)
+        owner = robot if robot in map(_robot_of, methods) else ""
+        fitting = {name: file for name, file in methods.items() if _robot_of(name) == owner}
+        if not _is_path(text):
+            for name, file in fitting.items():
+                if str(text) in (name, file.stem):
+                    return file
+        method = load_document(find(text, "method")).file
     except SpecError:
         if Path(text).exists() and task.exists():
             return Path(text)  # where both are loaded all that is wrong is reported at once
         raise
-
-
-def _find_method(text: str | Path, task: Path, any_robot: bool) -> Path:
-    from kickbench.config.yamlio import load_document  # not needed for --help
-
-    robot, methods = _robot_of_task(task), names("method")
-    owner = robot if robot in map(_robot_of, methods) else ""
-    fitting = {name: file for name, file in methods.items() if _robot_of(name) == owner}
-    if not _is_path(text):
-        for name, file in fitting.items():
-            if str(text) in (name, file.stem):
-                return file
-    method = load_document(find(text, "method")).file
     is_foreign = method in methods.values() and method not in fitting.values()
-    if any_robot or not is_foreign or robot not in names("robot"):
+    if not is_foreign or robot not in names("robot") or any(key.startswith("robot") for key in overrides):
         return method
     use = [name for name, file in fitting.items() if file.stem == method.stem]
     hint = f"; use {' or '.join(use)}" if use else ""

@@ -10,27 +10,23 @@ from __future__ import annotations
 import errno
 import os
 import stat
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from kickbench.config.yamltree import MAX_DEPTH, Tree, describe, dump_yaml, flow_yaml, parse
+from kickbench.config.yamltree import MAX_DEPTH, Place, describe, has, parse, renamed, value_at
 from kickbench.errors import KeyPath, Mark, Problem, SpecError, collected, did_you_mean, dotted, shown
-
-__all__ = ["Document", "describe", "dump_yaml", "flow_yaml", "load_document"]
 
 EXTENDS = "extends"
 """The key that names the file to build on."""
 
-RENAMED: dict[KeyPath, str] = {
-    ("arms",): "conditions",
-    ("evaluation", "also"): "transfer",
-    ("claims", "*", "*", "arm"): "condition",
-}
-"""Keys of experiments that had other names, which are read until the next release; `*` is any key."""
+
+class Located(str):
+    """A string that knows its file, since a path in it is relative to that; None: an override."""
+
+    origin: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -40,37 +36,32 @@ class Document:
     Attributes:
         file: The file loaded, absolute.
         sources: Every file read: `file` first, then what it extends.
-        tree: The data with marks.
         data: The data as dicts, lists and scalars.
+        places: Where the value at each path of the data was written.
     """
 
     file: Path
     sources: tuple[Path, ...]
-    tree: Tree = field(repr=False)
-    data: dict[str, Any] = field(init=False)
+    data: dict[str, Any]
+    places: dict[KeyPath, Place] = field(repr=False)
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "data", self.tree.plain())
+    def nearest(self, path: KeyPath) -> KeyPath:
+        """The path if something was written there, else that of the nearest key above it."""
+        while path not in self.places:
+            path = path[:-1]
+        return path
 
     def mark(self, path: KeyPath) -> Mark:
         """Where the key at the path was written; else the nearest key above it; else the file's start."""
-        return self._nearest(path).key
+        return self.places[self.nearest(path)].key
 
     def value_mark(self, path: KeyPath) -> Mark:
         """Where the value at the path was written; else the value of the nearest key above it."""
-        return self._nearest(path).mark
+        return self.places[self.nearest(path)].value
 
     def origin(self, path: KeyPath) -> Path | None:
         """The file that gave the value: paths are relative to it. None for overrides and defaults."""
-        tree = self.node(path)
-        return tree.origin if tree else None
-
-    def node(self, path: KeyPath) -> Tree | None:
-        """The value at a path with its marks; None if nothing was written there."""
-        tree: Tree | None = self.tree
-        for key in path:
-            tree = tree.child(key) if tree else None
-        return tree
+        return self.places[path].origin if path in self.places else None
 
     def problem(self, path: KeyPath, message: str, hint: str | None = None) -> Problem:
         """Words a problem with the key at the path."""
@@ -80,17 +71,61 @@ class Document:
         """Words a problem with the key at the path as an error to raise."""
         return SpecError([self.problem(path, message, hint)])
 
-    def changed(self, values: Mapping[str, Any]) -> Document:
-        """The document with scalars in place of others, by `key.path`, as if they were overrides."""
-        tree = self.tree
-        for key, value in values.items():
-            mark = Mark(f"--set {key}={value}", 0, 0)
-            tree = _put(tree, key.split("."), Tree(value, mark, mark, None), mark)
-        return replace(self, tree=tree)
+    def located(self) -> dict[str, Any]:
+        """The data with `Located` strings."""
 
-    def _nearest(self, path: KeyPath) -> Tree:
-        tree = self.node(path)
-        return tree or self._nearest(path[:-1])
+        def walk(value: Any, path: KeyPath) -> Any:
+            if isinstance(value, dict):
+                return {key: walk(item, (*path, key)) for key, item in value.items()}
+            if isinstance(value, list):
+                return [walk(item, (*path, index)) for index, item in enumerate(value)]
+            if isinstance(value, str):
+                value = Located(value)
+                value.origin = self.origin(path)
+            return value
+
+        return walk(self.data, ())
+
+    def merged(self, data: Any, places: Mapping[KeyPath, Place]) -> Document:
+        """The document with other data over its own, which were written at other places."""
+        merged = merge(self.data, data)
+        places = {**self.places, **places}
+        kept = {
+            path: place
+            for path, place in places.items()
+            if not path or has(value_at(merged, path[:-1]), path[-1])
+        }
+        return replace(self, data=merged, places=kept)
+
+    def overridden(self, text: str) -> Document:
+        """The document after an override `key.path=value`.
+
+        Null counts as an empty mapping: a term is switched on again.
+
+        Raises:
+            SpecError: It is malformed, or there is no such place.
+        """
+        name, (left, _, right) = f"--set {text}", text.partition("=")
+        mark = Mark(name, 0, 0)
+        keys = [key.strip() for key in left.split(".")]
+        if "=" not in text or not all(keys):
+            raise SpecError.of(name, "expected key.path=value", "for example rewards.fall.weight=-2")
+        if keys[0] == EXTENDS:
+            what = f"`{EXTENDS}` cannot be set: it is read from files only"
+            raise SpecError([Problem(mark, tuple(keys), what)])
+        if len(keys) > MAX_DEPTH:
+            raise SpecError.of(name, "nested too deeply")
+        for index in range(len(keys)):
+            keys[index] = renamed(tuple(keys[: index + 1]), mark)
+        value, places, problems = parse(right, name, None, tuple(keys))
+        if problems:
+            raise SpecError(problems)
+        path = _resolved(self.data, keys, mark)
+        above = [path[:end] for end in range(1, len(path)) if path[:end] not in self.places]
+        inside = [(*path, *inner[len(path) :]) for inner in places]
+        for key in reversed(path):
+            value = {key: value}
+        return self.merged(value, dict.fromkeys([*above, path, *inside], Place(mark, mark, None)))
 
 
 def load_document(path: str | Path, overrides: Sequence[str] = ()) -> Document:
@@ -104,89 +139,88 @@ def load_document(path: str | Path, overrides: Sequence[str] = ()) -> Document:
         SpecError: With every problem of the file, the files it extends and the overrides.
     """
     file = Path(os.path.abspath(path))
-    sources: list[Path] = []
     problems: list[Problem] = []
     start = Mark(str(file), 0, 0)
-    tree = Tree({}, start, start, file)
+    document = Document(file, (), {}, {(): Place(start, start, file)})
     with collected(problems):
-        tree = _read(file, start, (), sources, problems)
+        document = _read(file, start, (), problems)
     for text in overrides:
         with collected(problems):
-            tree = _overridden(tree, text)
+            document = document.overridden(text)
     if problems:
         raise SpecError(problems)
-    return Document(file, tuple(sources), tree)
+    return document
 
 
-def _read(
-    file: Path, named: Mark, chain: tuple[Path, ...], sources: list[Path], problems: list[Problem]
-) -> Tree:
+def _read(file: Path, named: Mark, chain: tuple[Path, ...], problems: list[Problem]) -> Document:
     """Reads a file, named at a mark and reached through a chain of others, and what it extends."""
     try:
         check_regular(file)
         data = file.read_bytes()
     except (OSError, ValueError) as error:  # ValueError: a null byte in the path
         raise SpecError([Problem(named, (EXTENDS,) if chain else (), *unreadable(file, error))]) from None
-    sources.append(file)
-    child, found = _parsed(data, file)
+    document, found = _parsed(data, file)
     problems += found
-    extends = child.child(EXTENDS)
-    if extends is None:
-        return child
-    try:
-        base = _base(extends, file, (*chain, file))
-    except ValueError as error:
-        raise SpecError([Problem(extends.key, (EXTENDS,), str(error))]) from None
-    assert isinstance(child.value, dict)
-    rest = {key: tree for key, tree in child.value.items() if key != EXTENDS}
-    return merge(_read(base, extends.key, (*chain, file), sources, problems), replace(child, value=rest))
+    if EXTENDS not in document.data:
+        return document
+    chain = (*chain, file)
+    base = _read(_base(document, chain), document.mark((EXTENDS,)), chain, problems)
+    own = {key: value for key, value in document.data.items() if key != EXTENDS}
+    return replace(base.merged(own, document.places), file=file, sources=(file, *base.sources))
 
 
 @lru_cache(maxsize=256)
-def _parsed(data: bytes, file: Path) -> tuple[Tree, tuple[Problem, ...]]:
+def _parsed(content: bytes, file: Path) -> tuple[Document, tuple[Problem, ...]]:
     """Parses a file's content once, however many specs are built on it."""
     start = Mark(str(file), 1, 1)
     # Bytes that are not UTF-8 become characters that YAML refuses.
-    tree, problems = parse(data.decode("utf-8-sig", "surrogateescape"), str(file), file)
-    if tree is not None and isinstance(tree.value, dict):
-        return replace(with_new_names(tree, ()), mark=start, key=start), tuple(problems)
-    if not problems:
-        plain = tree.plain() if tree else None
-        found = "the file is empty" if plain is None else f"found {describe(plain)}"
+    data, places, problems = parse(content.decode("utf-8-sig", "surrogateescape"), str(file), file)
+    if not isinstance(data, dict) and not problems:
+        found = "the file is empty" if data is None else f"found {describe(data)}"
         problems = [Problem(start, (), f"expected keys at the top of the file; {found}")]
-    return Tree({}, start, start, file), tuple(problems)
+    places[()] = Place(start, start, file)
+    return Document(file, (file,), data if isinstance(data, dict) else {}, places), tuple(problems)
 
 
-def _base(extends: Tree, file: Path, chain: tuple[Path, ...]) -> Path:
-    if not isinstance(extends.value, str) or not extends.value or "\0" in extends.value:
-        raise ValueError(f"expected the path of a file, found {describe(extends.plain())}")
-    base = Path(os.path.abspath(file.parent / extends.value))
+def _base(document: Document, chain: tuple[Path, ...]) -> Path:
+    name = document.data[EXTENDS]
+    if not isinstance(name, str) or not name or "\0" in name:
+        raise document.error((EXTENDS,), f"expected the path of a file, found {describe(name)}")
+    base = Path(os.path.abspath(document.file.parent / name))
     if os.path.realpath(base) in map(os.path.realpath, chain):
         circle = " -> ".join(shown(link) for link in (*chain, base))
-        raise ValueError(f"files extend each other in a circle: {circle}")
+        raise document.error((EXTENDS,), f"files extend each other in a circle: {circle}")
     return base
 
 
-def _overridden(tree: Tree, text: str) -> Tree:
-    """Merges `key.path=value` into a tree."""
-    name = f"--set {text}"
-    mark = Mark(name, 0, 0)
-    left, equals, right = text.partition("=")
-    keys = [key.strip() for key in left.split(".")]
-    if not equals or not all(keys):
-        raise SpecError.of(name, "expected key.path=value", "for example rewards.fall.weight=-2")
-    if keys[0] == EXTENDS:
-        what = f"`{EXTENDS}` cannot be set: it is read from files only"
-        raise SpecError([Problem(mark, tuple(keys), what)])
-    if len(keys) > MAX_DEPTH:
-        raise SpecError.of(name, "nested too deeply")
-    for index in range(len(keys)):
-        keys[index] = _new_name(tuple(keys[: index + 1]), mark)
-    value, problems = parse(right, name, None, tuple(keys))
-    if problems:
-        raise SpecError(problems)
-    value = with_new_names(value or Tree(None, mark, mark, None), tuple(keys))
-    return _put(tree, keys, value, mark)
+def _resolved(data: Any, keys: Sequence[str], mark: Mark) -> KeyPath:
+    """The path that the keys of an override mean: in a list they are indices."""
+    path: KeyPath = ()
+    for key in keys:
+        if isinstance(data, list):
+            # Python refuses to read integers of thousands of digits; no list is so long.
+            index = int(key) if key.isdecimal() and len(key) < 10 else len(data)
+            what = f"is a list of {len(data)}; expected an index below {len(data)}, found '{key}'"
+            is_wrong = index >= len(data)
+        else:
+            index, what = key, f"is {describe(data)} and has no key '{key}'"
+            is_wrong = not isinstance(data, dict | None)
+        if is_wrong:
+            raise SpecError([Problem(mark, (*path, *keys[len(path) :]), f"'{dotted(path)}' {what}")])
+        path, data = (*path, index), value_at(data, (index,))
+    return path
+
+
+def merge(base: Any, child: Any) -> Any:
+    """Merges mappings key by key, keys of the base first; any other value of the child replaces.
+
+    Integer keys, which no file has, replace entries of a list.
+    """
+    if isinstance(base, list) and isinstance(child, dict) and any(isinstance(key, int) for key in child):
+        return [merge(item, child[i]) if i in child else item for i, item in enumerate(base)]
+    if not isinstance(base, dict) or not isinstance(child, dict):
+        return child
+    return base | {key: merge(base[key], value) if key in base else value for key, value in child.items()}
 
 
 def check_regular(file: Path) -> None:
@@ -215,57 +249,3 @@ def _near_file(file: Path) -> str | None:
     if not folder.is_dir():
         return f"the directory '{shown(folder)}' does not exist"
     return did_you_mean(file.name, sorted(entry.name for entry in folder.iterdir() if entry.is_file()))
-
-
-def with_new_names(tree: Tree, path: KeyPath) -> Tree:
-    """The value at a path with the new names of its keys, with a warning for each old one."""
-    if not isinstance(tree.value, dict) or len(path) >= max(map(len, RENAMED)):
-        return tree
-    value = {}
-    for key, child in tree.value.items():
-        name = _new_name((*path, key), child.key)
-        # Where a file has both, the old one stays, which no model knows.
-        value[key if name in tree.value else name] = with_new_names(child, (*path, name))
-    return replace(tree, value=value)
-
-
-def _new_name(path: KeyPath, mark: Mark) -> str:
-    for old, new in RENAMED.items():
-        if len(old) == len(path) and all(
-            pattern in ("*", key) for pattern, key in zip(old, path, strict=True)
-        ):
-            print(f"{mark}: '{path[-1]}' is now '{new}'", file=sys.stderr)
-            return new
-    return str(path[-1])
-
-
-def merge(base: Tree, child: Tree) -> Tree:
-    """Merges mappings key by key, keys of the base first; any other value of the child replaces."""
-    if not isinstance(base.value, dict) or not isinstance(child.value, dict):
-        return child
-    merged = dict(base.value)
-    for key, tree in child.value.items():
-        merged[key] = merge(merged[key], tree) if key in merged else tree
-    return replace(child, value=merged)
-
-
-def _put(tree: Tree, keys: list[str], value: Tree, mark: Mark, done: KeyPath = ()) -> Tree:
-    """Puts a value under `keys` of a tree; null counts as an empty mapping: a term is switched on again."""
-    if not keys:
-        return merge(tree, Tree(value.value, value.mark, mark, None))
-    entries = {} if tree.value is None else tree.value
-    if isinstance(entries, list):
-        # Python refuses to read integers of thousands of digits; no list is so long.
-        index = int(keys[0]) if keys[0].isdecimal() and len(keys[0]) < 10 else len(entries)
-        if index >= len(entries):
-            expected = f"expected an index below {len(entries)}, found '{keys[0]}'"
-            what = f"'{dotted(done)}' is a list of {len(entries)}; {expected}"
-            raise SpecError([Problem(mark, (*done, *keys), what)])
-        put = _put(entries[index], keys[1:], value, mark, (*done, index))
-        return replace(tree, value=[*entries[:index], put, *entries[index + 1 :]])
-    if not isinstance(entries, dict):
-        what = f"'{dotted(done)}' is {describe(entries)} and has no key '{keys[0]}'"
-        raise SpecError([Problem(mark, (*done, *keys), what)])
-    inner = entries.get(keys[0]) or Tree(None, mark, mark, None)
-    put = _put(inner, keys[1:], value, mark, (*done, keys[0]))
-    return replace(tree, value=entries | {keys[0]: put})

@@ -1,4 +1,4 @@
-"""YAML text as a tree of values that know where they were written, and data as YAML text.
+"""YAML text as data with a table of where every value was written, and data as YAML text.
 
 The scalars follow the core schema of YAML 1.2, not 1.1: `1e-3` is a number, `on` and `no` are strings, `1:30`
 is no sexagesimal, `2026-01-01` no date. What a benchmark file must not contain is a problem: duplicate keys,
@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import yaml
 from yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
@@ -42,47 +43,54 @@ _CORE = {
 """The core schema, tested in this order (YAML 1.2.2, 10.3.2). A longer integer is read as a float."""
 
 
-class Located(str):
-    """A string that knows its file, since a path in it is relative to that; None: an override."""
+RENAMED: dict[KeyPath, str] = {
+    ("arms",): "conditions",
+    ("evaluation", "also"): "transfer",
+    ("claims", "*", "*", "arm"): "condition",
+}
+"""Keys of experiments that had other names, which are read until the next release; `*` is any key."""
 
-    origin: Path | None = None
 
-
-@dataclass(frozen=True)
-class Tree:
-    """A value, and where it was written.
+class Place(NamedTuple):
+    """Where a value was written.
 
     Attributes:
-        value: A scalar, or a mapping or list of trees.
-        mark: Where the value begins.
-        key: Where the key of the value begins; for a list item and the top of a file, as `mark`.
+        key: Where the key of the value begins; for a list item and the top of a file, as `value`.
+        value: Where the value begins.
         origin: The file that has the value; None for an override.
     """
 
-    value: Scalar | dict[str, Tree] | list[Tree]
-    mark: Mark
     key: Mark
+    value: Mark
     origin: Path | None
 
-    def plain(self, located: bool = False) -> Any:
-        """The value as dicts, lists and scalars; its strings as `Located` ones if asked."""
-        if isinstance(self.value, dict):
-            return {key: tree.plain(located) for key, tree in self.value.items()}
-        if isinstance(self.value, list):
-            return [tree.plain(located) for tree in self.value]
-        if located and isinstance(self.value, str):
-            text = Located(self.value)
-            text.origin = self.origin
-            return text
-        return self.value
 
-    def child(self, key: str | int) -> Tree | None:
-        """The value under a key or list index."""
-        if isinstance(self.value, dict):
-            return self.value.get(key) if isinstance(key, str) else None
-        if isinstance(self.value, list) and isinstance(key, int):
-            return self.value[key] if 0 <= key < len(self.value) else None
-        return None
+class Parsed(NamedTuple):
+    """What a text says; parts with a problem are there as far as they make sense.
+
+    Attributes:
+        data: Mappings, lists and scalars; None if the text is not YAML or has no value.
+        places: Where the value at each path was written.
+        problems: What is wrong with the text.
+    """
+
+    data: Any
+    places: dict[KeyPath, Place]
+    problems: list[Problem]
+
+
+def has(data: Any, key: str | int) -> bool:
+    """Whether a value has something under a key or list index."""
+    if isinstance(data, Mapping):
+        return key in data
+    return isinstance(data, list) and isinstance(key, int) and key < len(data)
+
+
+def value_at(data: Any, path: KeyPath) -> Any:
+    """The value at a path; None if there is none."""
+    for key in path:
+        data = data[key] if has(data, key) else None
+    return data
 
 
 def describe(value: object) -> str:
@@ -106,9 +114,7 @@ def _short(text: str) -> str:
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
-def parse(
-    text: str, name: str, origin: Path | None = None, path: KeyPath = ()
-) -> tuple[Tree | None, list[Problem]]:
+def parse(text: str, name: str, origin: Path | None = None, path: KeyPath = ()) -> Parsed:
     """Parses a text.
 
     Args:
@@ -116,19 +122,25 @@ def parse(
         name: Path of its file, or the override that has it.
         origin: Path of its file; None for an override.
         path: Path at which the text's value will stand.
-
-    Returns:
-        The tree, None if the text is not YAML or has no value, and the problems. Parts with a problem are in
-        the tree as far as they make sense.
     """
-    builder = _Builder(name, origin)
+    builder, data = _Builder(name, origin), None
     try:
-        node = _Loader(text).get_single_node()
-        return (builder.build(node, path, None) if node else None), builder.problems
+        if node := _Loader(text).get_single_node():
+            data = builder.build(node, path)
     except yaml.YAMLError as error:
-        return None, [builder.syntax_problem(error, text, path)]
+        builder.problems[:] = [builder.syntax_problem(error, text, path)]
     except RecursionError:
-        return None, [Problem(builder.mark(1, 1), path, "nested too deeply")]
+        builder.problems[:] = [Problem(builder.mark(1, 1), path, "nested too deeply")]
+    return Parsed(data, builder.places, builder.problems)
+
+
+def renamed(path: KeyPath, mark: Mark) -> str:
+    """The name of the key at a path, given at a mark; of an old one the new name, with a warning."""
+    for old, new in RENAMED.items():
+        if len(old) == len(path) and all(one in ("*", key) for one, key in zip(old, path, strict=True)):
+            print(f"{mark}: '{path[-1]}' is now '{new}'", file=sys.stderr)
+            return new
+    return str(path[-1])
 
 
 class _Loader(yaml.SafeLoader):
@@ -151,32 +163,24 @@ class _Loader(yaml.SafeLoader):
 
 @dataclass
 class _Builder:
-    """Turns composed nodes into a tree and collects what is wrong with them."""
+    """Turns composed nodes into data, and collects where everything is and what is wrong with it."""
 
     name: str
     origin: Path | None
     problems: list[Problem] = field(default_factory=list)
-    _count: int = 0
+    places: dict[KeyPath, Place] = field(default_factory=dict)
 
-    def build(self, node: Node, path: KeyPath, key: Mark | None) -> Tree:
-        """Builds the tree of the node at a path; `key` marks its key, None for list items and the top."""
-        mark = self._mark(node)
-        self._count += 1
-        if self._count > _MAX_VALUES or len(path) > MAX_DEPTH:
+    def build(self, node: Node, path: KeyPath, key: Mark | None = None) -> Any:
+        """The value of the node at a path; `key` marks its key, None for list items and the top."""
+        mark, kind = self._mark(node), node.tag.removeprefix(_TAG)
+        if len(self.places) >= _MAX_VALUES or len(path) > MAX_DEPTH:
             what = f"nested too deeply, or aliases expand to more than {_MAX_VALUES} values"
             raise yaml.MarkedYAMLError(problem=what, problem_mark=node.start_mark)
-        return Tree(self._value(node, path, mark), mark, key or mark, self.origin)
-
-    def mark(self, line: int, column: int) -> Mark:
-        """A mark in the text; within an override there is only the override itself."""
-        return Mark(self.name, line, column) if self.origin else Mark(self.name, 0, 0)
-
-    def _value(self, node: Node, path: KeyPath, mark: Mark) -> Any:
-        kind = node.tag.removeprefix(_TAG)
+        self.places.setdefault(path, Place(key or mark, mark, self.origin))
         if isinstance(node, MappingNode) and kind == "map":
             return self._mapping(node, path)
         if isinstance(node, SequenceNode) and kind == "seq":
-            return [self.build(item, (*path, i), None) for i, item in enumerate(node.value)]
+            return [self.build(item, (*path, i)) for i, item in enumerate(node.value)]
         if isinstance(node, ScalarNode) and (
             kind == "str" or (kind in _CORE and _CORE[kind].match(node.value))
         ):
@@ -188,18 +192,26 @@ class _Builder:
         self._report(mark, path, f"unknown tag '{tag}'; expected a plain number, string, list or mapping")
         return None
 
-    def _mapping(self, node: MappingNode, path: KeyPath) -> dict[str, Tree]:
-        mapping: dict[str, Tree] = {}
+    def mark(self, line: int, column: int) -> Mark:
+        """A mark in the text; within an override there is only the override itself."""
+        return Mark(self.name, line, column) if self.origin else Mark(self.name, 0, 0)
+
+    def _mapping(self, node: MappingNode, path: KeyPath) -> dict[str, Any]:
+        mapping: dict[str, Any] = {}
+        first: dict[str, Mark] = {}
+        names = {key_node.value for key_node, _ in node.value if isinstance(key_node, ScalarNode)}
         for key_node, value_node in node.value:
             mark = self._mark(key_node)
-            name = self._key(key_node, path, mark)
-            tree = self.build(value_node, (*path, name), mark)
-            if name in mapping:
-                line = mapping[name].key.line
-                where = f" in line {line}" if line else ""
-                self._report(mark, (*path, name), f"duplicate key '{name}'; it is first given{where}")
+            key = self._key(key_node, path, mark)
+            new = renamed((*path, key), mark)
+            # Where a file has both names, the old one stays, which no model knows.
+            name = key if new in names else new
+            value = self.build(value_node, (*path, name), mark)
+            if key in first:
+                where = f" in line {first[key].line}" if first[key].line else ""
+                self._report(mark, (*path, key), f"duplicate key '{key}'; it is first given{where}")
             else:
-                mapping[name] = tree
+                first[key], mapping[name] = mark, value
         return mapping
 
     def _key(self, node: Node, path: KeyPath, mark: Mark) -> str:

@@ -13,12 +13,11 @@ import mujoco
 from kickbench.config.load import Loaded
 from kickbench.config.robot import RobotSpec
 from kickbench.config.task import BallSpec, ObstaclesSpec, SimulationSpec, TargetSampling, TaskSpec
-from kickbench.errors import SpecError
 from kickbench.sim.carried import differences
-from kickbench.sim.check import feet_problems, model_error, pose_problems, read_robot
+from kickbench.sim.check import compiled, feet_problems, pose_problems, raise_problems, read_robot
 from kickbench.sim.layout import GOAL, SceneLayout, Servo, obstacle, read_layout, slides_of
 from kickbench.sim.pose import posed
-from kickbench.sim.sensors import ALWAYS, ROBOT, SensorGroup, plan_sensors, robot_feet, sole_site
+from kickbench.sim.sensors import ROBOT, SensorGroup, add_sensors, robot_feet, sole_site
 
 _AXES = ("x", "y", "z", "rx", "ry", "rz")
 _BASE_SITE = "kickbench_base"
@@ -93,22 +92,16 @@ def build_scene(task: TaskSpec, robot: Loaded[RobotSpec], needs: frozenset[Senso
         _add_obstacles(scene, task.obstacles)
     _add_actuators(scene, robot.spec)
     obstacles = [obstacle(number) for number in range(task.obstacles.count if task.obstacles else 0)]
-    plans = plan_sensors(robot.spec, root, body_geoms, needs | frozenset(ALWAYS), obstacles)
-    for plan in plans:
-        plan.add_to(scene)
+    add_sensors(scene, robot.spec, root, body_geoms, needs, obstacles)
     physics = scene.copy()
     physics.compiler.discardvisual = True
-    try:
-        model = physics.compile()
-    except ValueError as error:
-        raise model_error(robot, "compile the scene of this model", error) from None
+    model = compiled(physics, robot, "the scene of this model")
     model.opt.jacobian = jacobian_of(task.simulation, model.nv)
-    layout = read_layout(model, robot.spec, plans, needs, task.obstacles)
+    layout = read_layout(model, robot.spec, needs, task.obstacles)
     start = posed(native, robot.spec.initial.position, robot.spec.pose)
-    problems = [robot.document.problem(("model",), what) for what in differences(native, model)]
-    problems += [*pose_problems(robot, native, start), *feet_problems(robot, model, layout)]
-    if problems:
-        raise SpecError(problems)
+    lost = ((("model",), what) for what in differences(native, model))
+    at_start, of_feet = pose_problems(robot.spec, native, start), feet_problems(robot.spec, model, layout)
+    raise_problems(robot, (*lost, *at_start, *of_feet))
     return Scene(scene, model, layout)
 
 
@@ -122,10 +115,7 @@ def robot_alone(robot: Loaded[RobotSpec]) -> mujoco.MjModel:
     _strip(body, robot.spec)
     _add_sites(body, robot.spec)
     _add_actuators(body, robot.spec, prefix="")
-    try:
-        return body.compile()
-    except ValueError as error:
-        raise model_error(robot, "compile this model", error) from None
+    return compiled(body, robot, "this model")
 
 
 def _strip(body: mujoco.MjSpec, robot: RobotSpec) -> None:

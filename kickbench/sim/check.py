@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from itertools import chain
 
 # pyright: reportAttributeAccessIssue=false
 import mujoco
@@ -15,6 +16,7 @@ from kickbench.config.robot import FootSpec, RobotSpec
 from kickbench.errors import KeyPath, Problem, SpecError, nearest, shown
 from kickbench.sim.carried import lost_parts, read_mjcf, unfit_parts
 from kickbench.sim.layout import SceneLayout
+from kickbench.sim.pose import touching_geoms
 from kickbench.sim.read_parts import read_parts
 from kickbench.sim.sensors import SIDES, robot_feet
 from kickbench.symmetry.derive import Derivation, derive
@@ -29,6 +31,9 @@ _AT_LIMIT = 1e-6
 _UNUSED_OPTIONS = ("gravity", "wind", "density", "viscosity", "magnetic")
 _FREE = mujoco.mjtJoint.mjJNT_FREE
 
+Complaint = tuple[KeyPath, str, *tuple[str | None, ...]]
+"""What is wrong: the keys of the robot file that it is about, a message, and maybe a hint."""
+
 
 def read_robot(robot: Loaded[RobotSpec]) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
     """Reads and compiles a robot's MJCF alone, and checks that a scene can be made of it.
@@ -41,44 +46,50 @@ def read_robot(robot: Loaded[RobotSpec]) -> tuple[mujoco.MjSpec, mujoco.MjModel]
     except TypeError:
         raise robot.document.error(("model",), "its path is not UTF-8, and MuJoCo cannot read it") from None
     except ValueError as error:
-        raise model_error(robot, "read this model", error) from None
-    unfit = [robot.document.problem(("model",), what) for what in unfit_parts(spec)]
-    _raise([*unfit, *_name_problems(robot, spec), *_joint_problems(robot, spec)])
-    _raise([*_drive_problems(robot), *_pose_problems(robot)])  # a misspelt joint would seem to lack a drive
-    try:
-        native = spec.copy().compile()
-    except ValueError as error:
-        raise model_error(robot, "compile this model", error) from None
-    _raise(robot.document.problem(("model",), what) for what in lost_parts(spec))
+        raise _model_error(robot, "read this model", error) from None
+    unfit = ((("model",), what) for what in unfit_parts(spec))
+    raise_problems(robot, chain(unfit, _unknown_names(robot.spec, spec), _unmatched_joints(robot.spec, spec)))
+    # A misspelt joint would seem to lack a drive.
+    raise_problems(robot, chain(_drive_problems(robot.spec), _mirrored_pose_problems(robot.spec)))
+    native = compiled(spec.copy(), robot, "this model")
+    raise_problems(robot, ((("model",), what) for what in lost_parts(spec)))
     return spec, native
 
 
-def model_error(robot: Loaded[RobotSpec], action: str, error: ValueError) -> SpecError:
-    """What MuJoCo says against a robot's model, in one line."""
+def compiled(spec: mujoco.MjSpec, robot: Loaded[RobotSpec], what: str) -> mujoco.MjModel:
+    """Compiles the model of a robot; raises a `SpecError` with what MuJoCo says against it."""
+    try:
+        return spec.compile()
+    except ValueError as error:
+        raise _model_error(robot, f"compile {what}", error) from None
+
+
+def _model_error(robot: Loaded[RobotSpec], action: str, error: ValueError) -> SpecError:
     reason = " ".join(str(error).split())
     return robot.document.error(("model",), f"MuJoCo cannot {action}: {reason}")
 
 
-def _raise(found: Iterator[Problem] | list[Problem]) -> None:
-    if problems := list(found):
+def raise_problems(robot: Loaded[RobotSpec], found: Iterable[Complaint]) -> None:
+    """Raises a `SpecError` if something is wrong with a robot."""
+    if problems := [robot.document.problem(*one) for one in found]:
         raise SpecError(problems)
 
 
 # The robot file against the MJCF as read
 
 
-def _name_problems(robot: Loaded[RobotSpec], model: mujoco.MjSpec) -> Iterator[Problem]:
-    """The MJCF has every name that the robot file uses."""
+def _unknown_names(robot: RobotSpec, model: mujoco.MjSpec) -> Iterator[Complaint]:
+    """Names that the robot file uses and the MJCF lacks."""
     known = {
         "body": [body.name for body in model.bodies if body.name != "world"],
         "geom": [geom.name for geom in model.geoms if geom.name],
         "joint": [joint.name for joint in model.joints if joint.type != _FREE],
     }
-    for path, kind, name in _names(robot.spec):
+    for path, kind, name in _names(robot):
         if name not in known[kind]:
             guess = nearest(name, known[kind])
             hint = f"did you mean '{guess}'?" if guess else f"the model has: {', '.join(known[kind])}"
-            yield robot.document.problem(path, f"the robot's model has no {kind} '{name}'", hint)
+            yield path, f"the robot's model has no {kind} '{name}'", hint
 
 
 def _names(robot: RobotSpec) -> Iterator[tuple[KeyPath, str, str]]:
@@ -107,125 +118,117 @@ def _declared_joints(robot: RobotSpec) -> Iterator[tuple[KeyPath, str]]:
         yield from ((("symmetry", *path, index), name) for index, name in enumerate(names))
 
 
-def _joint_problems(robot: Loaded[RobotSpec], model: mujoco.MjSpec) -> Iterator[Problem]:
+def _unmatched_joints(robot: RobotSpec, model: mujoco.MjSpec) -> Iterator[Complaint]:
     """Every joint has a symmetry, and a base that is placed can be."""
-    if robot.spec.initial.position is not None and not any(joint.type == _FREE for joint in model.joints):
+    if robot.initial.position is not None and not any(joint.type == _FREE for joint in model.joints):
         what = "the robot's model has no free joint, so its base cannot be moved"
-        yield robot.document.problem(("initial", "position"), what)
-    declared = set(robot.spec.symmetry.names())
+        yield ("initial", "position"), what
+    declared = set(robot.symmetry.names())
     names = [joint.name for joint in model.joints if joint.type != _FREE]
     if missing := [name for name in names if name not in declared]:
         joints = f"{'joints' if len(missing) > 1 else 'joint'} {', '.join(missing)}"
-        yield robot.document.problem(("symmetry",), f"the symmetry table lacks {joints}")
+        yield ("symmetry",), f"the symmetry table lacks {joints}"
 
 
-def _drive_problems(robot: Loaded[RobotSpec]) -> Iterator[Problem]:
-    """A joint is driven once, and its mirror image is driven too."""
-    image, drivers = robot.spec.symmetry.image(), dict[str, str]()
-    for name, actuator in robot.spec.actuators.items():
+def _drive_problems(robot: RobotSpec) -> Iterator[Complaint]:
+    """A joint is driven once; the mirror image of what is driven or observed is so, too."""
+    driven: dict[str, KeyPath] = {}
+    for name, actuator in robot.actuators.items():
         if actuator.joint is not None:
-            first = drivers.setdefault(actuator.joint, name)
-            if first != name:
-                what = f"the joint '{actuator.joint}' is driven twice, by '{first}' and by '{name}'"
-                yield robot.document.problem(("actuators", name, "joint"), what)
-    for joint, name in drivers.items():
-        partner = image[joint][0]
-        if partner not in drivers:
-            what = f"the joint '{joint}' is driven, but its mirror image '{partner}' is not"
-            yield robot.document.problem(("actuators", name, "joint"), what)
-    observed = robot.spec.observed if isinstance(robot.spec.observed, tuple) else ()
-    for place, joint in enumerate(observed):
-        if (partner := image[joint][0]) not in observed:
-            what = f"the joint '{joint}' is observed, but its mirror image '{partner}' is not"
-            yield robot.document.problem(("observed", place), what)
+            path = ("actuators", name, "joint")
+            first = driven.setdefault(actuator.joint, path)
+            if first != path:
+                yield path, f"the joint '{actuator.joint}' is driven twice, by '{first[1]}' and by '{name}'"
+    listed = robot.observed if isinstance(robot.observed, tuple) else ()
+    observed: dict[str, KeyPath] = {joint: ("observed", place) for place, joint in enumerate(listed)}
+    for verb, joints in (("driven", driven), ("observed", observed)):
+        for joint, path in joints.items():
+            if (partner := robot.symmetry.image()[joint][0]) not in joints:
+                yield path, f"the joint '{joint}' is {verb}, but its mirror image '{partner}' is not"
 
 
-def _pose_problems(robot: Loaded[RobotSpec]) -> Iterator[Problem]:
+def _mirrored_pose_problems(robot: RobotSpec) -> Iterator[Complaint]:
     """A position under `initial.mirrored` is that of a joint of one side, and given once."""
-    image, given = robot.spec.symmetry.image(), {*robot.spec.initial.joints}
-    for joint in robot.spec.initial.mirrored or ():
-        partner = image[joint][0]
+    image, given = robot.symmetry.image(), {*robot.initial.joints}
+    for joint in robot.initial.mirrored or ():
+        partner, path = image[joint][0], ("initial", "mirrored", joint)
         if partner == joint:
-            what = f"the joint '{joint}' is its own mirror image; its position belongs to `joints`"
-            yield robot.document.problem(("initial", "mirrored", joint), what)
+            yield path, f"the joint '{joint}' is its own mirror image; its position belongs to `joints`"
         elif {joint, partner} & given:
-            what = f"the positions of '{joint}' and of its mirror image '{partner}' are given twice"
-            yield robot.document.problem(("initial", "mirrored", joint), what)
+            yield path, f"the positions of '{joint}' and of its mirror image '{partner}' are given twice"
         given.add(joint)
 
 
 # The default pose
 
 
-def pose_problems(robot: Loaded[RobotSpec], model: mujoco.MjModel, data: mujoco.MjData) -> list[Problem]:
+def pose_problems(robot: RobotSpec, model: mujoco.MjModel, data: mujoco.MjData) -> Iterator[Complaint]:
     """The robot starts at the origin, facing +x, within its joints' ranges, with a base that looks ahead.
 
     Args:
-        robot: The robot file.
+        robot: The robot.
         model: Its MJCF, compiled.
         data: Its default pose.
     """
     # A robot that is turned as a whole turns its base with it.
-    frames = list(_place_problem(robot, data)) or list(_base_problem(robot, data))
-    return [*frames, *_range_problems(robot, model, data)]
+    yield from list(_place_problem(robot, data)) or _base_problem(robot, data)
+    yield from _range_problems(robot, model, data)
 
 
-def _place_problem(robot: Loaded[RobotSpec], data: mujoco.MjData) -> Iterator[Problem]:
+def _place_problem(robot: RobotSpec, data: mujoco.MjData) -> Iterator[Complaint]:
     """Regions and the mirror plane are those of the world."""
     (x, y), left = data.xpos[1, :2], data.xmat[1].reshape(3, 3)[:2, 1]
     turn = math.degrees(math.atan2(0.0 - left[0], left[1]))
     if max(abs(x), abs(y)) >= 1e-6 or abs(turn) >= 1e-3:
         what = f"the robot starts at x = {x:.3g} m, y = {y:.3g} m, turned by {turn:.3g} degrees"
-        path = ("initial", "position") if robot.spec.initial.position and abs(turn) < 1e-3 else ("model",)
-        yield robot.document.problem(path, f"{what}; expected x = y = 0 and no turn, facing +x")
+        path = ("initial", "position") if robot.initial.position and abs(turn) < 1e-3 else ("model",)
+        yield path, f"{what}; expected x = y = 0 and no turn, facing +x"
 
 
-def _base_problem(robot: Loaded[RobotSpec], data: mujoco.MjData) -> Iterator[Problem]:
+def _base_problem(robot: RobotSpec, data: mujoco.MjData) -> Iterator[Complaint]:
     """Observations are read in the base's frame: x ahead, y to the left, z up in the default pose."""
-    axes = data.body(robot.spec.base).xmat.reshape(3, 3)
+    axes = data.body(robot.base).xmat.reshape(3, 3)
     off_left, off_ahead = (math.acos(np.clip(axes[i, i], -1.0, 1.0)) for i in (1, 0))
     if off_left > _LEFT_TOLERANCE or off_ahead > _PITCH_TOLERANCE:
         vectors = [", ".join(f"{value:.2g}" for value in axes[:, i]) for i in range(3)]
         named = "; ".join(f"{axis} along ({vector})" for axis, vector in zip("xyz", vectors, strict=True))
-        what = f"the frame of the body '{robot.spec.base}' has its axes {named} in the default pose"
-        yield robot.document.problem(("base",), f"{what}; expected x ahead, y to the left and z up")
+        what = f"the frame of the body '{robot.base}' has its axes {named} in the default pose"
+        yield ("base",), f"{what}; expected x ahead, y to the left and z up"
 
 
-def _range_problems(
-    robot: Loaded[RobotSpec], model: mujoco.MjModel, data: mujoco.MjData
-) -> Iterator[Problem]:
+def _range_problems(robot: RobotSpec, model: mujoco.MjModel, data: mujoco.MjData) -> Iterator[Complaint]:
     for joint in np.flatnonzero(model.jnt_limited):
         name = model.joint(int(joint)).name
         low, high = model.jnt_range[joint]
         value = data.qpos[model.jnt_qposadr[joint]]
         if not low - _AT_LIMIT <= value <= high + _AT_LIMIT:
-            named = name in robot.spec.pose
+            named = name in robot.pose
             path = ("initial", "joints", name) if named else ("initial",)
             what = f"the joint '{name}' starts at {value:g}, outside its range of {low:g} to {high:g}"
             hint = None if named else f"give it a position: initial.joints.{name}"
-            yield robot.document.problem(path, what, hint)
+            yield path, what, hint
 
 
-def feet_problems(robot: Loaded[RobotSpec], model: mujoco.MjModel, layout: SceneLayout) -> Iterator[Problem]:
+def feet_problems(robot: RobotSpec, model: mujoco.MjModel, layout: SceneLayout) -> Iterator[Complaint]:
     """A foot has a geom that collides, and nothing keeps it from touching floor and ball.
 
     Args:
-        robot: The robot file.
+        robot: The robot.
         model: The compiled scene.
         layout: Its index maps.
     """
     excluded = {(int(sign) >> 16, int(sign) & 0xFFFF) for sign in model.exclude_signature}
-    for (place, foot), geoms in zip(robot_feet(robot.spec).items(), layout.foot_geoms, strict=True):
-        touching = [g for g in geoms if model.geom_contype[g] or model.geom_conaffinity[g]]
-        if not touching:
+    for (place, foot), geoms in zip(robot_feet(robot).items(), layout.foot_geoms, strict=True):
+        owners = model.geom_bodyid[[geom for geom in touching_geoms(model) if geom in geoms]].tolist()
+        if not owners:
             what = f"no geom of the foot '{foot.body}' collides: it can touch neither floor nor ball"
             hint = (
                 "contype and conaffinity of its geoms are 0; the MJCF's contact pairs name no floor or ball"
             )
-            yield robot.document.problem(("feet", place), what, hint)
-        elif all({(0, b), (b, 0)} & excluded for b in model.geom_bodyid[touching].tolist()):
+            yield ("feet", place), what, hint
+        elif all({(0, body), (body, 0)} & excluded for body in owners):
             what = f"a contact exclusion keeps the foot '{foot.body}' from touching the floor"
-            yield robot.document.problem(("feet", place), what)
+            yield ("feet", place), what
 
 
 # The declared reflection against the one that follows from the geometry
@@ -254,8 +257,8 @@ def check_symmetry(robot: Loaded[RobotSpec]) -> Agreement:
     derivation = derive(read_parts(native))
     notes = list(_option_notes(body))
     notes += [f"joint '{m.name}': its mirror image is not derived: {m.reason}" for m in derivation.unclear]
-    problems = (*_contradicted_joints(robot, derivation), *_contradicted_feet(robot, derivation))
-    return Agreement(problems, tuple(notes))
+    found = chain(_contradicted_joints(robot.spec, derivation), _contradicted_feet(robot.spec, derivation))
+    return Agreement(tuple(robot.document.problem(*one) for one in found), tuple(notes))
 
 
 def _option_notes(spec: mujoco.MjSpec) -> Iterator[str]:
@@ -267,38 +270,37 @@ def _option_notes(spec: mujoco.MjSpec) -> Iterator[str]:
             yield f"the MJCF's option {name}=\"{values}\" is not used: options of physics are the task's"
 
 
-def _contradicted_joints(robot: Loaded[RobotSpec], derivation: Derivation) -> Iterator[Problem]:
-    declared, derived = robot.spec.symmetry.image(), derivation.image
-    model = shown(robot.spec.model)
-    hint: str | None = f"`kickbench symmetry derive {model}` prints the table that the geometry gives"
-    for path, joint in _declared_joints(robot.spec):
+def _contradicted_joints(robot: RobotSpec, derivation: Derivation) -> Iterator[Complaint]:
+    declared, derived = robot.symmetry.image(), derivation.image
+    hint: str | None = (
+        f"`kickbench symmetry derive {shown(robot.model)}` prints the table that the geometry gives"
+    )
+    for path, joint in _declared_joints(robot):
         # The left joint of a pair stands for both.
         if "right" not in path and joint in derived and declared[joint] != derived[joint]:
             here, there = (image_words(joint, *table[joint]) for table in (declared, derived))
             what = f"the joint '{joint}' is declared {here}, but by its geometry it is {there}"
-            yield robot.document.problem(path, what, hint)
+            yield path, what, hint
             hint = None  # once is enough
 
 
-def _contradicted_feet(robot: Loaded[RobotSpec], derivation: Derivation) -> Iterator[Problem]:
-    feet, places = robot_feet(robot.spec), {b.name: b.place for b in derivation.parts.bodies}
+def _contradicted_feet(robot: RobotSpec, derivation: Derivation) -> Iterator[Complaint]:
+    feet, places = robot_feet(robot), {b.name: b.place for b in derivation.parts.bodies}
     for left, right in zip([*feet][::2], [*feet][1::2], strict=True):
-        yield from _contradicted_pair(robot, derivation, left, right)
+        yield from _contradicted_pair(feet[left], feet[right], right, derivation)
     for index, (place, foot) in enumerate(feet.items()):
         if (1, -1)[index % 2] * float(places[foot.body][1]) < 0.0:
-            what = f"'{foot.body}' lies on the other side: left is y > 0"
-            yield robot.document.problem(("feet", place, "body"), what)
+            yield ("feet", place, "body"), f"'{foot.body}' lies on the other side: left is y > 0"
     for (front, foot), (hind, other) in zip([*feet.items()][:2], [*feet.items()][2:], strict=False):
         if places[foot.body][0] < places[other.body][0]:
             which = f"'{other.body}', the {hind.replace('_', ' ')} foot"
-            what = f"'{foot.body}' lies behind {which}: ahead is x > 0"
-            yield robot.document.problem(("feet", front, "body"), what)
+            yield ("feet", front, "body"), f"'{foot.body}' lies behind {which}: ahead is x > 0"
 
 
 def _contradicted_pair(
-    robot: Loaded[RobotSpec], derivation: Derivation, left: str, right: str
-) -> Iterator[Problem]:
-    feet, parts, side = robot_feet(robot.spec), derivation.parts, right.replace("_", " ")
+    left: FootSpec, right: FootSpec, place: str, derivation: Derivation
+) -> Iterator[Complaint]:
+    parts, side = derivation.parts, place.replace("_", " ")
     bodies = {match.name: match.partner for match in derivation.bodies}
     shapes = {match.name: match.partner for match in derivation.shapes}
 
@@ -306,13 +308,12 @@ def _contradicted_pair(
         whole = {s.name for s in parts.shapes if s.touches and parts.bodies[s.body].name == foot.body}
         return set(foot.geoms) or whole
 
-    partner = bodies.get(feet[left].body)
-    if partner not in (None, feet[right].body):
-        what = f"'{feet[right].body}' is declared the {side} foot"
-        what += f", but the mirror image of the left one is '{partner}'"
-        yield robot.document.problem(("feet", right, "body"), what)
-    images, found = {shapes.get(geom) for geom in geoms(feet[left])}, geoms(feet[right])
+    partner = bodies.get(left.body)
+    if partner not in (None, right.body):
+        what = f"'{right.body}' is declared the {side} foot"
+        yield ("feet", place, "body"), f"{what}, but the mirror image of the left one is '{partner}'"
+    images, found = {shapes.get(geom) for geom in geoms(left)}, geoms(right)
     if None not in images and images != found:
         theirs, wanted = (", ".join(sorted(map(str, names))) for names in (found, images))
         what = f"the {side} foot's geoms are {theirs}; the mirror image of the left one's: {wanted}"
-        yield robot.document.problem(("feet", right), what)
+        yield ("feet", place), what

@@ -62,14 +62,15 @@ class CpuEngine(Engine):
         self._models = [self._stepped] * num_envs
         # External forces travel with the controls; a task without pushes does not pay for them.
         self._spec = int(_CTRL if pushed_body is None else _CTRL | _WRENCH)
-        first = model.nu + 6 * (pushed_body or 0)
-        self._push = None if pushed_body is None else slice(first, first + 3)
         self._sense_frames = FrameSensing(model, self.num_threads)
         self._frames = slice(0, self._sense_frames.size)
         self._contacts = slice(self._sense_frames.size, model.nsensordata)
         self._data = [mujoco.MjData(model) for _ in range(self.num_threads)]
         self._pool = mujoco.rollout.Rollout(nthread=self.num_threads if self.num_threads > 1 else 0)
         self._allocate()
+        first = model.nu + 6 * (pushed_body or 0)
+        control = torch.from_numpy(self._control)
+        self._force = None if pushed_body is None else control[:, :, first : first + 3]
         qpos = torch.from_numpy(np.tile(model.qpos0, (num_envs, 1)))
         self.reset(torch.ones(num_envs, dtype=torch.bool), qpos, torch.zeros(num_envs, model.nv))
 
@@ -140,11 +141,6 @@ class CpuEngine(Engine):
         self._sensors[rows, self._frames] = self._sense_frames(self._state[rows])
         self.failed[rows] = False
 
-    def push(self, force: Tensor) -> None:
-        """See `Engine.push`."""
-        assert self._push is not None, "the engine was made without a body to push"
-        self._control[:, :, self._push] = force.unsqueeze(1).numpy()
-
     def set_model(self, mask: Tensor, fields: Sequence[ModelField]) -> None:
         """See `Engine.set_model`. The first call gives every env a model of its own."""
         if self._models[0] is self._stepped:
@@ -159,15 +155,8 @@ class CpuEngine(Engine):
             for row in rows:
                 mujoco.mj_setConst(self._models[row], self._data[0])
 
-    def live_state(self) -> dict[str, Tensor]:
-        """See `Engine.live_state`."""
-        push = {} if self._push is None else {"push": torch.from_numpy(self._control[:, :, self._push])}
-        return {
-            "state": torch.from_numpy(self._state),
-            "sensors": self.sensors,
-            "failed": self.failed,
-            **push,
-        }
+    def _physics(self) -> dict[str, Tensor]:
+        return {"state": torch.from_numpy(self._state)}
 
     def full_state(self) -> np.ndarray:
         """A copy of the full physics state [B, nstate]."""

@@ -83,6 +83,8 @@ class Engine(ABC):
     qvel: Tensor
     sensors: Tensor
     failed: Tensor
+    _force: Tensor | None
+    """What `push` writes to, [B, 3] or one force for each substep [B, decimation, 3]; None: no body."""
 
     @abstractmethod
     def step(self, targets: Tensor) -> None:
@@ -96,13 +98,14 @@ class Engine(ABC):
     def reset(self, mask: Tensor, qpos: Tensor, qvel: Tensor) -> None:
         """Puts the envs in `mask` [B] into the given states [B, nq], [B, nv]; other rows are not read."""
 
-    @abstractmethod
     def push(self, force: Tensor) -> None:
         """Applies a force to the pushed body's centre of mass during the next control steps, until changed.
 
         Args:
             force: World-frame force [B, 3], N. Only for engines made with a body to push.
         """
+        assert self._force is not None, "the engine was made without a body to push"
+        self._force.copy_(force if self._force.dim() == 2 else force.unsqueeze(1))
 
     @abstractmethod
     def set_model(self, mask: Tensor, fields: Sequence[ModelField]) -> None:
@@ -119,8 +122,13 @@ class Engine(ABC):
         """A copy of a field of the model in every env [B, ...]."""
 
     @abstractmethod
+    def _physics(self) -> dict[str, Tensor]:
+        """Views of the state of the physics."""
+
     def live_state(self) -> dict[str, Tensor]:
         """Views of everything that later steps depend on, but for what `set_model` has set."""
+        push = {} if self._force is None else {"push": self._force}
+        return {**self._physics(), "sensors": self.sensors, "failed": self.failed, **push}
 
     def state_dict(self) -> dict[str, Tensor]:
         """Copies of everything that later steps depend on, but for what `set_model` has set."""

@@ -11,10 +11,10 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
-from kickbench.config.robot import ActuatorSpec, FootSpec, RobotSpec
+from kickbench.config.robot import ActuatorSpec, RobotSpec
 from kickbench.config.task import ObstaclesSpec
-from kickbench.sim.pose import touching_geoms, upright_box
-from kickbench.sim.sensors import ROBOT, SIDES, SensorGroup, SensorPlan, robot_feet
+from kickbench.sim.pose import foot_geoms, posed, touching_geoms, upright_box
+from kickbench.sim.sensors import ROBOT, SIDES, SensorGroup, robot_feet
 from kickbench.symmetry.mirror import Coordinate
 
 Indices = np.ndarray
@@ -161,7 +161,6 @@ class SceneLayout:
 def read_layout(
     model: mujoco.MjModel,
     robot: RobotSpec,
-    plans: Sequence[SensorPlan],
     needs: Collection[SensorGroup] = (),
     obstacles: ObstaclesSpec | None = None,
 ) -> SceneLayout:
@@ -170,18 +169,19 @@ def read_layout(
     Args:
         model: The compiled scene.
         robot: The robot.
-        plans: Its sensors.
-        needs: The groups that they were planned for.
+        needs: The sensor groups that it was asked for.
         obstacles: The task's obstacles.
     """
     by_name = coordinates_of(model)
     actuators = list(robot.actuators.values())
     observed, feet = robot.observed_joints, robot_feet(robot)
     joints = np.array([model.joint(ROBOT + name).id for name in observed], dtype=np.int64)
-    default = _default_qpos(model, robot, by_name)
+    data, ball = posed(model, robot.initial.position, robot.pose, ROBOT), by_name["ball"]
+    default = data.qpos.copy()
+    default[ball.qpos : ball.qpos + 2] = 0.0
     joint_sides = _joint_sides(robot)
     sides = _body_sides(model, joint_sides)
-    frames, contacts, forces = _sensor_maps(model, plans)
+    frames, contacts, forces = _sensor_maps(model)
     if "body_floor" in needs:  # where the feet alone collide there is nothing to sense of the rest
         contacts.setdefault("body_floor", np.array([], dtype=np.int64))
     return SceneLayout(
@@ -192,8 +192,8 @@ def read_layout(
         joint_qvel=model.jnt_dofadr[joints].astype(np.int64),
         joint_range=joint_ranges(model, joints),
         joint_signs=_joint_signs(robot, observed),
-        ball_qpos=by_name["ball"].qpos,
-        ball_qvel=by_name["ball"].qvel,
+        ball_qpos=ball.qpos,
+        ball_qvel=ball.qvel,
         default_qpos=default,
         default_target=np.array(
             [default[by_name[str(s.joint)].qpos] if s.kind == "position" else 0.0 for s in actuators]
@@ -203,13 +203,13 @@ def read_layout(
         contacts=contacts,
         forces=forces,
         feet=tuple(feet),
-        foot_geoms=tuple(_foot_geoms(model, foot) for foot in feet.values()),
+        foot_geoms=tuple(np.array(foot_geoms(model, foot, ROBOT), dtype=np.int64) for foot in feet.values()),
         base_body=model.body(ROBOT + robot.base).id,
         body_sides=sides,
         actuator_sides=np.array([joint_sides.get(str(spec.joint), MIDDLE) for spec in actuators]),
         servos=Servo(*map(np.array, zip(*map(Servo.of, actuators), strict=True))),
-        footprint=_footprint(model, default, sides, 2.0 * model.geom("ball").size[0]),
-        obstacles=_obstacles(model, by_name, default, sides, obstacles) if obstacles else None,
+        footprint=_footprint(model, data, sides, 2.0 * model.geom("ball").size[0]),
+        obstacles=_obstacles(model, by_name, data, sides, obstacles) if obstacles else None,
         **_goal(model, by_name),
     )
 
@@ -223,7 +223,7 @@ def joint_ranges(model: mujoco.MjModel, joints: Sequence[int] | Indices) -> np.n
 def _obstacles(
     model: mujoco.MjModel,
     by_name: Mapping[str, Coordinate],
-    default: np.ndarray,
+    data: mujoco.MjData,
     sides: Indices,
     spec: ObstaclesSpec,
 ) -> ObstacleLayout:
@@ -233,7 +233,7 @@ def _obstacles(
         qvel=slice(first.qvel, first.qvel + 2 * spec.count),
         observed=spec.observed or spec.count,
         height=height,
-        footprint=_footprint(model, default, sides, 2.0 * height),
+        footprint=_footprint(model, data, sides, 2.0 * height),
     )
 
 
@@ -253,24 +253,6 @@ def coordinates_of(model: mujoco.MjModel) -> dict[str, Coordinate]:
         free = bool(model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE)
         found[name] = Coordinate(name, free, int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint]))
     return found
-
-
-def _default_qpos(model: mujoco.MjModel, robot: RobotSpec, by_name: Mapping[str, Coordinate]) -> np.ndarray:
-    qpos = model.qpos0.copy()
-    for name, value in robot.pose.items():
-        qpos[by_name[name].qpos] = value
-    base = next((c for c in by_name.values() if c.free and c.name != "ball"), None)
-    if base is not None and robot.initial.position is not None:
-        qpos[base.qpos : base.qpos + 3] = robot.initial.position
-    ball = by_name["ball"].qpos
-    qpos[ball : ball + 2] = 0.0
-    return qpos
-
-
-def _foot_geoms(model: mujoco.MjModel, foot: FootSpec) -> Indices:
-    if foot.geoms:
-        return np.array([model.geom(ROBOT + geom).id for geom in foot.geoms], dtype=np.int64)
-    return np.flatnonzero(model.geom_bodyid == model.body(ROBOT + foot.body).id)
 
 
 def _joint_sides(robot: RobotSpec) -> dict[str, int]:
@@ -297,28 +279,25 @@ def _body_sides(model: mujoco.MjModel, joint_sides: Mapping[str, int]) -> Indice
     return sides
 
 
-def _sensor_maps(model: mujoco.MjModel, plans: Sequence[SensorPlan]) -> tuple[dict[str, Indices], ...]:
+def _sensor_maps(model: mujoco.MjModel) -> tuple[dict[str, Indices], ...]:
     """Places in sensordata by channel: of frames, contact counts and forces."""
     frames, found, forces = defaultdict(list), defaultdict(list), defaultdict(list)
-    for plan in plans:
-        sensor = model.sensor(plan.name)
-        places = range(int(sensor.adr[0]), int(sensor.adr[0] + sensor.dim[0]))
-        if plan.is_contact:
-            found[plan.channel].append(places[0])
-            if plan.force:
-                forces[plan.channel].append(places[1:4])
-        else:
-            frames[plan.channel] += places
+    for number in range(model.nsensor):
+        channel, first = model.sensor(number).name.rpartition(".")[0], int(model.sensor_adr[number])
+        places = range(first, first + int(model.sensor_dim[number]))
+        if model.sensor_type[number] != mujoco.mjtSensor.mjSENS_CONTACT:
+            frames[channel] += places
+            continue
+        found[channel].append(first)
+        if len(places) > 1:
+            forces[channel].append(places[1:])
     return tuple(
         {name: np.array(places) for name, places in maps.items()} for maps in (frames, found, forces)
     )
 
 
-def _footprint(model: mujoco.MjModel, qpos: np.ndarray, sides: Indices, top: float) -> np.ndarray:
+def _footprint(model: mujoco.MjModel, data: mujoco.MjData, sides: Indices, top: float) -> np.ndarray:
     """Ground rectangles of the robot's colliding geoms that reach below a height."""
-    data = mujoco.MjData(model)
-    data.qpos[:] = qpos
-    mujoco.mj_kinematics(model, data)
     of_robot = [g for g in touching_geoms(model) if sides[model.geom_bodyid[g]] != NO_SIDE]
     boxes = [upright_box(model, data, geom) for geom in of_robot]
     ground = [(low[0], high[0], low[1], high[1]) for low, high in boxes if low[2] < top]

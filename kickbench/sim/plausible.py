@@ -17,6 +17,7 @@ from kickbench.sim.check import pose_problems, read_robot
 from kickbench.sim.pose import (
     apparent_inertia,
     base_joint,
+    foot_geoms,
     lowest_point,
     posed,
     share_of_limit,
@@ -59,13 +60,14 @@ def findings(robot: Loaded[RobotSpec], model: mujoco.MjModel | None = None) -> I
     Raises:
         SpecError: The MJCF cannot be read, or lacks a name.
     """
-    model = model or read_robot(robot)[1]
-    data = posed(model, robot.spec.initial.position, robot.spec.pose)
-    yield from (Finding("pose", problem, True) for problem in pose_problems(robot, model, data))
-    for topic, path, distance, what in (*_floor(model, data), *_soles(robot, model, data)):
+    spec, model = robot.spec, model or read_robot(robot)[1]
+    data = posed(model, spec.initial.position, spec.pose)
+    for complaint in pose_problems(spec, model, data):
+        yield Finding("pose", robot.document.problem(*complaint), True)
+    for topic, path, distance, what in (*_floor(model, data), *_soles(spec, model, data)):
         if abs(distance) > _OFF:
             yield Finding(topic, robot.document.problem(path, what), abs(distance) > _FAR)
-    for path, what in (*_unequal_pose(robot, model, data), *_unequal_servos(robot)):
+    for path, what in (*_unequal_pose(spec, data), *_unequal_servos(spec)):
         yield Finding("sides", robot.document.problem(path, what), False)
 
 
@@ -77,49 +79,48 @@ def _floor(model: mujoco.MjModel, data: mujoco.MjData) -> Iterator[tuple[str, Ke
 
 
 def _soles(
-    robot: Loaded[RobotSpec], model: mujoco.MjModel, data: mujoco.MjData
+    robot: RobotSpec, model: mujoco.MjModel, data: mujoco.MjData
 ) -> Iterator[tuple[str, KeyPath, float, str]]:
     """Distances of the soles from the undersides of their feet."""
-    for side, foot in robot_feet(robot.spec).items():
-        body = model.body(foot.body).id
-        listed = [model.geom(name).id for name in foot.geoms]
-        geoms = [g for g in touching_geoms(model, body if not listed else None) if not listed or g in listed]
-        if geoms:
+    for side, foot in robot_feet(robot).items():
+        if geoms := [geom for geom in foot_geoms(model, foot) if geom in touching_geoms(model)]:
             low, high = underside(model, data, geoms)
-            sole = data.xpos[body] + data.xmat[body].reshape(3, 3) @ foot.offset
+            body = data.body(foot.body)
+            sole = body.xpos + body.xmat.reshape(3, 3) @ foot.offset
             high[2] = low[2]
             distance = float(np.linalg.norm(sole - np.clip(sole, low, high)))
             what = f"the sole is {1000 * distance:.0f} mm from the underside of what collides of the foot"
             yield "soles", ("feet", side, "offset"), distance, what
 
 
-def _unequal_pose(
-    robot: Loaded[RobotSpec], model: mujoco.MjModel, data: mujoco.MjData
-) -> Iterator[tuple[KeyPath, str]]:
+def _partners(robot: RobotSpec) -> Iterator[tuple[str, str, int]]:
+    """Every joint or pair of joints once, with the sign of the reflection."""
     seen: set[str] = set()
-    for joint, (partner, sign) in robot.spec.symmetry.image().items():
-        mine, theirs = (float(data.joint(name).qpos[0]) for name in (joint, partner))
-        if partner not in seen and abs(mine - sign * theirs) > _UNEQUAL:
-            path = ("initial", "joints", joint) if joint in robot.spec.pose else ("initial",)
-            mirrored = "0" if joint == partner else f"{sign * theirs:zg}, the mirror image of '{partner}'"
-            yield path, f"the joint '{joint}' begins at {mine:g}; a symmetric pose has {mirrored}"
+    for joint, (partner, sign) in robot.symmetry.image().items():
+        if partner not in seen:
+            yield joint, partner, sign
         seen.add(joint)
 
 
-def _unequal_servos(robot: Loaded[RobotSpec]) -> Iterator[tuple[KeyPath, str]]:
-    servos = {spec.joint: (name, spec) for name, spec in robot.spec.actuators.items() if spec.joint}
-    seen: set[str] = set()
-    for joint, (partner, _) in robot.spec.symmetry.image().items():
-        if joint in servos and partner in servos and partner not in seen:
+def _unequal_pose(robot: RobotSpec, data: mujoco.MjData) -> Iterator[tuple[KeyPath, str]]:
+    for joint, partner, sign in _partners(robot):
+        mine, theirs = (float(data.joint(name).qpos[0]) for name in (joint, partner))
+        if abs(mine - sign * theirs) > _UNEQUAL:
+            path = ("initial", "joints", joint) if joint in robot.pose else ("initial",)
+            mirrored = "0" if joint == partner else f"{sign * theirs:zg}, the mirror image of '{partner}'"
+            yield path, f"the joint '{joint}' begins at {mine:g}; a symmetric pose has {mirrored}"
+
+
+def _unequal_servos(robot: RobotSpec) -> Iterator[tuple[KeyPath, str]]:
+    servos = {spec.joint: (name, spec) for name, spec in robot.actuators.items()}
+    for joint, partner, _ in _partners(robot):
+        if joint in servos and partner in servos:
             (name, mine), (other, theirs) = servos[joint], servos[partner]
             for key in _OF_A_SERVO:
                 here, there = getattr(mine, key), getattr(theirs, key)
                 if here != there:
-                    yield (
-                        ("actuators", name, key),
-                        f"{key} is {here}, that of its mirror image '{other}' {there}",
-                    )
-        seen.add(joint)
+                    what = f"{key} is {here}, that of its mirror image '{other}' {there}"
+                    yield ("actuators", name, key), what
 
 
 @dataclass(frozen=True)
@@ -157,11 +158,8 @@ def step_warnings(robot: Loaded[RobotSpec], simulation: SimulationSpec) -> Itera
     for joint in stepped(robot.spec, model, timestep, integrator):
         if joint.share > SAFE:
             is_enough = integrator == "euler" and calm[joint.actuator] <= SAFE
-            advice = (
-                "integrator: implicitfast, or a smaller time step" if is_enough else "a smaller time step"
-            )
+            advice = f"{'integrator: implicitfast, or ' if is_enough else ''}a smaller time step"
             where = f"at the task's time step of {timestep:g} s with {integrator}"
-            what = f"kd dt / I is {joint.damping:.2g} {where}"
             way = f"{100 * joint.share:.0f} % of the way to instability"
-            path = ("actuators", joint.actuator, "kd")
-            yield robot.document.problem(path, f"{what}, {way}; expected {advice}, or smaller gains")
+            what = f"kd dt / I is {joint.damping:.2g} {where}, {way}; expected {advice}, or smaller gains"
+            yield robot.document.problem(("actuators", joint.actuator, "kd"), what)

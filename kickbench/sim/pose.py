@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from kickbench.config.base import Vector3
-from kickbench.config.robot import ActuatorSpec
+from kickbench.config.robot import ActuatorSpec, FootSpec
 from kickbench.sim.silence import silent
 
 _FREE = mujoco.mjtJoint.mjJNT_FREE
@@ -17,15 +17,24 @@ _Geom = mujoco.mjtGeom
 
 
 @silent()
-def posed(model: mujoco.MjModel, position: Vector3 | None, joints: Mapping[str, float]) -> mujoco.MjData:
-    """The default pose of a robot's own model, with the places of all bodies and the joint-space inertia."""
+def posed(
+    model: mujoco.MjModel, position: Vector3 | None, joints: Mapping[str, float], prefix: str = ""
+) -> mujoco.MjData:
+    """The default pose of a robot, with the places of all bodies and the joint-space inertia.
+
+    Args:
+        model: The robot's own model, or a scene in which the robot comes first.
+        position: Where its base is, m; None: as in the model.
+        joints: Positions of joints, rad or m; the others are at their reference.
+        prefix: How the names of the robot's joints begin in the model.
+    """
     data = mujoco.MjData(model)
     base = base_joint(model)
     if base is not None and position is not None:
         place = model.jnt_qposadr[base]
         data.qpos[place : place + 3] = position
     for name, value in joints.items():
-        data.joint(name).qpos[0] = value
+        data.joint(prefix + name).qpos[0] = value
     mujoco.mj_forward(model, data)
     return data
 
@@ -40,6 +49,13 @@ def touching_geoms(model: mujoco.MjModel, body: int | None = None) -> list[int]:
     touches = (model.geom_contype | model.geom_conaffinity).astype(bool)
     owners = model.geom_bodyid
     return np.flatnonzero(touches & (owners > 0 if body is None else owners == body)).tolist()
+
+
+def foot_geoms(model: mujoco.MjModel, foot: FootSpec, prefix: str = "") -> list[int]:
+    """Geoms of a foot, in the robot's own model or in one where its names have a prefix."""
+    if foot.geoms:
+        return [model.geom(prefix + name).id for name in foot.geoms]
+    return np.flatnonzero(model.geom_bodyid == model.body(prefix + foot.body).id).tolist()
 
 
 def lowest_point(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> float:

@@ -18,6 +18,7 @@ from kickbench.sim.build import robot_alone
 from kickbench.sim.carried import compile_robot
 from kickbench.sim.layout import coordinates_of
 from kickbench.sim.mirror_image import twin_models
+from kickbench.sim.pose import posed
 from kickbench.sim.read_parts import read_parts
 from kickbench.sim.silence import silent
 from kickbench.symmetry.derive import Derivation, derive
@@ -144,10 +145,9 @@ def read_twins(path: Path) -> Twins:
     if path.suffix in (".yaml", ".yml"):
         robot = load(RobotSpec, path)
         model, specs = robot_alone(robot), list(robot.spec.actuators.values())
-        known, pose = coordinates_of(model), model.qpos0.copy()
-        for name, value in robot.spec.pose.items():
-            pose[known[name].qpos] = value
-        default = [pose[known[str(s.joint)].qpos] if s.kind == "position" else 0.0 for s in specs]
+        data = posed(model, None, robot.spec.pose)
+        pose = data.qpos.copy()
+        default = [data.joint(s.joint).qpos[0] if s.kind == "position" else 0.0 for s in specs]
         scale = [s.scale for s in specs]
     else:
         model = compile_robot(path)

@@ -93,7 +93,8 @@ class WarpEngine(Engine):
         self.qpos, self.qvel = wp.to_torch(data.qpos), wp.to_torch(data.qvel)
         self._act, self._warm = wp.to_torch(data.act), wp.to_torch(data.qacc_warmstart)
         self._sensed = wp.to_torch(data.sensordata)
-        self._force = wp.to_torch(data.xfrc_applied)[:, self._pushed or 0, :3]
+        forces = wp.to_torch(data.xfrc_applied)
+        self._force = None if self._pushed is None else forces[:, self._pushed, :3]
         controls = wp.zeros((self.decimation, envs, model.nu), dtype=wp.float32)
         self._controls = wp.to_torch(controls)
         self._control_of = [controls[substep] for substep in range(self.decimation)]
@@ -171,11 +172,6 @@ class WarpEngine(Engine):
             # In the other envs this gives what is there already.
             self._sense_frames()
 
-    def push(self, force: Tensor) -> None:
-        """See `Engine.push`."""
-        assert self._pushed is not None, "the engine was made without a body to push"
-        self._force.copy_(force)
-
     def set_model(self, mask: Tensor, fields: Sequence[ModelField]) -> None:
         """See `Engine.set_model`."""
         with self._on_stream():
@@ -186,15 +182,12 @@ class WarpEngine(Engine):
         with self._on_stream():
             return self._watch.take()
 
-    def live_state(self) -> dict[str, Tensor]:
-        """See `Engine.live_state`."""
-        tensors = {name: getattr(self, name) for name in ("qpos", "qvel", "sensors", "failed")}
-        push = {} if self._pushed is None else {"push": self._force}
-        return {**tensors, "act": self._act, **push}
+    def _physics(self) -> dict[str, Tensor]:
+        return {"qpos": self.qpos, "qvel": self.qvel, "act": self._act}
 
     def model_field(self, name: str) -> np.ndarray:
         """See `Engine.model_field`."""
-        values = self._model.field(name)
+        values = wp.to_torch(getattr(self._model.substep, name))
         return values.expand(self.num_envs, *values.shape[1:]).cpu().numpy()
 
 
@@ -236,10 +229,6 @@ class DeviceModel:
         flags = int(self.substep.opt.disableflags) | int(mjw.DisableBit.SENSOR)
         self.substep.opt = dataclasses.replace(self.substep.opt, disableflags=flags)
         self._varied: dict[str, Tensor] = {}
-
-    def field(self, name: str) -> Tensor:
-        """A field of the model [1 or B, ...]."""
-        return wp.to_torch(getattr(self.substep, name))
 
     def set(self, mask: Tensor, fields: Sequence[ModelField], scratch: mjw.Data) -> None:
         """Sets fields in the envs in `mask` [B] bool; see `Engine.set_model`.

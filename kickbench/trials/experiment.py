@@ -29,7 +29,8 @@ from kickbench.config.experiment import (
 from kickbench.config.load import Loaded, LoadedMethod, LoadedTask, load, load_task
 from kickbench.config.task import TaskSpec
 from kickbench.config.terms import RewardParams, TerminationParams
-from kickbench.config.yamlio import Document, flow_yaml
+from kickbench.config.yamlio import Document
+from kickbench.config.yamltree import flow_yaml
 from kickbench.envs.catalog import model_of_task
 from kickbench.errors import KeyPath, Problem, SpecError, collected, did_you_mean
 from kickbench.trials.trial import load_both

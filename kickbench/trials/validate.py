@@ -12,7 +12,8 @@ from kickbench.config.experiment import ExperimentSpec
 from kickbench.config.load import Loaded, LoadedMethod, load, load_method, load_task
 from kickbench.config.method import MethodSpec, RepresentationSpec
 from kickbench.config.robot import RobotSpec
-from kickbench.config.yamlio import RENAMED, Document, load_document
+from kickbench.config.yamlio import Document, load_document
+from kickbench.config.yamltree import RENAMED
 from kickbench.envs.catalog import catalog, model_of_task, task_model
 from kickbench.envs.compiled_task import CompiledTask, compile_task, own_representations
 from kickbench.errors import Mark, Problem, collected, did_you_mean

@@ -265,9 +265,9 @@ def test_a_file_is_parsed_once_and_again_when_it_has_changed(monkeypatch):
     assert parsed == ["a: 1\n", "a: 2\n"]
 
 
-def test_values_may_be_changed_as_by_an_override():
+def test_a_document_stays_as_it_is_when_another_is_made_by_an_override():
     document = load_document(write("a: {b: 0, c: 1}\n"))
-    changed = document.changed({"a.b": 2})
+    changed = document.overridden("a.b=2")
     assert (changed.data, document.data) == ({"a": {"b": 2, "c": 1}}, {"a": {"b": 0, "c": 1}})
     assert str(changed.mark(("a", "b"))) == "--set a.b=2"
     assert str(changed.mark(("a", "c"))) == "a.yaml:1:11"
