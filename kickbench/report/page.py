@@ -79,7 +79,7 @@ def _figures(study: Study) -> dict[str, Figure]:
     if len(both := plots.both_sides(found[SUCCESS])):
         drawn["slopes"] = plots.slopes(both, runs, looks, _WIDTH)
     if len(swept := study.swept(SUCCESS)):
-        drawn["sweep"] = plots.over_setting(swept, *study.sweep, looks_of(swept.of), _WIDTH)
+        drawn["sweep"] = plots.over_setting(swept, looks_of(swept.of), _WIDTH)
     if len(study.curves):
         drawn["curves"] = plots.learning_curves(study.curves, looks)
     if len(episodes):

@@ -133,12 +133,11 @@ def _draw_slope(axes: Any, place: float, sides: pd.DataFrame, runs: pd.DataFrame
         axes.plot(x, mean, look.marker, color=look.colour, ms=7, mfc=face, zorder=5)
 
 
-def over_setting(estimates: pd.DataFrame, setting: str, looks: Looks, width: float) -> Figure:
+def over_setting(estimates: pd.DataFrame, looks: Looks, width: float) -> Figure:
     """Success over a setting that was swept, a line per condition: means over seeds, with 95 % intervals.
 
     Args:
         estimates: Rows of `Study.swept`, of success.
-        setting: The setting's key.
         looks: The look of each condition of the experiment's file.
         width: CSS pixels.
     """
@@ -153,7 +152,7 @@ def over_setting(estimates: pd.DataFrame, setting: str, looks: Looks, width: flo
         axes.errorbar(
             places, mean, yerr=ends, fmt=look.marker, linestyle=look.line, color=look.colour, label=condition
         )
-    axes.set(xlabel=setting, ylabel="success, %", ylim=(-2, 102), xticks=values)
+    axes.set(xlabel=estimates.setting.iloc[0], ylabel="success, %", ylim=(-2, 102), xticks=values)
     figure.legend(loc="outside upper left", ncols=4)
     return figure
 

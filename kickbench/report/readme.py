@@ -99,8 +99,8 @@ def pictures(results: Sequence[Study]) -> dict[str, Picture]:
     )
     swept = {
         study.name: Picture(
-            f"Success over {next(iter(study.sweep))}",
-            plots.over_setting(rows, *study.sweep, looks_of(rows.of), _WIDTH),
+            f"Success over {rows.setting.iloc[0]}",
+            plots.over_setting(rows, looks_of(rows.of), _WIDTH),
             _means(rows, SUCCESS),
         )
         for study in results

@@ -92,21 +92,17 @@ class Study:
 
         Returns:
             Rows of `estimates` in distribution, with the columns of, the condition in the experiment's file,
-            and value, that of the setting.
+            setting, its key, and value.
         """
+        sweep = self.experiment.spec.sweep if self.experiment else None
+        keys = list(sweep) if isinstance(sweep, dict) else []
         rows = self.estimates(quantity)
         rows = rows[(rows.side == HOME) & (rows.seeds > 0)]
         settings = {name: condition.settings for name, condition in self.plans.items()}
         texts = {name: own[0].partition("=")[2] for name, own in settings.items() if len(own) == 1}
         values = pd.to_numeric(rows.condition.map(texts), errors="coerce")
-        found = rows.assign(of=rows.condition.str.partition(POINT)[0], value=values)
-        is_one_number = isinstance(self.sweep, dict) and len(self.sweep) == 1 and values.notna().all()
-        return found if is_one_number else found.iloc[:0]
-
-    @property
-    def sweep(self) -> Any:
-        """What the experiment sweeps; None: nothing."""
-        return self.experiment and self.experiment.spec.sweep
+        found = rows.assign(of=rows.condition.str.partition(POINT)[0], setting=",".join(keys), value=values)
+        return found if len(keys) == 1 and values.notna().all() else found.iloc[:0]
 
     def _labelled(self, rows: pd.DataFrame) -> pd.DataFrame:
         mirrored = rows.side.map({"in_distribution": "", "mirrored": ", mirrored"})
@@ -159,11 +155,12 @@ def _study(
 
 def _files(runs: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Curves and episodes of runs that count, or are not finished and may."""
-    nothing = pd.DataFrame(columns=["condition", "seed", "path"])
+    names = ["condition", "seed", "path"]
+    nothing = pd.DataFrame(columns=names)
     curves, episodes = [], []
     unfinished = runs.state.isin(["unfinished", "running"]) & runs.deviation.isna()
     for _, run in runs[runs.counted | unfinished].iterrows():
-        directory, own = RunDirectory(run.path), {name: run[name] for name in nothing}
+        directory, own = RunDirectory(run.path), {name: run[name] for name in names}
         if directory.progress.exists():
             curves.append(read_progress(directory.progress).assign(**own))
         if directory.episodes.exists():

@@ -70,7 +70,7 @@ def test_success_over_a_swept_setting_has_a_line_per_condition():
         for value in (1.0, 0.7, 0.55)
     }
     with style():
-        figure = plots.over_setting(swept, *study.sweep, looks_of(swept.of), 640)
+        figure = plots.over_setting(swept, looks_of(swept.of), 640)
     (axes,) = figure.axes
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["baseline", "equivariant"]
     assert axes.get_xlabel() == "randomization.motor_strength.left"
