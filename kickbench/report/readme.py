@@ -145,7 +145,9 @@ def section(results: Sequence[Study], drawn: dict[str, Picture]) -> str:
     """The text between the marks of `results/README.md`: tables, verdicts, and what does not count."""
     parts = list[str]()
     for study in results:
-        parts += [_study_text(study), *[_image(study.name, drawn, "pictures")] * (study.name in drawn)]
+        parts.append(_study_text(study))
+        if study.name in drawn:
+            parts.append(_image(study.name, drawn, "pictures"))
     return "\n\n".join([*parts, _image("success", drawn, "pictures")])
 
 

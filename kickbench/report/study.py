@@ -98,11 +98,13 @@ class Study:
         keys = list(sweep) if isinstance(sweep, dict) else []
         rows = self.estimates(quantity)
         rows = rows[(rows.side == HOME) & (rows.seeds > 0)]
+        if len(keys) != 1 or rows.empty:
+            return rows.iloc[:0]
         settings = {name: condition.settings for name, condition in self.plans.items()}
         texts = {name: own[0].partition("=")[2] for name, own in settings.items() if len(own) == 1}
         values = pd.to_numeric(rows.condition.map(texts), errors="coerce")
-        found = rows.assign(of=rows.condition.str.partition(POINT)[0], setting=",".join(keys), value=values)
-        return found if len(keys) == 1 and values.notna().all() else found.iloc[:0]
+        of = rows.condition.str.partition(POINT)[0]
+        return rows.assign(of=of, setting=keys[0], value=values) if values.notna().all() else rows.iloc[:0]
 
     def _labelled(self, rows: pd.DataFrame) -> pd.DataFrame:
         mirrored = rows.side.map({"in_distribution": "", "mirrored": ", mirrored"})

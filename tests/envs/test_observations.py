@@ -138,6 +138,7 @@ class FakeField:
     size: int
     bound: Callable[[Any], Tensor]
     params: ObservationParams
+    name: str = "made_up"
 
 
 @pytest.fixture
