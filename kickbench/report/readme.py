@@ -124,9 +124,10 @@ def _means(estimates: pd.DataFrame, quantity: Quantity) -> str:
 
 
 def summary(results: Sequence[Study], drawn: dict[str, Picture]) -> str:
-    """The text between the marks of `README.md`: success by condition, of experiments with one task."""
+    """The text between the marks of `README.md`: success by condition, of experiments with one task each."""
     rows = []
-    for study in (study for study in results if study.experiment and study.experiment.spec.task):
+    specs = ((study, study.experiment.spec) for study in results if study.experiment)
+    for study in (study for study, spec in specs if spec.task and spec.sweep is None):
         means = {
             (quantity.title, row.condition, row.side): quantity.spread(row["mean"], row["std"])
             for quantity in (SUCCESS, DISTANCE)
