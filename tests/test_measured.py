@@ -1,6 +1,6 @@
 """Measured policies, evaluated again from their own specs: they still do what was recorded of them.
 
-New episodes are compared with the recorded figures as two independent samples. All comparisons of all runs together
+One seed of each condition: what is tested is the code, which knows no seeds; SHA256SUMS guards the others' files. New episodes are compared with the recorded figures as two independent samples. All comparisons of all runs together
 fail by chance less often than once in ten thousand (Bonferroni). As seeds are fixed, "by chance" means over changes of
 the code that change episodes but not what they are drawn from: a test that passes goes on passing.
 """
@@ -20,7 +20,9 @@ from kickbench.training.trained import load_run
 
 ROOT = Path(__file__).parent.parent
 MEASURED = ROOT / "results/measured"
-RUNS = sorted(path.parent for path in MEASURED.rglob("metrics.json"))
+CONDITIONS = {path.parents[1]: path.parent for path in sorted(MEASURED.rglob("metrics.json"), reverse=True)}
+RUNS = sorted(CONDITIONS.values())
+"""Of each condition its first seed."""
 SIDES = ("in_distribution", "mirrored")
 
 FALSE_ALARM = 1e-4

@@ -51,7 +51,7 @@ def read_progress(path: Path) -> pd.DataFrame:
 
     Returns:
         A row per iteration, ascending, with the column `iteration`; the others are floats, NaN where nothing
-        is known yet. A compressed table may have been thinned (`kickbench.results.keep`); any other has every
+        is known yet. A compressed table may have been thinned (`results/keep.py`); any other has every
         row.
 
     Raises:

@@ -83,6 +83,11 @@ def save_policy(path: Path, policy: MLPModel, critic: MLPModel | None = None) ->
     _write(path, content if critic is None else {**content, "critic_state_dict": critic.state_dict()})
 
 
+def drop_critic(path: Path) -> None:
+    """Rewrites a policy's file without the critic."""
+    _write(path, {name: part for name, part in _read(path).items() if name != "critic_state_dict"})
+
+
 def load_policy(path: Path, policy: MLPModel) -> None:
     """Loads a policy's weights into a network of the same method.
 

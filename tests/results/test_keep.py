@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import shutil
 from pathlib import Path
 
@@ -11,17 +12,26 @@ import pytest
 
 from kickbench.errors import KickbenchError
 from kickbench.results.episode_table import EpisodeSides, read_episodes, write_episodes
-from kickbench.results.integrity import damage, seal
-from kickbench.results.keep import keep
+from kickbench.results.integrity import damage, read_sums, seal
 from kickbench.results.metrics import load_metrics
 from kickbench.results.progress_table import read_progress
 from kickbench.results.store import RunDirectory
 from kickbench.results.summary import summarise_sides
+from kickbench.training.trained import load_run
 
 from ..made_up import write_metrics
+from ..support import assert_same_bits
 
-MEASURED = Path(__file__).parents[2] / "results/measured/mini_home_field/baseline/seed0"
+RESULTS = Path(__file__).parents[2] / "results"
+MEASURED = RESULTS / "measured/mini_home_field/baseline/seed0"
 COUNT = 1000
+
+spec = importlib.util.spec_from_file_location("keep", RESULTS / "keep.py")
+assert spec is not None
+assert spec.loader is not None
+script = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(script)
+keep = script.keep
 
 
 @pytest.fixture
@@ -41,6 +51,17 @@ def run(tmp_path) -> Path:
     write_metrics(path / "metrics.json", metrics.model_copy(update={"evaluation": evaluation}))
     seal(path)
     return path
+
+
+def files_of(run: Path) -> set[str]:
+    """All but the sums themselves."""
+    files = {str(file.relative_to(run)) for file in run.rglob("*") if file.is_file()}
+    return files - {"SHA256SUMS"}
+
+
+def test_every_file_of_a_kept_run_has_its_sum():
+    for metrics in (RESULTS / "measured").rglob("metrics.json"):
+        assert read_sums(metrics.parent).keys() == files_of(metrics.parent), metrics.parent
 
 
 def test_every_kth_episode_of_both_sides_is_kept(run, tmp_path):
@@ -64,6 +85,7 @@ def test_of_the_training_every_kth_row_and_the_last_are_kept_as_they_were(run, t
 def test_a_kept_run_is_intact_and_can_be_kept_again(run, tmp_path):
     keep(run, tmp_path / "kept")
     assert damage(tmp_path / "kept") is None
+    assert read_sums(tmp_path / "kept").keys() == files_of(tmp_path / "kept")
     keep(tmp_path / "kept", tmp_path / "again")
     assert damage(tmp_path / "again") is None
     for name in ("metrics.json", "policy.pt", "episodes.csv.gz"):
@@ -87,3 +109,13 @@ def test_a_place_that_holds_a_run_is_refused(run, tmp_path):
     keep(run, tmp_path / "kept")
     with pytest.raises(KickbenchError, match="holds a run"):
         keep(run, tmp_path / "kept")
+
+
+def test_a_run_may_be_kept_without_its_critic(tmp_path):
+    """Of a run with one: its policy is as it was, and the file is half as large."""
+    run = RESULTS / "measured/mini_unequal_motors/baseline,left=1.0/seed0"
+    (kept,) = keep(run, tmp_path / "kept", critic=False)
+    assert damage(kept) is None
+    before, after = load_run(run).policy, load_run(kept).policy
+    assert_same_bits(before.network.state_dict(), after.network.state_dict())
+    assert (kept / "policy.pt").stat().st_size < 0.6 * (run / "policy.pt").stat().st_size

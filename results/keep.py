@@ -1,7 +1,8 @@
-"""`python -m kickbench.results.keep RUNS PLACE`: makes finished runs small enough to keep in a repository."""
+"""`python results/keep.py RUNS PLACE`: makes finished runs small enough to keep in this repository."""
 
 from __future__ import annotations
 
+import argparse
 import shutil
 import sys
 from itertools import groupby
@@ -11,6 +12,7 @@ from kickbench.errors import KickbenchError
 from kickbench.results import integrity
 from kickbench.results.atomic import atomic_write_text, read_text
 from kickbench.results.store import RunDirectory, find_begun_runs
+from kickbench.training.checkpoint import drop_critic
 
 EPISODES = 200
 """Episodes of a side, about, that are kept; all figures of all episodes are in `metrics.json`."""
@@ -18,10 +20,10 @@ EVERY = 5
 """Of so many training iterations one is kept."""
 
 
-def keep(runs: Path | str, place: Path | str, every: int = EVERY) -> list[Path]:
+def keep(runs: Path, place: Path, every: int = EVERY, critic: bool = True) -> list[Path]:
     """Copies finished runs, with two tables thinned and compressed.
 
-    All but those two is copied as it is. Of the episodes, every k-th of both sides is kept, with k such that
+    All but those two, and the critic where it is left out, is copied as it is. Of the episodes, every k-th of both sides is kept, with k such that
     about `EPISODES` a side are left; a table with no more is kept whole.
 
     Args:
@@ -29,6 +31,7 @@ def keep(runs: Path | str, place: Path | str, every: int = EVERY) -> list[Path]:
         place: Where they go, in the same arrangement; a run that is there already is an error.
         every: Of so many training iterations one is kept, and the last; 1: all, as claims about learning
             curves need them.
+        critic: Whether the critics stay, with which `--init-from` a training goes on best.
 
     Returns:
         The folders of the copies.
@@ -41,13 +44,13 @@ def keep(runs: Path | str, place: Path | str, every: int = EVERY) -> list[Path]:
         integrity.check(run)
     if not begun or not all(run.metrics.is_file() for run in begun):
         raise KickbenchError(f"{runs}: expected finished runs, and nothing else")
-    return [_keep(run, Path(place) / run.path.relative_to(runs), every) for run in begun]
+    return [_keep(run, place / run.path.relative_to(runs), every, critic) for run in begun]
 
 
-def _keep(run: RunDirectory, place: Path, every: int) -> Path:
+def _keep(run: RunDirectory, place: Path, every: int, critic: bool) -> Path:
     if RunDirectory(place).holds_a_run:
         raise KickbenchError(f"{place}: holds a run")
-    for name in integrity.read_sums(run.path):
+    for name in (integrity.FILE, *integrity.read_sums(run.path)):
         if (run.path / name).is_file():
             (place / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy(run.path / name, place / name)
@@ -56,6 +59,8 @@ def _keep(run: RunDirectory, place: Path, every: int) -> Path:
         kept = _thinned(rows, every) if file == run.progress else _thinned_sides(rows)
         (place / file.name).unlink()
         atomic_write_text(place / f"{file.name.removesuffix('.gz')}.gz", "".join([header, *kept]))
+    if not critic:
+        drop_critic(place / run.policy.name)
     integrity.seal(place)
     return place
 
@@ -73,9 +78,13 @@ def _thinned_sides(rows: list[str]) -> list[str]:
 
 
 if __name__ == "__main__":
-    if len(sys.argv) != 3:
-        sys.exit("usage: python -m kickbench.results.keep RUNS PLACE")
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("runs", type=Path, help="a folder of finished runs, or one run")
+    parser.add_argument("place", type=Path, help="where they go, in the same arrangement")
+    parser.add_argument("--every", type=int, default=EVERY, help="of so many training iterations one is kept")
+    parser.add_argument("--without-critic", action="store_true", help="leave the critics out")
+    given = parser.parse_args()
     try:
-        keep(sys.argv[1], sys.argv[2])
+        keep(given.runs, given.place, given.every, not given.without_critic)
     except KickbenchError as error:
         sys.exit(str(error))
