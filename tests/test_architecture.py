@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+from collections import Counter
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -75,6 +76,12 @@ def own_imports(path: Path) -> Iterator[tuple[str, str]]:
 def test_every_module_has_a_place_in_the_order():
     rooms = {room_of(module_of(path)) for path in FILES}
     assert rooms - {""} == set(RANK), "a new room needs a rank in ROOMS and a line in architecture.md"
+
+
+def test_a_file_name_means_one_thing():
+    """A robot is a robot in every room that has it: its spec, and the verbs about it. So is an experiment."""
+    names = Counter(path.stem for path in FILES)
+    assert {name for name, count in names.items() if count > 1} == {"__init__", "experiment", "robot"}
 
 
 def test_imports_flow_one_way():

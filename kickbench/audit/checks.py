@@ -8,9 +8,9 @@ import numpy as np
 import torch
 from tensordict import TensorDict
 
-from kickbench.audit.measure import Measurement, contradiction, entry_contradiction, judge_misfits
+from kickbench.audit.findings import Row, Verdict, verdict_of
+from kickbench.audit.fit import Measurement, contradiction, entry_contradiction, judge_misfits
 from kickbench.audit.record import Pairs, Recording
-from kickbench.audit.report import Row, Verdict, verdict_of
 from kickbench.evaluation.rollouts import Policy
 from kickbench.symmetry.derive import Derivation
 from kickbench.symmetry.mirror import Image, mirror_joints

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
-from kickbench.audit.report import Row
+from kickbench.audit.findings import Row
 from kickbench.envs.compiled_task import CompiledTask
 from kickbench.sim.mirror_image import FIGURES, mirror_image
 from kickbench.sim.read_parts import read_parts

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from kickbench.audit.measure import misfits
+from kickbench.audit.fit import misfits
 from kickbench.audit.states import VariedActions, VariedInitialStates, vary_episodes
 from kickbench.envs.compiled_task import CompiledTask
 from kickbench.envs.engines import make_engine
@@ -19,7 +19,7 @@ from kickbench.envs.state import State
 from kickbench.envs.tensors import Tensors
 from kickbench.envs.term import Bound
 from kickbench.evaluation.rollouts import Policy
-from kickbench.nets.build import torch_threads
+from kickbench.nets.actor_critic import torch_threads
 from kickbench.sim.layout import Servo, joint_ranges
 from kickbench.sim.mirror_image import twin_models
 from kickbench.sim.sensors import ROBOT

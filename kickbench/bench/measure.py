@@ -20,13 +20,13 @@ import torch
 from torch import Tensor
 from torch.profiler import ProfilerActivity, profile, record_function
 
+from kickbench.bench.figures import BenchReport, SizeFigures, Timing
 from kickbench.bench.physics import physics_alone
-from kickbench.bench.report import BenchReport, SizeFigures, Timing
 from kickbench.envs.engines import make_engine
 from kickbench.envs.env import KickEnv
 from kickbench.envs.graph import fastest_steps
 from kickbench.evaluation.progress_bar import tracked
-from kickbench.nets.build import torch_threads, update_threads
+from kickbench.nets.actor_critic import torch_threads, update_threads
 from kickbench.results.provenance import RunHistory, collect_provenance
 from kickbench.training.checkpoint import Checkpoints
 from kickbench.training.iteration_log import Progress, Record

@@ -14,8 +14,8 @@ from typing import Literal
 import torch
 from pydantic import Field
 
+from kickbench.bench.figures import SizeFigures
 from kickbench.bench.measure import Iterations, measure_size
-from kickbench.bench.report import SizeFigures
 from kickbench.config.shipped import find, find_method, root
 from kickbench.envs.engines import make_engine, make_warp_engine, rehearsal
 from kickbench.results.atomic import Record, atomic_write_text, check_writable

@@ -49,7 +49,7 @@ def audit(
     if method is not None:
         is_table = str(method) in names("representations")
         method = find(method, "representations") if is_table else find_method(method, task, ["robot"])
-    from kickbench.audit.run import audit as run_audit
+    from kickbench.audit.audit import audit as run_audit
 
     report = run_audit(task, method, policy, states, seed, overrides, threads)
     print(json_text.dumps(report.as_json(), indent=2) if json else "\n".join(report.lines()))
@@ -78,8 +78,8 @@ def bench(
     if proof and (device == "cpu" or json or profile):
         raise KickbenchError("--proof needs --device cuda, and neither --json nor --profile")
     cli.refuse_contradiction(overrides, _NUM_ENVS, *num_envs)
+    from kickbench.bench.figures import print_report
     from kickbench.bench.measure import measure, profile_iteration
-    from kickbench.bench.report import print_report
     from kickbench.results.atomic import atomic_write_text, check_writable
     from kickbench.sim.engine import check_device, usable_cores
 

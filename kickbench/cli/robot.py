@@ -48,7 +48,7 @@ def check(
     json: cli.Json = False,
 ) -> int:
     """Print what to know of a robot before it is trained; exit code 1 if a fact fails."""
-    from kickbench.robots.check import check_robot
+    from kickbench.robots.facts import check_robot
 
     report = check_robot(robot.absolute(), task)
     print(json_text.dumps(report.as_json(), indent=2) if json else "\n".join(report.lines()))

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from kickbench.launch.jobs import Jobs
+    from kickbench.launch.overview import PlanRecord, RunState
     from kickbench.launch.plan import Plan
-    from kickbench.launch.state import PlanRecord, RunState
 
 DEMO = "mini_home_field"
 CONDITIONS = ("baseline", "augmentation", "equivariant")
@@ -138,7 +138,7 @@ def _print_states(
     title: str, runs: list[tuple[str, RunState, str]], at_a_time: int | None, how: str = ""
 ) -> None:
     """Prints how far runs are, and how long the rest takes, so many at a time; None: there is no rest."""
-    from kickbench.launch.state import counts, run_table, time_left
+    from kickbench.launch.overview import counts, run_table, time_left
 
     print(run_table(title, runs))
     print(f"\n{counts([state for _, state, _ in runs])}{how}")
@@ -263,7 +263,7 @@ def _pictures(folder: Path) -> Iterator[str]:
 @cli.verb("Train", "status runs/mini_home_field")
 def status(root: Path = cli.argument("Folder of runs.", "DIR", **cli.FOLDER)) -> None:
     """Print how far the runs of a folder are."""
-    from kickbench.launch.state import read_record
+    from kickbench.launch.overview import read_record
 
     record = read_record(root)
     runs = list(_states(root, record))
@@ -276,7 +276,7 @@ def status(root: Path = cli.argument("Folder of runs.", "DIR", **cli.FOLDER)) ->
 
 def _states(root: Path, record: PlanRecord | None) -> Iterator[tuple[str, RunState, str]]:
     """Name, state and remark: first the runs of the plan, then others that are there."""
-    from kickbench.launch.state import RunState, state_of
+    from kickbench.launch.overview import RunState, state_of
     from kickbench.results.frame import load_runs, run_path, runs_of
     from kickbench.results.store import RunDirectory
 

@@ -19,7 +19,7 @@ from kickbench.envs.compiled_task import CompiledTask
 from kickbench.envs.term import Field
 from kickbench.errors import KickbenchError, require, shown
 from kickbench.evaluation.rollouts import draw_initial_states
-from kickbench.nets.build import TrainedPolicy
+from kickbench.nets.actor_critic import TrainedPolicy
 from kickbench.results.atomic import atomic_file, atomic_write_bytes, atomic_write_text
 from kickbench.results.identity import read_identity
 from kickbench.sim.layout import SceneLayout

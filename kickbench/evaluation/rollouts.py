@@ -23,7 +23,7 @@ from kickbench.envs.episode import FOOT_NAMES
 from kickbench.envs.initial_states import InitialStates, InitialStateSampler
 from kickbench.evaluation.probes import EquivarianceProbe, KickRecord, StateTrack, twin_distances
 from kickbench.evaluation.progress_bar import EVALUATING, Steps
-from kickbench.nets.build import torch_threads
+from kickbench.nets.actor_critic import torch_threads
 from kickbench.results.episode_table import NON_FINITE, SIDES, EpisodeSides, EpisodeTable, episode_table
 from kickbench.results.metrics import EquivarianceError, TwinDistance
 from kickbench.symmetry.torch_ops import Mirror

@@ -10,8 +10,8 @@ from typing import Any, Literal, Protocol
 
 from kickbench.errors import shown
 from kickbench.evaluation.progress_bar import duration, percent
+from kickbench.launch.overview import time_left, write_record
 from kickbench.launch.plan import Plan, PlannedRun
-from kickbench.launch.state import time_left, write_record
 from kickbench.results.store import RunDirectory
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)

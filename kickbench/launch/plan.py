@@ -8,8 +8,8 @@ from itertools import zip_longest
 from pathlib import Path
 
 from kickbench.errors import KickbenchError, Problem, SpecError, did_you_mean
+from kickbench.launch.overview import PlanRecord, RunRecord, RunState, read_state
 from kickbench.launch.run import RunRequest
-from kickbench.launch.state import PlanRecord, RunRecord, RunState, read_state
 from kickbench.results.frame import run_path
 from kickbench.results.metrics import load_metrics
 from kickbench.results.provenance import ExperimentRef

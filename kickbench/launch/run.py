@@ -19,7 +19,7 @@ from kickbench.envs.env import KickEnv
 from kickbench.errors import KickbenchError, SpecError, shown
 from kickbench.evaluation.grid import evaluate_grid
 from kickbench.evaluation.rollouts import Policy, run_sides, success_by_side
-from kickbench.nets.build import build_actor, update_threads
+from kickbench.nets.actor_critic import build_actor, update_threads
 from kickbench.results.episode_table import write_episodes
 from kickbench.results.metrics import Evaluation, Metrics, load_metrics
 from kickbench.results.provenance import ExperimentRef, RunHistory, earlier_parts

@@ -14,9 +14,9 @@ from kickbench.config.load import Loaded
 from kickbench.config.robot import RobotSpec
 from kickbench.config.task import BallSpec, ObstaclesSpec, SimulationSpec, TargetSampling, TaskSpec
 from kickbench.sim.carried import differences
-from kickbench.sim.check import compiled, feet_problems, pose_problems, raise_problems, read_robot
 from kickbench.sim.layout import GOAL, SceneLayout, Servo, obstacle, read_layout, slides_of
 from kickbench.sim.pose import posed
+from kickbench.sim.read_robot import compiled, feet_problems, pose_problems, raise_problems, read_robot
 from kickbench.sim.sensors import ROBOT, SensorGroup, add_sensors, robot_feet, sole_site
 
 _AXES = ("x", "y", "z", "rx", "ry", "rz")

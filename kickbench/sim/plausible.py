@@ -13,7 +13,6 @@ from kickbench.config.load import Loaded
 from kickbench.config.robot import RobotSpec
 from kickbench.config.task import SimulationSpec
 from kickbench.errors import KeyPath, Problem
-from kickbench.sim.check import pose_problems, read_robot
 from kickbench.sim.pose import (
     apparent_inertia,
     base_joint,
@@ -24,6 +23,7 @@ from kickbench.sim.pose import (
     touching_geoms,
     underside,
 )
+from kickbench.sim.read_robot import pose_problems, read_robot
 from kickbench.sim.sensors import robot_feet
 
 _OFF, _FAR = 0.01, 0.05

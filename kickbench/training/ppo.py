@@ -21,7 +21,7 @@ from torch import Tensor, nn
 from kickbench.config.method import AlgorithmSpec, SymmetrySpec
 from kickbench.envs.env import KickEnv
 from kickbench.errors import KickbenchError
-from kickbench.nets.build import build_actor, build_critic
+from kickbench.nets.actor_critic import build_actor, build_critic
 from kickbench.nets.modules import Augmentation
 from kickbench.training.ranks import ALONE, Ranks
 from kickbench.trials.trial import Symmetry as Reflection

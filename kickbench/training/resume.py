@@ -13,7 +13,7 @@ from rsl_rl.models import MLPModel
 
 from kickbench.config.load import load_method
 from kickbench.errors import KickbenchError, Problem, SpecError, shown
-from kickbench.nets.build import build_actor, build_critic
+from kickbench.nets.actor_critic import build_actor, build_critic
 from kickbench.results.identity import ITERATIONS, read_identity
 from kickbench.results.integrity import damage, seal
 from kickbench.results.metrics import load_metrics

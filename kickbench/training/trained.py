@@ -15,7 +15,7 @@ from kickbench.config.shipped import find
 from kickbench.config.task import TaskSpec
 from kickbench.envs.compiled_task import CompiledTask
 from kickbench.errors import KickbenchError, shown
-from kickbench.nets.build import TrainedPolicy, build_actor
+from kickbench.nets.actor_critic import TrainedPolicy, build_actor
 from kickbench.results import integrity
 from kickbench.results.metrics import Metrics, load_metrics
 from kickbench.results.store import RunDirectory

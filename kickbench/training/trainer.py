@@ -22,7 +22,7 @@ from kickbench.envs.curriculum import Growth
 from kickbench.envs.env import KickEnv
 from kickbench.envs.graph import fastest_steps
 from kickbench.errors import KickbenchError
-from kickbench.nets.build import torch_threads
+from kickbench.nets.actor_critic import torch_threads
 from kickbench.nets.layers import residual_share
 from kickbench.results.episode_table import SIDES
 from kickbench.results.provenance import RunHistory

@@ -17,8 +17,8 @@ from kickbench.config.yamltree import RENAMED
 from kickbench.envs.catalog import catalog, model_of_task, task_model
 from kickbench.envs.compiled_task import CompiledTask, compile_task, own_representations
 from kickbench.errors import Mark, Problem, collected, did_you_mean
-from kickbench.sim.check import check_symmetry
 from kickbench.sim.plausible import findings, step_warnings
+from kickbench.sim.read_robot import check_symmetry
 from kickbench.symmetry.field_table import resolve_expression
 from kickbench.trials.experiment import load_experiment
 from kickbench.trials.trial import symmetry_of

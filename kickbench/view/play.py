@@ -13,7 +13,7 @@ import numpy as np
 from kickbench.envs.compiled_task import CompiledTask
 from kickbench.envs.episode import FOOT_NAMES
 from kickbench.errors import KickbenchError
-from kickbench.nets.build import torch_threads
+from kickbench.nets.actor_critic import torch_threads
 from kickbench.sim.silence import silent
 from kickbench.view.session import Session
 from kickbench.view.stage import dress

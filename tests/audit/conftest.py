@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from kickbench.audit.checks import judge
+from kickbench.audit.findings import Row
 from kickbench.audit.model import derive_scene, model_rows
 from kickbench.audit.record import Recording, record
-from kickbench.audit.report import Row
 from kickbench.envs.compiled_task import CompiledTask
 from kickbench.sim.layout import RIGHT, joint_ranges
 from kickbench.sim.sensors import ROBOT

@@ -12,9 +12,9 @@ import pytest
 import torch
 
 from kickbench.audit.checks import judge
+from kickbench.audit.findings import Report
 from kickbench.audit.model import derive_scene, model_rows
 from kickbench.audit.record import mirrored_layout, record
-from kickbench.audit.report import Report
 from kickbench.cli import main
 from kickbench.config.load import load
 from kickbench.config.method import RepresentationSpec
@@ -286,7 +286,7 @@ def test_a_broken_equivariant_policy_fails(mini):
 
 def test_a_partial_policy_is_equivariant_but_for_what_its_method_excludes(mini, experiment):
     from kickbench.audit.checks import policy_rows
-    from kickbench.nets.build import build_actor
+    from kickbench.nets.actor_critic import build_actor
 
     run = experiment("mini_general", "equivariant", "symmetry.exclude=[ball_position, left_hip_yaw]")
     actor = build_actor(run.method.spec, run.symmetry.groups["actor"], run.symmetry.actions).eval()

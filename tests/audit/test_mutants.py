@@ -21,7 +21,7 @@ from kickbench.config.shipped import find
 from kickbench.envs.engines import make_engine
 from kickbench.envs.env import KickEnv
 from kickbench.envs.term import Field
-from kickbench.nets.build import build_actor
+from kickbench.nets.actor_critic import build_actor
 from kickbench.symmetry.field_table import FieldTable
 from kickbench.symmetry.mirror import Image
 from kickbench.symmetry.representation import BY_NAME, Representation, kind_of_coordinate

@@ -10,9 +10,9 @@ import pytest
 import torch
 
 from kickbench.bench import measure, physics
+from kickbench.bench.figures import BenchReport
 from kickbench.bench.measure import Iterations, Stopwatch, profile_iteration
 from kickbench.bench.physics import physics_alone
-from kickbench.bench.report import BenchReport
 from kickbench.cli import main
 from kickbench.envs.engines import make_engine, make_warp_engine
 from kickbench.envs.env import KickEnv

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from kickbench.audit.run import audit
+from kickbench.audit.audit import audit
 from kickbench.envs.engines import make_engine, make_warp_engine
 from kickbench.envs.env import KickEnv
 from kickbench.envs.initial_states import overlaps

@@ -16,7 +16,7 @@ from kickbench.cli import main
 from kickbench.errors import SpecError
 from kickbench.evaluation.grid import evaluate_grid, grid_of, grid_states
 from kickbench.evaluation.rollouts import run_episodes
-from kickbench.nets.build import build_actor
+from kickbench.nets.actor_critic import build_actor
 from kickbench.results.frame import load_runs
 from kickbench.results.metrics import load_metrics
 from kickbench.results.tables import render_grid

@@ -24,7 +24,7 @@ from kickbench.evaluation.rollouts import (
     run_episodes,
     run_sides,
 )
-from kickbench.nets.build import build_actor
+from kickbench.nets.actor_critic import build_actor
 from kickbench.results.metrics import EquivarianceError
 from kickbench.symmetry.representation import REGULAR, SIGN, TRIVIAL
 from kickbench.symmetry.torch_ops import Mirror

@@ -9,7 +9,7 @@ import torch
 
 from kickbench.envs.env import KickEnv
 from kickbench.evaluation.rollouts import draw_initial_states, mirror_initial_states, run_episodes, run_sides
-from kickbench.nets.build import build_actor
+from kickbench.nets.actor_critic import build_actor
 
 
 @pytest.fixture(scope="module")

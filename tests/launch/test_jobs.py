@@ -14,9 +14,9 @@ import pytest
 from kickbench.launch import jobs as module
 from kickbench.launch.jobs import Jobs, Outcome
 from kickbench.launch.local import LocalExecutor, last_lines
+from kickbench.launch.overview import RunRecord
 from kickbench.launch.plan import PlannedRun
 from kickbench.launch.run import RunRequest
-from kickbench.launch.state import RunRecord
 from kickbench.results.integrity import write_also
 from kickbench.results.metrics import metrics_bytes
 

@@ -8,8 +8,8 @@ import pytest
 
 from kickbench.cli import main
 from kickbench.errors import SpecError
+from kickbench.launch.overview import read_record, write_record
 from kickbench.launch.plan import Plan, Selection, make_plan
-from kickbench.launch.state import read_record, write_record
 from kickbench.results.identity import identity_of
 from kickbench.results.metrics import load_metrics
 from kickbench.results.specs import write_specs

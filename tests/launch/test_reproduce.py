@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from kickbench.cli import main
-from kickbench.launch.state import RunState, read_state
+from kickbench.launch.overview import RunState, read_state
 from kickbench.results.store import RunDirectory
 
 from ..support import SMALL, assert_same_run, wait_for

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from kickbench.cli import main
-from kickbench.launch.state import PlanRecord, RunRecord, write_record
+from kickbench.launch.overview import PlanRecord, RunRecord, write_record
 from kickbench.results.atomic import atomic_write_text
 
 from ..made_up import write_result

@@ -11,7 +11,7 @@ import pytest
 
 from kickbench.config.load import load
 from kickbench.config.robot import RobotSpec
-from kickbench.sim.check import check_symmetry
+from kickbench.sim.read_robot import check_symmetry
 
 MJCF = """
 <mujoco><compiler angle="radian"/>{settings}

@@ -11,9 +11,9 @@ import pytest
 from kickbench.config.load import load
 from kickbench.config.robot import ActuatorSpec, RobotSpec
 from kickbench.sim.build import servo_law
-from kickbench.sim.check import read_robot
 from kickbench.sim.layout import Servo
 from kickbench.sim.pose import apparent_inertia, lowest_point, posed, share_of_limit
+from kickbench.sim.read_robot import read_robot
 
 SHAPES = {
     "sphere": 'type="sphere" size="0.1"',

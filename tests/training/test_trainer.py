@@ -13,7 +13,7 @@ from tensordict import TensorDict
 from kickbench.envs.engines import make_engine
 from kickbench.envs.env import KickEnv
 from kickbench.errors import KickbenchError
-from kickbench.nets.build import build_actor
+from kickbench.nets.actor_critic import build_actor
 from kickbench.symmetry.torch_ops import Mirror
 from kickbench.training.checkpoint import Checkpoints, load_policy, save_policy
 from kickbench.training.iteration_log import Progress, Record, RunProgress

@@ -7,9 +7,9 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from kickbench.audit.run import audit
+from kickbench.audit.audit import audit
 from kickbench.evaluation.probes import EquivarianceProbe
-from kickbench.nets.build import build_actor, build_critic
+from kickbench.nets.actor_critic import build_actor, build_critic
 from kickbench.nets.layers import EquivariantLinear
 from kickbench.symmetry.representation import REGULAR, SIGN, TRIVIAL, Representation, regular
 from kickbench.symmetry.torch_ops import Mirror

@@ -76,7 +76,7 @@ def run(experiment, tmp_path):
 @pytest.fixture
 def trained(run, experiment):
     """The directory of a run with an untrained policy."""
-    from kickbench.nets.build import build_actor
+    from kickbench.nets.actor_critic import build_actor
     from kickbench.training.checkpoint import save_policy
 
     symmetry, method = experiment("mini_general").symmetry, experiment("mini_general").method

@@ -12,7 +12,7 @@ from rsl_rl.models import MLPModel
 from rsl_rl.modules import EmpiricalNormalization
 from tensordict import TensorDict
 
-from kickbench.nets.build import (
+from kickbench.nets.actor_critic import (
     EquivariantModel,
     SymmetricModel,
     build_actor,

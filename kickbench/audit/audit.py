@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from kickbench.audit.checks import judge, policy_rows
+from kickbench.audit.findings import Report
 from kickbench.audit.model import derive_scene, model_rows
 from kickbench.audit.record import record
-from kickbench.audit.report import Report
 from kickbench.config.load import Loaded, LoadedMethod, load, load_method
 from kickbench.config.method import RepresentationSpec
 from kickbench.config.shipped import find

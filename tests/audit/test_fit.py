@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from kickbench.audit.measure import Measurement, judge_misfits, misfits, name_of
+from kickbench.audit.fit import Measurement, judge_misfits, misfits, name_of
 from kickbench.symmetry.representation import (
     REGULAR,
     REGULAR_SIGN,

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from kickbench.launch.state import read_state, read_tail, time_left
+from kickbench.launch.overview import read_state, read_tail, time_left
 
 
 def test_a_folder_without_a_run_is_not_begun(make_run):

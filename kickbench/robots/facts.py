@@ -20,9 +20,9 @@ from kickbench.errors import shown
 from kickbench.results.tables import render_block
 from kickbench.robots.guess import GRAVITY, efforts_of, supports
 from kickbench.robots.stand import ENVS, SECONDS, Standing, default_pose, stand
-from kickbench.sim.check import read_robot
 from kickbench.sim.plausible import SAFE, Finding, Stepped, findings, stepped
 from kickbench.sim.pose import base_joint, lowest_point, posed, touching_geoms
+from kickbench.sim.read_robot import read_robot
 from kickbench.sim.sensors import robot_feet
 
 _TIMESTEPS, _INTEGRATORS = (0.002, 0.005), ("euler", "implicitfast")
