@@ -114,7 +114,7 @@ def test_every_figure_is_there(whole):
         "Which foot kicks", "Left and right in figures", "Provenance",
     ):  # fmt: skip
         assert title in page.text
-    assert "Equivariance error Not measured: " in page.text
+    assert "Equivariance error Not counted, or not measured: " in page.text
 
 
 def test_figures_stand_beside_what_they_rest_on(whole):
@@ -133,9 +133,12 @@ def test_figures_stand_beside_what_they_rest_on(whole):
 def test_results_alone_make_a_page_that_says_what_is_missing(folder):
     folder.add("baseline", curves=None, table=False)
     page, _ = page_of(folder.path)
-    assert "Learning curves Not measured, no training curve (progress.csv): baseline seed 0." in page.text
     assert (
-        "Where the balls stopped Not measured, no table of episodes (episodes.csv): baseline seed 0."
+        "Learning curves Not counted, or without a training curve (progress.csv): baseline seed 0."
+        in page.text
+    )
+    assert (
+        "Where the balls stopped Not counted, or without a table of episodes (episodes.csv): baseline seed 0."
         in page.text
     )
     assert "66.7" in page.text
