@@ -157,9 +157,7 @@ class InitialStateSampler:
         unit = torch.rand(shape, generator=self.generator, dtype=torch.float64, device=self.generator.device)
         return low + (high - low) * unit
 
-    def sample(
-        self, count: int, ball: Tensor | None = None, target: Tensor | None = None
-    ) -> InitialStates:
+    def sample(self, count: int, ball: Tensor | None = None, target: Tensor | None = None) -> InitialStates:
         """Draws `count` independent initial states.
 
         Args:
