@@ -87,7 +87,7 @@ def _without_chance(task: CompiledTask) -> CompiledTask:
 
 
 def _middle(bounds: tuple[float, float] | None) -> tuple[float, float] | None:
-    return bounds and (sum(bounds) / 2,) * 2
+    return bounds and (sum(bounds) / 2, sum(bounds) / 2)
 
 
 def grid_of(task: CompiledTask) -> Grid:

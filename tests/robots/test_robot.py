@@ -196,6 +196,8 @@ def test_without_joints_no_robot_file_is_written_and_there_are_no_facts_of_joint
     )
     head = "model: puck.xml\nbase: puck\ninitial: {position: [0.0, 0.0, 0.1]}\nsymmetry: {}\nactuators:\n"
     Path("robot.yaml").write_text(head + "\n".join(drives))
+    for module in ("stand", "facts"):
+        monkeypatch.setattr(f"kickbench.robots.{module}.SECONDS", 0.2)
     code, out = run(capsys, "kickbench robot check robot.yaml")
     assert code == 0, out
     assert "stands, 2 ms, euler" in out
