@@ -58,8 +58,7 @@ class Reflection(NamedTuple):
 
     def __call__(self, snapshot: Tensors) -> Tensors:
         """The mirror image of running episodes, except for the actor's samples: the audit judges terms."""
-        exact = Tensors({name: part for name, part in snapshot.items() if name != "perception"})
-        return exact.mirrored(*self)
+        return snapshot.mirrored(*self)
 
 
 def reflection_of(task: CompiledTask, derivation: Derivation) -> Reflection:

@@ -9,7 +9,7 @@ of every joint.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -25,25 +25,14 @@ _LIFT = 0.3  # m
 _SPEEDS = 2.0  # rad/s and m/s
 
 
-@dataclass(frozen=True)
-class _Draws:
-    generator: torch.Generator
-
-    def uniform(self, low: float, high: float, *shape: int) -> Tensor:
-        return low + (high - low) * torch.rand(shape, generator=self.generator, dtype=torch.float64)
-
-    def normal(self, *shape: int) -> Tensor:
-        return torch.randn(shape, generator=self.generator)
-
-
 class VariedInitialStates:
     """Initial states of four kinds in turn: the task's own, ball at a foot, random pose, thrown."""
 
     def __init__(self, task: CompiledTask, seed: int) -> None:
         layout = task.scene.layout
         self._task, self._layout = task, layout
-        self._draws = _Draws(torch.Generator().manual_seed(seed))
-        self._sampler = InitialStateSampler(task, self._draws.generator)
+        self._sampler = InitialStateSampler(task, torch.Generator().manual_seed(seed))
+        self._draw, self._generator = self._sampler.draw, self._sampler.generator
         self._base = layout.base
 
     def __call__(self, mask: Tensor) -> InitialStates:
@@ -62,13 +51,13 @@ class VariedInitialStates:
         place, speed = self._layout.ball_qpos, self._layout.ball_qvel
         count, radius = int(mask.sum()), self._task.spec.ball.radius
         if len(obstacles):
-            pick = torch.randint(len(obstacles), (count,), generator=self._draws.generator)
+            pick = torch.randint(len(obstacles), (count,), generator=self._generator)
             _, high_x, low_y, high_y = obstacles[pick].unbind(dim=1)
-            gap = self._draws.uniform(0.005, 0.05, count)
+            gap = self._draw(0.005, 0.05, count)
             qpos[mask, place] = high_x + radius + gap
-            qpos[mask, place + 1] = low_y + (high_y - low_y) * self._draws.uniform(-0.5, 1.5, count)
-        qvel[mask, speed] = -self._draws.uniform(0.2, _BALL_SPEED, count)
-        qvel[mask, speed + 1] = self._draws.uniform(-0.3, 0.3, count)
+            qpos[mask, place + 1] = low_y + (high_y - low_y) * self._draw(-0.5, 1.5, count)
+        qvel[mask, speed] = -self._draw(0.2, _BALL_SPEED, count)
+        qvel[mask, speed + 1] = self._draw(-0.3, 0.3, count)
 
     def _pose(self, qpos: Tensor, qvel: Tensor, mask: Tensor) -> None:
         """Joints anywhere in half of their range about the default, moving; the ball rolls and spins."""
@@ -79,26 +68,26 @@ class VariedInitialStates:
             low, high = (-0.5, 0.5)
             if model.jnt_limited[joint]:
                 low, high = model.jnt_range[joint]
-            share = self._draws.uniform(0.0, 1.0, count)
+            share = self._draw(0.0, 1.0, count)
             pose = qpos[mask, coordinate.qpos]
-            qpos[mask, coordinate.qpos] = pose + share * (self._draws.uniform(low, high, count) - pose)
-            qvel[mask, coordinate.qvel] = self._draws.uniform(-_SPEEDS, _SPEEDS, count)
+            qpos[mask, coordinate.qpos] = pose + share * (self._draw(low, high, count) - pose)
+            qvel[mask, coordinate.qvel] = self._draw(-_SPEEDS, _SPEEDS, count)
         ball = self._layout.ball_qvel
-        qvel[mask, ball : ball + 2] = self._draws.uniform(-_SPEEDS, _SPEEDS, count, 2)
-        qvel[mask, ball + 3 : ball + 6] = self._draws.uniform(-_SPEEDS, _SPEEDS, count, 3)
+        qvel[mask, ball : ball + 2] = self._draw(-_SPEEDS, _SPEEDS, count, 2)
+        qvel[mask, ball + 3 : ball + 6] = self._draw(-_SPEEDS, _SPEEDS, count, 3)
         if self._base is not None:
             # Off the floor: a random pose would stand in it.
-            qpos[mask, self._base.qpos + 2] += self._draws.uniform(0.05, _LIFT, count)
+            qpos[mask, self._base.qpos + 2] += self._draw(0.05, _LIFT, count)
 
     def _throw(self, qpos: Tensor, qvel: Tensor, mask: Tensor) -> None:
         """A free base tilts, turns and flies; it will fall."""
         if self._base is None:
             return
         count, place, speed = int(mask.sum()), self._base.qpos, self._base.qvel
-        axis = torch.nn.functional.normalize(self._draws.normal(count, 3).double(), dim=1)
-        angle = self._draws.uniform(0.0, _TILT, count).unsqueeze(1)
+        axis = torch.nn.functional.normalize(torch.randn(count, 3, generator=self._generator).double(), dim=1)
+        angle = self._draw(0.0, _TILT, count).unsqueeze(1)
         qpos[mask, place + 3 : place + 7] = torch.cat([(angle / 2).cos(), axis * (angle / 2).sin()], dim=1)
-        qvel[mask, speed : speed + 6] = self._draws.uniform(-_SPEEDS, _SPEEDS, count, 6)
+        qvel[mask, speed : speed + 6] = self._draw(-_SPEEDS, _SPEEDS, count, 6)
 
 
 def vary_episodes(env: KickEnv, snapshot: Tensors, fresh: Tensor, draws: torch.Generator) -> Tensors:
@@ -109,13 +98,14 @@ def vary_episodes(env: KickEnv, snapshot: Tensors, fresh: Tensor, draws: torch.G
     push comes soon.
     """
     spec, place = env.task.spec, env.task.scene.layout.ball_qpos
-    draw, envs, episode = _Draws(draws), env.num_envs, snapshot.episode
+    envs, episode = env.num_envs, snapshot.episode
     kind = torch.randint(8, (envs,), generator=draws)
     late, near, ending = fresh & (kind < 3), fresh & (kind < 2), fresh & (kind == 3)
     window = spec.episode.contact_window
-    offset = draw.uniform(-1.0, 1.0, envs, 2) * 2.0 * spec.evaluation.success_radius
+    offset = 2.0 * torch.rand(envs, 2, generator=draws, dtype=torch.float64) - 1.0
+    offset = offset * 2.0 * spec.evaluation.success_radius
     target = (snapshot.qpos[:, place : place + 2] + offset).float()
-    actions = 0.5 * draw.normal(2, envs, env.num_actions)
+    actions = 0.5 * torch.randn(2, envs, env.num_actions, generator=draws)
     moved = (fresh & (kind < 4)).unsqueeze(1)
     episode.contact_count = torch.where(late, window + 1, episode.contact_count)
     episode.step = torch.where(ending, spec.episode.max_steps - 2, episode.step)
@@ -134,16 +124,17 @@ class VariedActions:
     _SIZES = (0.0, 0.3, 1.0, 3.0, 1.0, 2.0)
 
     def __init__(self, envs: int, actions: int, seed: int) -> None:
-        self._draws = _Draws(torch.Generator().manual_seed(seed))
+        self._draws = torch.Generator().manual_seed(seed)
         self._kind = torch.arange(envs) // 4 % len(self._SIZES)
         self._size = torch.tensor(self._SIZES)[self._kind].unsqueeze(1)
         self._held = torch.zeros(envs, actions)
-        self._phase = self._draws.uniform(0.0, 2.0 * math.pi, envs, actions).float()
+        turns = torch.rand(envs, actions, generator=self._draws, dtype=torch.float64)
+        self._phase = (2.0 * math.pi * turns).float()
         self._step = 0
 
     def __call__(self) -> Tensor:
         """Actions of the next step [B, nu]."""
-        fresh = self._draws.normal(*self._held.shape)
+        fresh = torch.randn(self._held.shape, generator=self._draws)
         self._held = fresh if self._step % 8 == 0 else self._held
         swing = torch.sin(0.4 * self._step + self._phase)
         self._step += 1

@@ -122,7 +122,7 @@ class Training(Spec):
     """Feet, whose friction decides in their contact with the floor."""
     episode: EpisodeSpec
     """Limits of an episode."""
-    terminations: dict[str, dict[str, float | str]]
+    terminations: dict[str, dict[str, bool | float | str | FloatList | NameList]]
     """What ended an episode, with its parameters."""
     success_radius: float
     """Largest distance of ball and target of a successful kick, m."""

@@ -29,8 +29,13 @@ from kickbench.trials.trial import symmetry_of
 OPSET = 13
 """ONNX operators of 2020: every runtime reads them."""
 _SIDES, _AXES = ("left", "right"), ("x", "y", "z")
-_COMPONENTS = {2: _SIDES, 3: _AXES, 6: tuple(f"{side}_{axis}" for side in _SIDES for axis in _AXES)}
-"""What the numbers of an observation are, by its size."""
+_COMPONENTS = {
+    "regular": _SIDES,
+    "trivial + sign": _AXES[:2],
+    "trivial + sign + trivial": _AXES,
+    "sign + trivial + sign": _AXES,
+}
+"""What the numbers of an observation are, by its representation."""
 
 
 def export(
@@ -124,18 +129,19 @@ def _default_pose(layout: SceneLayout) -> tuple[float, ...]:
 def _observation(task: CompiledTask, field: Field) -> parts.Observation:
     term, layout = field.bound.term, task.scene.layout
     own = {"joints": layout.joint_names, "actions": layout.actuator_names, "feet": layout.feet}
-    names = own.get(str(term.representation))
-    of_each = {"feet": layout.feet, "obstacles": range(layout.obstacles.observed if layout.obstacles else 0)}
+    own["obstacles"] = tuple(map(str, range(layout.obstacles.observed if layout.obstacles else 0)))
+    known = _COMPONENTS | own
+    names = known.get(str(term.representation))
     things, _, of_one = str(term.representation).partition(" x ")
-    if things in of_each and of_one:
-        axes = _AXES[: field.size // len(of_each[things])]
-        names = tuple(f"{thing}_{axis}" for thing in of_each[things] for axis in axes)
+    if of_one:
+        inner = known.get(of_one.strip("()"), ())
+        names = tuple(f"{thing}_{part}" for thing in known.get(things, ()) for part in inner)
     return parts.Observation(
         name=field.name,
         description=" ".join(term.description.split()),
         units=term.units,
         frame=term.frame,
-        components=names or _COMPONENTS.get(field.size) or tuple(map(str, range(field.size))),
+        components=names or tuple(map(str, range(field.size))),
         offset=_default_pose(layout) if term.from_default else (0.0,) * field.size,
         scale=(1.0,) * field.size,
         **{key: getattr(field.params, key) for key in ("clip", "noise", "rate", "dropout", "delay")},

@@ -56,7 +56,7 @@ class Growth:
     Attributes:
         spec: The curriculum.
         competence: Level of the ramps that follow the competence.
-        recent: Success in exploration of the last iterations at this level.
+        recent: Success in exploration of the episodes that ended in the last iterations at this level.
     """
 
     spec: CurriculumSpec
@@ -77,7 +77,10 @@ class Growth:
         }
 
     def note(self, success: float) -> None:
-        """Takes the success rate of an iteration, NaN if no episode ended in it; may raise the competence."""
+        """Takes the success rate of an iteration, NaN if no episode ended in it; may raise the competence.
+
+        The rate is that of the episodes that ended in it; after a rise some of them began before it.
+        """
         rule = self.spec.competence
         if rule is None or self.competence >= 1.0 or not isfinite(success):
             return

@@ -301,17 +301,18 @@ class Sampler:
         else:
             memory.age.fill_(math.ceil(high - _ROUNDING))
 
-    def __call__(self, value: Tensor, step: Tensor) -> Tensor:
+    def __call__(self, value: Tensor, step: Tensor, draws: Draws) -> Tensor:
         """What is seen of a field; a second look within a control step sees the same.
 
         Args:
             value: The exact value now [B, size].
             step: Control steps since the initial state [B].
+            draws: Says which samples are lost.
         """
         memory, history = self.memory, self.memory.history
         arrives = self._count(step) > self._count(step - 1)
         if self._dropout:
-            arrives &= uniform(self._generator, step.shape, env_axis=0) >= self._dropout
+            arrives &= uniform(draws, step.shape, env_axis=0) >= self._dropout
         held = torch.where(arrives.unsqueeze(1), value, history[:, 0])
         longer = torch.cat([held.unsqueeze(1), history[:, :-1]], dim=1)
         is_later, is_first = (part.view(-1, 1, 1) for part in (step != memory.step, memory.step < 0))

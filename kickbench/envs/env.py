@@ -321,8 +321,14 @@ class KickEnv(VecEnv):
         return self._observer(state, draws, self.tensors.by_side.get("sensor_bias"))
 
     def observations_of(self, state: State, draws: Draws) -> TensorDict:
-        """Observations of a state by group, {group: [B, width]}, with noise from `draws`."""
-        return self._group(self._seen(state, draws))
+        """Observations of a state by group, {group: [B, width]}, with noise and lost samples from `draws`.
+
+        Nothing later depends on it: the step goes on as if nobody had looked.
+        """
+        samples = self.tensors.perception.clone()
+        seen = self._group(self._seen(state, draws))
+        self.tensors.perception.copy_(samples)
+        return seen
 
     def state_dict(self) -> dict[str, Any]:
         """Everything that later steps depend on, as tensors and plain numbers, in dicts by part.

@@ -10,7 +10,7 @@ from torch import Tensor
 from kickbench.envs.state import State
 from kickbench.envs.tensors import Tensors
 
-NO_FOOT, LEFT, RIGHT, BOTH, OTHER = 0, 1, 2, 3, 4
+NO_FOOT, LEFT, RIGHT, OTHER = 0, 1, 2, 4
 """Codes of what touched the ball first: the sum of the sides whose feet did, or OTHER for any other part."""
 FOOT_NAMES = ("none", "left", "right", "other", "other")
 """Names of the codes in tables of episodes; both feet at once count as other."""

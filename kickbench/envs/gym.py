@@ -43,7 +43,8 @@ class KickVectorEnv(VectorEnv):
 
     def _begin(self, env: KickEnv, seed: int) -> None:
         self.env = env
-        # Noise of final observations, which a `KickEnv` does not draw: its own numbers stay what they are.
+        # Noise and lost samples of final observations, which a `KickEnv` does not draw: its own numbers stay
+        # what they are.
         self._draws = torch.Generator().manual_seed(seed)
 
     def reset(

@@ -157,12 +157,20 @@ class InitialStateSampler:
         unit = torch.rand(shape, generator=self.generator, dtype=torch.float64, device=self.generator.device)
         return low + (high - low) * unit
 
-    def sample(self, count: int) -> InitialStates:
-        """Draws `count` independent initial states."""
+    def sample(self, count: int, ball: Tensor | None = None, target: Tensor | None = None) -> InitialStates:
+        """Draws `count` independent initial states.
+
+        Args:
+            count: How many, N.
+            ball: Where the balls are [N, 2], m; default: drawn.
+            target: Where the targets are [N, 2], m; default: drawn. Other draws do not depend on either.
+        """
         qpos = self._default.repeat(count, 1)
-        qpos[:, self._place : self._place + 2] = self._draw_ball(count)
+        drawn = self._draw_ball(count)
+        qpos[:, self._place : self._place + 2] = drawn if ball is None else ball
         qpos[:, self._place + 2].fill_(self._radius)
-        target, qvel = self._draw_target(count), self._draw_velocities(qpos)
+        drawn = self._draw_target(count)
+        target, qvel = drawn if target is None else target, self._draw_velocities(qpos)
         if self._goal is not None:
             qpos[:, self._goal : self._goal + 2] = target
         if self._obstacles:

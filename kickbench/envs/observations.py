@@ -16,6 +16,7 @@ from kickbench.config.terms import ObservationParams
 from kickbench.envs.disturbances import Draws, Sampler, uniform
 from kickbench.envs.state import State
 from kickbench.envs.term import Field, observation
+from kickbench.errors import KickbenchError
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -156,9 +157,9 @@ class Observer:
         groups: Mapping[str, Sequence[Field]],
         device: torch.device,
         *,
-        noise: bool = True,
-        samplers: Mapping[str, Sampler] | None = None,
-        joint_signs: np.ndarray | None = None,
+        noise: bool,
+        samplers: Mapping[str, Sampler],
+        joint_signs: np.ndarray,
     ) -> None:
         """Finds what the groups share.
 
@@ -167,13 +168,12 @@ class Observer:
             device: Where the observations live.
             noise: Whether noise applies.
             samplers: Through which the group `actor` sees fields, by `Field.key`; the others it sees at once.
-            joint_signs: As in `SceneLayout`; needed where sensors are biased.
+            joint_signs: As in `SceneLayout`.
         """
-        self._samplers = samplers or {}
+        self._samplers = samplers
         self._biased = [field.key for field in groups.get("actor", ()) if field.name == joint_pos.name]
-        if joint_signs is not None:
-            self._joint_signs = torch.as_tensor(joint_signs, dtype=torch.float32, device=device)
-        self._bounds = {field.key: field.bound for fields in groups.values() for field in fields}
+        self._joint_signs = torch.as_tensor(joint_signs, dtype=torch.float32, device=device)
+        self._fields = {field.key: field for fields in groups.values() for field in fields}
         self._groups = {
             name: ([field.key for field in fields], Disturbance(fields, device, noise=noise))
             for name, fields in groups.items()
@@ -184,19 +184,32 @@ class Observer:
 
         Args:
             state: The state.
-            generator: Source of the noise.
+            generator: Source of the noise, and of what is lost on the way.
             bias: Of the sensors of the left and right joints [B, 2], rad; None: none.
+
+        Raises:
+            KickbenchError: A term of one's own returns another width than it states.
         """
-        fields = {key: bound(state) for key, bound in self._bounds.items()}
+        fields = {key: _value(field, state) for key, field in self._fields.items()}
         seen = dict(fields)
         if bias is not None:
             seen |= {key: fields[key] + bias.float() @ self._joint_signs for key in self._biased}
-        seen |= {key: sample(seen[key], state.episode.step) for key, sample in self._samplers.items()}
+        for key, sample in self._samplers.items():
+            seen[key] = sample(seen[key], state.episode.step, generator)
         by_group = {"actor": seen}
         return {
             name: disturb(torch.cat([by_group.get(name, fields)[key] for key in keys], dim=1), generator)
             for name, (keys, disturb) in self._groups.items()
         }
+
+
+def _value(field: Field, state: State) -> Tensor:
+    """The exact value of a field [B, size]."""
+    value = field.bound(state)
+    if value.shape[1] != field.size:
+        what = f"it returns {value.shape[1]}, and '{field.representation}' has {field.size}"
+        raise KickbenchError(f"observation {field.name}: wrong number of columns: {what}")
+    return value
 
 
 class Disturbance:

@@ -69,25 +69,18 @@ class Tensors(dict[str, Any]):
         }
         return type(self)({**self, **taken})
 
-    def mirrored(
-        self, qpos: Mirror, qvel: Mirror, actions: Mirror, fields: Mapping[str, Mirror] | None = None
-    ) -> Tensors:
+    def mirrored(self, qpos: Mirror, qvel: Mirror, actions: Mirror) -> Tensors:
         """The reflection in the xz plane of every env in a snapshot (`KickEnv.snapshot`).
 
         Random numbers that are yet to be drawn stay the same, but a push that follows from them is reflected,
         so that an episode and its image remain images of each other until they end; observation noise is not
-        reflected.
+        reflected, and what the actor has sampled of its fields is left out.
 
         Args:
             qpos: The model's mirror map of positions.
             qvel: The model's mirror map of velocities.
             actions: The mirror map of actions, and so of control targets.
-            fields: The mirror maps of the actor's fields by name; needed of those that are sampled.
-
-        Raises:
-            KeyError: The map of a sampled field is missing.
         """
-        samples = {f"perception.{name}.history": (fields or {})[name] for name in self.get("perception", {})}
         images: dict[str, Callable[[Tensor], Tensor]] = {
             "qpos": qpos,
             "qvel": qvel,
@@ -102,13 +95,13 @@ class Tensors(dict[str, Any]):
             "command.history": actions,
             "push.force": across,
             "push.side": torch.neg,
-            **samples,
-        }  # fmt: skip
+        }
         sensed = {
             part: {_other_side(name): value for name, value in self[part].items()}
             for part in ("touches", "forces")
         }
-        return _mapped({**self, **sensed}, images)
+        kept = {name: part for name, part in self.items() if name != "perception"}
+        return _mapped({**kept, **sensed}, images)
 
 
 def flat(tensors: Mapping[str, Any], path: str = "") -> dict[str, Tensor]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import replace
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -23,6 +24,19 @@ _BALL_PARTS, _DISTANCE_PARTS, _ANGLE_PARTS = 3, 3, 5
 """Equal parts of each range of the task's regions whose middles make the default grid."""
 
 
+class Grid(NamedTuple):
+    """The places of a goal grid: a `GridSpec` with nothing left open."""
+
+    ball: tuple[tuple[float, float], ...]
+    distance: tuple[float, ...]
+    angle: tuple[float, ...]
+
+    @property
+    def targets(self) -> list[tuple[float, float]]:
+        """Distance, m, and angle, rad, of every target, in the order of the episodes."""
+        return list(product(self.distance, self.angle))
+
+
 def evaluate_grid(
     task: CompiledTask,
     policy: Policy,
@@ -37,7 +51,8 @@ def evaluate_grid(
         task: Compiled task.
         policy: As for `run_episodes`.
         episodes: Episodes from each ball position with each target. 1: nothing is random, the robot is the
-            nominal one; more: each has the task's randomisation of the robot and its delays.
+            nominal one, no sample is lost, and observation delays and the rolling ball's speed and direction
+            are the middles of their ranges; more: each has the task's randomisation of all these.
         seed: Seed of that randomisation; default: the task's.
         num_threads: Physics threads.
 
@@ -47,7 +62,7 @@ def evaluate_grid(
     protocol = task.spec.evaluation.model_copy(update={"observation_noise": False, "pushes": False})
     task = replace(task, spec=task.spec.model_copy(update={"evaluation": protocol}))
     if episodes == 1:
-        task = replace(task, randomizers=(), processes=())
+        task = _without_chance(task)
     seed, grid = protocol.seed if seed is None else seed, grid_of(task)
     states = grid_states(task, grid, episodes, seed)
     with Steps(EVALUATING, "episodes", len(states)) as steps:
@@ -56,7 +71,26 @@ def evaluate_grid(
     return Evaluation(in_distribution=figures, grid=_cells(table, grid))
 
 
-def grid_of(task: CompiledTask) -> GridSpec:
+def _without_chance(task: CompiledTask) -> CompiledTask:
+    """A task in which nothing but places is drawn; see `evaluate_grid`."""
+    sampling, ball = task.spec.sampling, task.spec.sampling.ball
+    ball = ball.model_copy(update={"speed": _middle(ball.speed), "direction": _middle(ball.direction)})
+    spec = task.spec.model_copy(update={"sampling": sampling.model_copy(update={"ball": ball})})
+    actor = tuple(
+        replace(
+            field,
+            params=field.params.model_copy(update={"delay": _middle(field.params.delay), "dropout": None}),
+        )
+        for field in task.groups["actor"]
+    )
+    return replace(task, spec=spec, groups={**task.groups, "actor": actor}, randomizers=(), processes=())
+
+
+def _middle(bounds: tuple[float, float] | None) -> tuple[float, float] | None:
+    return bounds and (sum(bounds) / 2, sum(bounds) / 2)
+
+
+def grid_of(task: CompiledTask) -> Grid:
     """The grid of a task, with what it leaves open taken from the sampling regions.
 
     Ball positions of the region that overlap the robot are left out, and reported.
@@ -78,7 +112,7 @@ def grid_of(task: CompiledTask) -> GridSpec:
             f"the target region of {task.name} has no distances and angles to make a grid of; "
             "give evaluation.grid.distance and evaluation.grid.angle"
         )
-    return GridSpec(ball=given.ball or _clear_of_the_robot(task), distance=distance, angle=angle)
+    return Grid(given.ball or _clear_of_the_robot(task), distance, angle)
 
 
 def _clear_of_the_robot(task: CompiledTask) -> tuple[tuple[float, float], ...]:
@@ -103,19 +137,17 @@ def _middles(bounds: tuple[float, float], parts: int) -> tuple[float, ...]:
     return tuple(round(low + (high - low) * (part + 0.5) / parts, 6) for part in range(parts))
 
 
-def grid_states(task: CompiledTask, grid: GridSpec, episodes: int, seed: int) -> InitialStates:
+def grid_states(task: CompiledTask, grid: Grid, episodes: int, seed: int) -> InitialStates:
     """Initial states target by target, within these ball by ball, and for each so many episodes."""
-    targets = np.array(list(product(grid.distance or (), grid.angle or ())))
-    distance, angle = np.repeat(targets, len(grid.ball or ()) * episodes, axis=0).T
-    ball = np.tile(np.repeat(grid.ball or (), episodes, axis=0), (len(targets), 1))
-    states = InitialStateSampler(task, torch.Generator().manual_seed(seed)).sample(len(ball))
-    place = task.scene.layout.ball_qpos
-    states.qpos[:, place : place + 2] = torch.from_numpy(ball)
+    targets = grid.targets
+    distance, angle = np.repeat(targets, len(grid.ball) * episodes, axis=0).T
+    ball = np.tile(np.repeat(grid.ball, episodes, axis=0), (len(targets), 1))
     goal = np.stack([distance * np.cos(angle), distance * np.sin(angle)], axis=1)
-    return replace(states, target=torch.from_numpy(goal))
+    sampler = InitialStateSampler(task, torch.Generator().manual_seed(seed))
+    return sampler.sample(len(ball), *map(torch.from_numpy, (ball, goal)))
 
 
-def _cells(table: EpisodeTable, grid: GridSpec) -> tuple[GridCell, ...]:
-    targets = list(product(grid.distance or (), grid.angle or ()))
+def _cells(table: EpisodeTable, grid: Grid) -> tuple[GridCell, ...]:
+    targets = grid.targets
     each = len(table) // len(targets)
     return tuple(grid_cell(table[i * each : (i + 1) * each], *target) for i, target in enumerate(targets))

@@ -68,7 +68,7 @@ class _Schedule:
         envs = mask.nonzero().squeeze(1)
         given = torch.arange(self._begun, self._begun + len(envs))
         given[given >= len(self.initial_states)] = -1
-        self._begun = min(self._begun + len(envs), len(self.initial_states))
+        self._begun += len(envs)
         self.running = self.running.index_put((envs,), given)
         for env, episode in zip(envs.tolist(), given.tolist(), strict=True):
             if episode >= 0:
@@ -125,13 +125,14 @@ class _Evaluation:
     def step(self, actions: Tensor, track: StateTrack | None = None) -> dict[str, np.ndarray]:
         """Advances all envs by one control step; the columns of the episodes that it has ended."""
         env, running, before = self.env, self.schedule.running, self.env.state()
+        last = before.ball_pos[:, :2], before.target_distance  # now: the step changes the episodes
         state = env.advance(actions)
         self.kick.note(before, state, env.engine.failed, self.task.spec.simulation.control_interval)
         if track is not None:
             track.note(env.engine.qpos, env.episode.step, running, env.engine.failed)
         self.observations = env.finish(state)[0]
         columns = self.kick.columns(self.task.spec.episode.stop_speed)
-        ended = _ended(env, running, before.ball_pos[:, :2], columns)
+        ended = _ended(env, running, last, columns)
         assert env.outcome is not None
         self.kick.reset(env.outcome.done)
         return ended
@@ -248,26 +249,29 @@ def success_by_side(task: CompiledTask, policy: Policy, num_threads: int | None 
     }
 
 
-def _ended(env: KickEnv, running: Tensor, before: Tensor, kick: dict[str, Tensor]) -> dict[str, np.ndarray]:
+def _ended(
+    env: KickEnv, running: Tensor, last: tuple[Tensor, Tensor], kick: dict[str, Tensor]
+) -> dict[str, np.ndarray]:
     """Columns of the recorded episodes that ended in the last step.
 
     Args:
         env: The environments.
         running: Episode that each env ran in that step, -1: none [B].
-        before: Ball positions before the step [B, 2], kept for envs whose state has NaN or infinite numbers.
+        last: Ball positions [B, 2] and distances to the target [B] before the step, kept for envs whose state
+            has NaN or infinite numbers.
         kick: Columns of the kick.
     """
     outcome = env.outcome
     assert outcome is not None
     record, envs = outcome.record, torch.nonzero(outcome.done & (running >= 0)).squeeze(1)
-    ball = torch.where(outcome.failed.unsqueeze(1), before, outcome.ball)
+    ball = torch.where(outcome.failed.unsqueeze(1), last[0], outcome.ball)
     # The first termination in the task's order names the ending; an env that failed has a name of its own.
     ending = torch.where(outcome.failed, outcome.terminated.shape[1], outcome.terminated.int().argmax(dim=1))
     columns = {
         "running": running,
         "final_ball_x": ball[:, 0],
         "final_ball_y": ball[:, 1],
-        "distance": outcome.distance,
+        "distance": torch.where(outcome.failed, last[1], outcome.distance),
         "success": outcome.success,
         "termination": ending,
         "steps": outcome.steps,

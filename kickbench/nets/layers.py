@@ -225,9 +225,10 @@ class RelaxedLinear(EquivariantLinear):
     def squared_norms(self) -> tuple[Tensor, Tensor]:
         r"""Squared Frobenius norms of :math:`W_+` and of :math:`\epsilon R`, biases included.
 
-        The isotypic bases are orthonormal: a matrix has the norm of its free parameters.
+        Of the matrices: where coordinates are excluded, free parameters have another norm.
         """
-        return self.free.square().sum(), (self.residual_scale * self.residual).square().sum()
+        base, rest = self.base(self.free), self.residual_scale * self.rest(self.residual)
+        return base.square().sum(), rest.square().sum()
 
     def matrix(self) -> Tensor:
         """:math:`W^T` with the bias as its last row, ``[n + 1, m]``, differentiable."""
@@ -243,6 +244,8 @@ def residual_share(module: nn.Module) -> Tensor | None:
     r"""Norm of the asymmetric part of a network's weights over the norm of all of them, in [0, 1].
 
     :math:`\sqrt{\sum_l \|\epsilon R_l\|^2 / \sum_l \|W_l\|^2}` over the relaxed layers l; None without any.
+    :math:`\|W_l\|^2` is the sum of the squares of both parts; they are orthogonal where no coordinate is
+    excluded.
     """
     norms = [layer.squared_norms() for layer in module.modules() if isinstance(layer, RelaxedLinear)]
     if not norms:

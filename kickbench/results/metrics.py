@@ -151,8 +151,8 @@ class SideSuccess(Record):
 class MirroredPairs(Record):
     """Each episode with the one from the mirror image of its start.
 
-    With observation noise or pushes the two are disturbed differently, and an equivariant policy differs as
-    well.
+    With observation noise, lost samples or pushes the two are disturbed differently, and an equivariant
+    policy differs as well.
     """
 
     pairs: PositiveInt
@@ -174,7 +174,8 @@ class TwinDistance(Record):
     """How far episodes are from the mirror images of their twins, which start from mirrored initial states.
 
     At one time, over all pairs. An episode that has ended keeps its last state: no pair is left out. Rounding
-    errors grow in contact, so the distance of an equivariant policy is small, and not zero.
+    errors grow in contact, so the distance of an equivariant policy is small, and not zero; with observation
+    noise, lost samples or pushes it is larger, as the two are disturbed differently.
     """
 
     time: PositiveFloat

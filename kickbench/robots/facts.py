@@ -119,16 +119,17 @@ def check_robot(file: Path, task: Path | str = "mini_general") -> RobotReport:
         _limits(model, data),
         *_efforts(robot.spec, efforts_of(model)),
         *_ankles(robot.spec, model, data),
-        _steps(joints, simulation),
+        *((_steps(joints, simulation),) if joints else ()),
         *_standing(standings, base_joint(model) is not None),
-        *(() if best is None else (_fastest(own, best),)),
+        *((_fastest(own, best),) if best is not None and best.speed.size else ()),
     )
     return RobotReport(file, facts, joints, standings, own, _box(data))
 
 
 def _task(file: Path, task: Path | str, timestep: float | None = None, integrator: str = "") -> CompiledTask:
     """A task with this robot, its ball out of the way, and another way to step the physics."""
-    overrides = [f"robot={json.dumps(str(file))}", "sampling.ball.x=[5.0, 6.0]"]
+    # Behind the robot: a goal stands before the ball. A field would not reach as far.
+    overrides = [f"robot={json.dumps(str(file))}", "sampling.ball.x=[-6.0, -5.0]", "field=null"]
     overrides += [f"{term}=null" for term in _FEET_TERMS] if str(task) == "mini_general" else []
     if timestep is not None:
         overrides += [f"simulation.timestep={timestep}", f"simulation.integrator={integrator}"]

@@ -85,6 +85,9 @@ class Candidate:
         if base_joint(self.model) is None:
             what = "the model has no free joint: a robot that kicks stands on its own feet"
             raise KickbenchError(f"{file}: {what}")
+        if not self.hinges:
+            what = "the model has no hinge or slide joint: there is nothing to drive"
+            raise KickbenchError(f"{file}: {what}")
         if not touching_geoms(self.model):
             what = "no geom of the model collides (contype and conaffinity are 0): it has no feet"
             raise KickbenchError(f"{file}: {what}")

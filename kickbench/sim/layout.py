@@ -41,7 +41,7 @@ class Servo(NamedTuple):
     kd: Any
     effort: Any
     velocity_limit: Any
-    torque: Any = 0.0
+    torque: Any
 
     @staticmethod
     def of(spec: ActuatorSpec) -> Servo:
@@ -110,7 +110,7 @@ class SceneLayout:
         feet: Places of the feet, pair after pair, the left one first: left, right, front_left, ...
         foot_geoms: Geoms of each foot.
         base_body: Body id of the base.
-        body_sides: Side of every body [nbody]: that of the nearest joint towards the root.
+        body_sides: Side of every body [nbody]: that of the nearest joint towards the root, or MIDDLE.
         actuator_sides: Side of every actuator [nu]: that of its joint.
         servos: Gains and limits of the actuators, each an array [nu].
         footprint: What a ball on the floor could overlap in the default pose: ground rectangles of the
@@ -272,10 +272,12 @@ def _joint_signs(robot: RobotSpec, joints: Sequence[str]) -> np.ndarray:
 def _body_sides(model: mujoco.MjModel, joint_sides: Mapping[str, int]) -> Indices:
     sides = np.full(model.nbody, NO_SIDE, dtype=np.int64)
     for body in range(1, model.nbody):  # parents come before their children
-        joint, inherited = model.body_jntadr[body], sides[model.body_parentid[body]]
-        moves = joint >= 0 and model.body(body).name.startswith(ROBOT)
-        name = model.joint(joint).name.removeprefix(ROBOT) if moves else ""
-        sides[body] = joint_sides.get(name, MIDDLE) if moves else inherited
+        if not model.body(body).name.startswith(ROBOT):
+            continue
+        joint, parent = model.body_jntadr[body], model.body_parentid[body]
+        name = model.joint(joint).name.removeprefix(ROBOT) if joint >= 0 else ""
+        inherits = joint < 0 and sides[parent] != NO_SIDE
+        sides[body] = sides[parent] if inherits else joint_sides.get(name, MIDDLE)
     return sides
 
 

@@ -141,7 +141,7 @@ class Trainer:
         interrupted, clock = False, time.perf_counter()
         if self._ranks.size > 1:
             self.ppo.broadcast_parameters()
-        if self.iteration == 0:
+        if self._kept is None:  # nothing is done or loaded: a loaded state has begun its episodes
             if self._growth is not None:  # the first episodes have the first values, too
                 self._grow()
                 self.env.reset()

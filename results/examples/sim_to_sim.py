@@ -35,7 +35,9 @@ def observe(contract, model, data, target, action):
     }
     fields = contract["observations"]
     parts = [(values[field["name"]] - np.array(field["offset"])) * field["scale"] for field in fields]
-    return np.concatenate(parts)[None].astype(np.float32)
+    bounds = [field["clip"] or (-np.inf, np.inf) for field in fields]
+    clipped = [np.clip(part, *ends) for part, ends in zip(parts, bounds, strict=True)]
+    return np.concatenate(clipped)[None].astype(np.float32)
 
 
 def kick(contract, model, session, qpos, qvel, target, rng):
@@ -94,6 +96,10 @@ def set_friction(contract, model, friction):
 def main(folder, robot):
     """Kicks from every initial state in the folder; returns the outcomes."""
     contract = json.loads(Path(folder, "policy.json").read_text())
+    sampled = [f for f in contract["observations"] if any(f.get(key) for key in ("rate", "dropout", "delay"))]
+    if sampled:
+        names = ", ".join(field["name"] for field in sampled)
+        raise SystemExit(f"the policy sees late, seldom or not always what is seen exactly here: {names}")
     model, session = build(contract, robot), onnxruntime.InferenceSession(Path(folder, "policy.onnx"))
     states, rng, hits = dict(np.load(Path(folder, "initial_states.npz"))), np.random.default_rng(0), []
     if others := sorted(set(states) - {"qpos", "qvel", "target", "foot_friction"}):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from kickbench.envs.compiled_task import read_task
 from kickbench.results.identity import read_identity
 from kickbench.training.trained import load_run
 
+ROOT = Path(__file__).parents[2]
 RUNS = ["mini_home_field/equivariant/seed0", "k1_lite/baseline/seed0"]
 
 
@@ -59,6 +61,55 @@ def test_what_is_perceived_late_seldom_or_not_always_is_in_json_and_metadata(exp
         assert found["ball_position"] == (16.0, 0.1, [0.02, 0.06])
         assert found["target_position"] == (None, None, [0.1, 0.1])
         assert found["joint_pos"] == (None, None, None)
+
+
+OWN = """
+from kickbench.envs.own import observation, termination
+
+@observation("trivial + sign", units="m")
+def place(state): ...
+
+@observation("trivial + sign + trivial + trivial + sign + trivial")
+def six(state): ...
+
+@observation("regular")
+def sides(state): ...
+
+@observation("regular x (trivial + sign + trivial)")
+def vectors(state): ...
+
+@termination()
+def far(state, bounds: tuple[float, float], strict: bool = True, joints: JointNames = ()): ...
+"""
+
+
+@pytest.fixture
+def own(exported, tmp_path):
+    """The contract of a run with observations and a termination of one's own."""
+    (tmp_path / "terms.py").write_text(OWN)
+    (tmp_path / "task.yaml").write_text(
+        f"extends: {ROOT}/tasks/mini_home_field.yaml\nterms: terms.py\n"
+        "observations: {actor: {place: {}, six: {}, sides: {}, vectors: {}}}\n"
+        "terminations: {far: {bounds: [0.0, 5.0], joints: [left_hip_yaw]}}\n"
+    )
+    run = load_run(exported(RUNS[0])[0])
+    return contract_of(replace(run, trial=replace(run.trial, task=read_task(tmp_path / "task.yaml"))))
+
+
+def test_parameters_of_one_s_own_terminations_survive_json(own):
+    far = {"bounds": (0.0, 5.0), "strict": True, "joints": ("left_hip_yaw",)}
+    assert own.training.terminations["far"] == far
+    again = Contract.model_validate_json(own.text())
+    assert again == own
+    assert again.training.terminations["far"]["strict"] is True
+
+
+def test_components_of_one_s_own_observations_follow_their_representation(own):
+    fields = {field.name: field.components for field in own.observations}
+    assert fields["place"] == ("x", "y")
+    assert fields["six"] == tuple("012345")
+    assert fields["sides"] == ("left", "right")
+    assert fields["vectors"] == ("left_x", "left_y", "left_z", "right_x", "right_y", "right_z")
 
 
 def test_targets_gains_and_limits_are_those_of_the_robot(run):

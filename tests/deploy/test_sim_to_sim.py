@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -64,6 +66,32 @@ def test_the_scene_is_that_of_the_env(exported, examples, name):
         for array in ("geom_friction", "geom_priority", "geom_condim", "geom_solref"):
             mine = (getattr(model, array)[model.geom(geom).id] for model in (plain, own))
             np.testing.assert_array_equal(*mine, err_msg=f"{geom} {array}")
+
+
+def test_observations_are_clipped_as_the_contract_says(exported, examples):
+    path, folder = exported("mini_home_field/equivariant/seed0")
+    contract = json.loads((folder / "policy.json").read_text())
+    model = examples[0].build(contract, str(load_run(path).specs.robot.model))
+    data = mujoco.MjData(model)
+    data.qpos[:] = np.random.default_rng(0).normal(size=model.nq)
+    mujoco.mj_forward(model, data)
+    seen = [examples[1].observe(contract, model, data, (1.0, 0.5), np.full(7, 0.7))]
+    contract["observations"][-1]["clip"] = [-0.1, 0.2]
+    seen.append(examples[1].observe(contract, model, data, (1.0, 0.5), np.full(7, 0.7)))
+    size = len(contract["observations"][-1]["components"])
+    np.testing.assert_array_equal(seen[1][:, :-size], seen[0][:, :-size])
+    np.testing.assert_array_equal(seen[1][:, -size:], np.clip(seen[0][:, -size:], -0.1, 0.2).astype("f4"))
+    assert (seen[1] != seen[0]).any()
+
+
+@pytest.mark.parametrize(("key", "value"), [("rate", 16.0), ("dropout", 0.1), ("delay", [0.0, 0.1])])
+def test_a_policy_that_sees_late_or_not_always_is_refused(exported, examples, tmp_path, key, value):
+    path, folder = exported("mini_home_field/equivariant/seed0")
+    contract = json.loads((folder / "policy.json").read_text())
+    contract["observations"][3][key] = value
+    (tmp_path / "policy.json").write_text(json.dumps(contract))
+    with pytest.raises(SystemExit, match=f"seen exactly here: {contract['observations'][3]['name']}$"):
+        examples[1].main(tmp_path, str(load_run(path).specs.robot.model))
 
 
 @pytest.mark.slow

@@ -7,7 +7,7 @@ import torch
 
 from kickbench.envs.engines import make_engine
 from kickbench.envs.env import KickEnv
-from kickbench.envs.episode import BOTH, LEFT, NO_FOOT, OTHER, RIGHT, EpisodeRecord
+from kickbench.envs.episode import LEFT, NO_FOOT, OTHER, RIGHT, EpisodeRecord
 from kickbench.symmetry.torch_ops import Mirror
 
 
@@ -115,7 +115,7 @@ def test_the_foot_that_touches_first_is_remembered(experiment):
         env._count(state)
         left, right = state.foot_ball_contact.unbind(1)
         code = torch.where(
-            left & ~right, LEFT, torch.where(right & ~left, RIGHT, torch.where(left, BOTH, OTHER))
+            left & ~right, LEFT, torch.where(right & ~left, RIGHT, torch.where(left, LEFT + RIGHT, OTHER))
         )
         first = torch.where((first < 0) & state.ball_contact, code, first)
         assert torch.equal(env.record.kick_foot, torch.where(first < 0, NO_FOOT, first))

@@ -78,7 +78,8 @@ def test_spaces_and_types():
 
 def test_it_goes_the_way_of_the_env_that_trains():
     """Final observations draw numbers of their own, so that nothing else changes."""
-    overrides = ["episode.max_steps=20", "observations.actor.ball_position.noise=0.05"]
+    seen = "observations.actor.ball_position={noise: 0.05, rate: 30, dropout: 0.3, delay: [0.0, 0.04]}"
+    overrides = ["episode.max_steps=20", seen]
     envs = make(6, overrides=overrides)
     plain = kickbench.make("mini_home_field", 6, seed=3, overrides=overrides)
     observations, _ = envs.reset(seed=3)

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 import yaml
@@ -158,7 +159,8 @@ def field():
 
 
 def observe(groups: dict[str, list[FakeField]], seed: int = 0) -> dict[str, Tensor]:
-    return Observer(groups, CPU)(None, torch.Generator().manual_seed(seed))  # type: ignore[arg-type]
+    options = {"noise": True, "samplers": {}, "joint_signs": np.zeros((2, 0))}
+    return Observer(groups, CPU, **options)(None, torch.Generator().manual_seed(seed))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(

@@ -169,6 +169,13 @@ def test_an_observation_that_states_its_length_alone_needs_an_entry_in_the_table
         observing("2", "{base_forward_and_lateral: sign}")
 
 
+def test_an_observation_of_another_width_than_it_states_is_an_error(observing):
+    task = observing('"trivial + sign + trivial"').task
+    complaint = "base_forward_and_lateral: .* it returns 2, and 'trivial . sign . trivial' has 3"
+    with pytest.raises(KickbenchError, match=complaint):
+        KickEnv(task, make_engine(task, 2), seed=0)
+
+
 @pytest.mark.parametrize(
     ("body", "complaint"),
     [

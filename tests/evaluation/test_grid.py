@@ -14,7 +14,7 @@ import torch
 
 from kickbench.cli import main
 from kickbench.errors import SpecError
-from kickbench.evaluation.grid import evaluate_grid, grid_of, grid_states
+from kickbench.evaluation.grid import _without_chance, evaluate_grid, grid_of, grid_states
 from kickbench.evaluation.rollouts import run_episodes
 from kickbench.nets.actor_critic import build_actor
 from kickbench.results.frame import load_runs
@@ -32,6 +32,7 @@ RANDOM = (
     "evaluation.observation_noise=true",
     "evaluation.pushes=true",
 )
+LATE = "observations.actor.ball_position={{delay: {}}}"
 SMALL = "evaluation.grid={ball: [[0.25, 0.1], [0.25, -0.1]], distance: [1.5, 1.0], angle: [0.3, 0.0, -0.3]}"
 
 
@@ -62,6 +63,9 @@ def test_with_one_episode_a_place_nothing_is_random_and_with_more_the_robot_is(e
     policy = kicker(plain)
     expected = evaluate_grid(plain.task, policy)
     assert evaluate_grid(random.task, policy, seed=1) == expected
+    lossy = experiment("mini_general", "baseline", SHORT, SMALL, LATE.format("[0.0, 0.2], dropout: 0.3"))
+    late = experiment("mini_general", "baseline", SHORT, SMALL, LATE.format("0.1"))
+    assert evaluate_grid(lossy.task, policy, seed=1) == evaluate_grid(late.task, policy, seed=2) != expected
     several = [evaluate_grid(random.task, policy, episodes=2, seed=seed) for seed in (1, 1, 2)]
     assert several[0] == several[1] != several[2]
     assert [cell.episodes for cell in several[0].grid] == [4] * 6
@@ -76,6 +80,29 @@ def test_every_target_meets_every_ball_in_the_order_of_the_file(experiment):
     rows = [(*ball, d * cos(a), d * sin(a)) for d, a in targets for ball in grid.ball for _ in range(2)]
     found = [table.start_ball_x, table.start_ball_y, table.target_x, table.target_y]
     np.testing.assert_allclose(np.stack(found, axis=1), rows)
+
+
+@pytest.mark.parametrize("episodes", [1, 2])
+def test_a_rolling_ball_heads_as_from_its_own_place_and_with_one_episode_in_the_middle(experiment, episodes):
+    rolling = "sampling.ball={speed: [0.2, 0.4], direction: [0.1, 0.3]}"
+    task = experiment("mini_general", "baseline", SMALL, rolling).task
+    task = _without_chance(task) if episodes == 1 else task
+    states, layout = grid_states(task, grid_of(task), episodes, 3), task.scene.layout
+    ball = states.qpos[:, layout.ball_qpos : layout.ball_qpos + 2]
+    moves = states.qvel[:, layout.ball_qvel : layout.ball_qvel + 2]
+    turn = torch.atan2(moves[:, 1], moves[:, 0]) - torch.atan2(-ball[:, 1], -ball[:, 0])
+    turn, speed = torch.atan2(turn.sin(), turn.cos()), moves.norm(dim=1)
+    aside = 1e-9 if episodes == 1 else 0.1
+    assert ((turn - 0.2).abs() <= aside).all()
+    assert ((speed - 0.3).abs() <= aside).all()
+    assert (speed.std() > 0.01) == (episodes > 1)
+
+
+def test_the_posts_of_a_goal_stand_at_the_target_of_the_grid(experiment):
+    task = experiment("mini_goal", "baseline", "evaluation.grid={distance: [1.5], angle: [0.0, 0.3]}").task
+    states, goal = grid_states(task, grid_of(task), 1, 0), task.scene.layout.goal_qpos
+    assert torch.equal(states.qpos[:, goal : goal + 2], states.target)
+    assert states.target[:, 1].unique().tolist() == pytest.approx([0.0, 1.5 * sin(0.3)])
 
 
 def test_a_cell_has_the_figures_of_its_episodes(experiment):

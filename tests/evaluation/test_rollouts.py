@@ -10,6 +10,8 @@ import torch
 from kickbench.envs.env import KickEnv
 from kickbench.evaluation.rollouts import draw_initial_states, mirror_initial_states, run_episodes, run_sides
 from kickbench.nets.actor_critic import build_actor
+from kickbench.results.summary import summarise
+from kickbench.sim.cpu import CpuEngine
 
 
 @pytest.fixture(scope="module")
@@ -179,3 +181,22 @@ def test_an_episode_whose_numbers_go_bad_is_counted_under_its_own_name(short):
     assert table.termination.tolist() == ["non_finite", "time_out", "time_out", "time_out"]
     assert np.isfinite(table.distance).all()
     assert not table.success[0]
+
+
+def test_an_exploded_shot_at_a_goal_has_the_distance_of_its_last_finite_state(experiment, monkeypatch):
+    task = experiment("mini_goal", "baseline", "episode.max_steps=6").task
+    look, looks = CpuEngine._find_failures, []
+
+    def explode(engine):
+        looks.append(engine)
+        if len(looks) == 4:
+            engine._state[1, 1:] = np.nan
+        look(engine)
+
+    monkeypatch.setattr(CpuEngine, "_find_failures", explode)
+    table = run_episodes(task, lambda seen: torch.zeros(len(seen), 7), draw_initial_states(task, 3, 0), 0)
+    assert table.termination.tolist() == ["time_out", "non_finite", "time_out"]
+    aside = (table.final_ball_y - table.target_y).abs() - task.scene.layout.goal_width / 2
+    expected = np.hypot(table.target_x - table.final_ball_x, aside.clip(lower=0.0))
+    np.testing.assert_allclose(table.distance, expected, atol=1e-5)
+    assert np.isfinite(summarise(table, 0.02).mean_distance)

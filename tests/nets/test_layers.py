@@ -298,6 +298,19 @@ def test_the_share_is_the_ratio_of_the_frobenius_norms():
     assert 0 < math.sqrt(rest / whole) < 1
 
 
+@pytest.mark.parametrize("excluded", [[], [0], [1, 2]])
+def test_the_norms_of_both_parts_are_those_of_their_matrices(excluded):
+    layer = relaxed(MIXED.excluding(excluded), (REGULAR + SIGN).excluding([2] if excluded else []))
+    with torch.no_grad():
+        layer.free.normal_()
+        whole, rest = layer.matrix(), layer.residual.clone()
+        layer.residual.zero_()
+        base = layer.matrix()
+        layer.residual.copy_(rest)
+    expected = base.square().sum(), (whole - base).square().sum()
+    torch.testing.assert_close(layer.squared_norms(), expected)
+
+
 def test_a_network_without_residuals_has_no_share():
     assert residual_share(EquivariantMLP(MIXED, [8], SIGN)) is None
 

@@ -12,8 +12,10 @@ import pytest
 import yaml
 
 from kickbench.cli import main
+from kickbench.robots.facts import _task
 
-README = Path(__file__).parents[2] / "assets/README.md"
+ASSETS = Path(__file__).parents[2] / "assets"
+README = ASSETS / "README.md"
 
 
 def run(capsys, command: str) -> tuple[int, str]:
@@ -127,7 +129,7 @@ def test_validate_names_what_is_wrong_where_it_is(biped, capsys, case):
     assert re.search(r"robot\.yaml:\d+:\d+: ", out)
 
 
-QUADRUPED = Path(__file__).parents[2] / "assets/quadruped"
+QUADRUPED = ASSETS / "quadruped"
 
 
 def test_four_feet_are_found_and_named_by_their_places(tmp_path, monkeypatch, capsys):
@@ -172,3 +174,37 @@ def test_hind_feet_that_are_named_as_front_feet_are_found(tmp_path, capsys):
 
 
 OTHER = {"front": "hind", "hind": "front"}
+
+
+PUCK = """
+<mujoco><worldbody><body name="puck" pos="0 0 0.1"><freejoint/>
+  <geom type="box" size="0.1 0.1 0.1" mass="3"/>
+</body></worldbody></mujoco>
+"""
+
+
+def test_without_joints_no_robot_file_is_written_and_there_are_no_facts_of_joints(
+    tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    Path("puck.xml").write_text(PUCK)
+    code, out = run(capsys, "kickbench robot init puck.xml")
+    assert (code, out) == (2, "puck.xml: the model has no hinge or slide joint: there is nothing to drive\n")
+    assert not Path("robot.yaml").exists()
+    drives = (
+        f"  f{axis}: {{kind: velocity, base_axis: {axis}, kd: 60, effort: 40, scale: 1}}" for axis in "xy"
+    )
+    head = "model: puck.xml\nbase: puck\ninitial: {position: [0.0, 0.0, 0.1]}\nsymmetry: {}\nactuators:\n"
+    Path("robot.yaml").write_text(head + "\n".join(drives))
+    for module in ("stand", "facts"):
+        monkeypatch.setattr(f"kickbench.robots.{module}.SECONDS", 0.2)
+    code, out = run(capsys, "kickbench robot check robot.yaml")
+    assert code == 0, out
+    assert "stands, 2 ms, euler" in out
+    assert "time step" not in out
+    assert "fastest joint" not in out
+
+
+@pytest.mark.parametrize("task", ["mini_goal", "mini_obstacles", "quadruped_home_field"])
+def test_a_robot_is_checked_in_the_scene_of_every_kind_of_task(task):
+    assert _task(ASSETS / "mini_kicker/robot.yaml", task).name == task

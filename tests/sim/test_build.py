@@ -10,6 +10,7 @@ import pytest
 
 from kickbench.config.task import SimulationSpec
 from kickbench.sim.build import jacobian_of
+from kickbench.sim.layout import LEFT, MIDDLE, NO_SIDE, RIGHT
 
 # A floating base with two arms; the actuators' order is not the joints', nothing about it is friendly.
 NASTY = """
@@ -376,3 +377,21 @@ def test_a_ball_rolls_straight_and_equally_far_in_every_direction(mini):
         ahead = np.array([np.cos(heading), np.sin(heading)])
         assert way @ ahead == pytest.approx(far, rel=0.01)
         assert abs(way @ [-ahead[1], ahead[0]]) < 0.01 * far
+
+
+FIXED = """
+<mujoco><worldbody><body name="post" pos="0 0 0.4">
+  <geom type="box" size="0.15 0.1 0.1" pos="0 0 -0.3"/>
+  <body name="left_arm" pos="0 0.3 0"><joint name="left" axis="0 1 0"/><geom size="0.03" pos="0 0 -0.2"/></body>
+  <body name="right_arm" pos="0 -0.3 0"><joint name="right" axis="0 1 0"/><geom size="0.03" pos="0 0 -0.2"/></body>
+</body></worldbody></mujoco>
+"""
+
+
+def test_no_ball_starts_in_a_root_that_no_joint_moves(build):
+    servos = "joint: [left, right], kp: 10.0, kd: 0.4, effort: 5.0, scale: 0.7"
+    symmetry = "symmetry: {regular: {left: [left], right: [right]}}"
+    robot = f"model: robot.xml\nbase: post\nactuators:\n  arm: {{kind: position, {servos}}}\n{symmetry}\n"
+    layout = build(FIXED, robot).layout
+    np.testing.assert_allclose(layout.footprint, [[-0.15, 0.15, -0.1, 0.1]], atol=1e-9)
+    assert layout.body_sides.tolist() == [NO_SIDE, MIDDLE, LEFT, RIGHT, NO_SIDE, NO_SIDE]

@@ -86,6 +86,22 @@ def test_so_many_iterations_and_so_many_more_are_those_of_one_training(
     assert untimed_rows(tmp_path / "parts/progress.csv") == untimed_rows(tmp_path / "whole/progress.csv")
 
 
+def test_a_curriculum_goes_on_to_the_bit_from_before_the_first_iteration(experiment, tmp_path):
+    def interrupt() -> None:
+        raise KeyboardInterrupt
+
+    chosen = experiment("mini_general", "baseline", *SHORT, *GROWING)
+    whole = make_trainer(chosen, tmp_path / "whole")
+    whole.train(2)
+    first = make_trainer(chosen, tmp_path / "parts")
+    first._iterate = interrupt
+    assert first.train(2).interrupted
+    second = make_trainer(chosen, tmp_path / "parts")
+    second.load_state_dict(Checkpoints(tmp_path / "parts/checkpoints").load())
+    second.train(2)
+    assert_same_bits(without_clock(second.state_dict()), without_clock(whole.state_dict()))
+
+
 @pytest.mark.parametrize("name", ["mini_moving_ball", "mini_goal", "mini_obstacles"])
 def test_a_scene_goes_on_to_the_bit(experiment, name):
     assert_goes_on_to_the_bit(experiment(name).task)
