@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import pandas as pd
 import pytest
@@ -125,6 +126,8 @@ def test_a_table_calls_the_points_of_a_sweep_by_their_names():
             "task": "t",
             "method": "m",
             "identity": point,
+            "recipe": point,
+            "provenance": SimpleNamespace(initial=None),
             "setting": "s",
         }
         for point in points
