@@ -370,7 +370,8 @@ def _with_groups(frame: pd.DataFrame) -> pd.DataFrame:
 
 def _recipes(finished: pd.DataFrame) -> pd.Series:
     """What runs share that differ only in seeds: their own, and those of the runs that they began with."""
-    known = {row.identity: (row.recipe, row.provenance.initial) for row in finished.itertuples()}
+    rows = zip(finished.identity, finished.recipe, finished.provenance, strict=True)
+    known: dict[str, Any] = {identity: (recipe, origin.initial) for identity, recipe, origin in rows}
 
     def whole(identity: str) -> str:
         recipe, initial = known.get(identity, (identity, None))

@@ -8,7 +8,7 @@ met if one fails.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from typing import Literal
 
 import pandas as pd
@@ -34,7 +34,7 @@ Outcome = Literal["met", "not met", "holds", "does not hold", "not enough data"]
 """With fewer than `FEWEST_SEEDS` seeds nothing is said of a method: a claim *holds* or *does not hold* for
 the policies that there are, and is not met."""
 
-Found = dict[str, dict[int, RunTerms]]
+Found = dict[str, dict[Hashable, RunTerms]]
 """What the runs of each condition that a claim is about give, by seed."""
 
 FEWEST_SEEDS = 3
@@ -162,7 +162,8 @@ def _found(claim: AnyClaim, contrast: Contrast, measured: pd.DataFrame) -> tuple
         found[condition], without = {}, {}
         for seed, run in measured[measured.condition == condition].groupby("seed", sort=False):
             terms = run_terms(run, claim, contrast) if run.counted.any() else None
-            found[condition] |= {} if terms is None else {seed: terms}
+            if terms is not None:
+                found[condition][seed] = terms
             if words := lack_of(run, own) or (None if terms else f"no {claim.metric}"):
                 without.setdefault(words, []).append(str(seed))
         for words, seeds in without.items():
