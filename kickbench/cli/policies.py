@@ -31,6 +31,7 @@ def evaluate(
         raise KickbenchError("--save keeps other figures beside the run's own: it needs --task or --grid")
     from kickbench.launch.run import evaluate as measure
     from kickbench.results.frame import frame_of
+    from kickbench.results.identity import setting_of
     from kickbench.results.integrity import write_also
     from kickbench.results.metrics import metrics_bytes
     from kickbench.results.store import RunDirectory
@@ -42,7 +43,8 @@ def evaluate(
     # Where a run keeps its task, the file's name is not the task's.
     name = loaded.trial.task.name if task else loaded.metrics.task
     name += "_grid" if grid else ""
-    metrics = loaded.metrics.model_copy(update={"task": name, "evaluation": figures})
+    new = {"task": name, "evaluated_setting": setting_of(loaded.trial.task), "evaluation": figures}
+    metrics = loaded.metrics.model_copy(update=new)
     if save:
         directory = RunDirectory(run)
         with directory.occupied():

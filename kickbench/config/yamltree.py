@@ -317,4 +317,5 @@ for _kind, _pattern in _CORE.items():
     for _user in (_Loader, _Dumper):
         _user.add_implicit_resolver(_TAG + _kind, _pattern, None)
 _Dumper.add_representer(str, _represent_str)
+_Dumper.add_multi_representer(str, _represent_str)
 _Dumper.add_representer(tuple, _Dumper.represent_list)

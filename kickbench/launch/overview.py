@@ -19,7 +19,7 @@ from kickbench.errors import KickbenchError
 from kickbench.evaluation.progress_bar import EVALUATING, duration, percent
 from kickbench.results.atomic import Record, atomic_write_text
 from kickbench.results.frame import known, load_runs, runs_of
-from kickbench.results.progress_table import last_rows
+from kickbench.results.progress_table import last_rows, read_done
 from kickbench.results.store import RunDirectory
 from kickbench.results.tables import NOTHING, Row, render_block
 from kickbench.training.checkpoint import Checkpoints, is_whole, iteration_of
@@ -184,7 +184,7 @@ def read_tail(path: Path) -> dict[str, Any]:
     except (LookupError, ValueError):
         return {}  # no row, or not a progress table of ours
     return {
-        "done": int(last.iteration) + 1,
+        "done": read_done(path),
         "success": float(last.success_rate),
         "steps_per_second": float((rows.steps_per_second * seconds).sum() / seconds.sum()),
         "seconds_per_iteration": float(seconds.mean()),

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import zip_longest
 from pathlib import Path
 
+from kickbench.envs.compiled_task import compile_task
 from kickbench.errors import KickbenchError, Problem, SpecError, did_you_mean
 from kickbench.launch.overview import PlanRecord, RunRecord, RunState, read_state
 from kickbench.launch.run import RunRequest
 from kickbench.results.frame import run_path
+from kickbench.results.identity import setting_of
 from kickbench.results.metrics import load_metrics
 from kickbench.results.provenance import ExperimentRef
 from kickbench.results.store import RunDirectory
@@ -56,11 +59,13 @@ class PlannedRun:
         record: What it is.
         request: How it is trained, and where it lies.
         transfer: Paths of the transfer tasks of its evaluation, by name.
+        settings: Fingerprints of these tasks, with robot and model.
     """
 
     record: RunRecord
     request: RunRequest
     transfer: Mapping[str, Path]
+    settings: Mapping[str, str]
 
     @property
     def name(self) -> str:
@@ -74,8 +79,16 @@ class PlannedRun:
 
     @property
     def missing_evaluations(self) -> tuple[str, ...]:
-        """The transfer tasks that it is not evaluated on; a damaged evaluation is damage of the run."""
-        return tuple(name for name in self.transfer if not self.directory.also(name).is_file())
+        """The transfer tasks that it is not evaluated on as they are now.
+
+        A damaged evaluation is damage of the run.
+        """
+        return tuple(name for name in self.transfer if not self._is_evaluated_on(name))
+
+    def _is_evaluated_on(self, task: str) -> bool:
+        with suppress(KickbenchError):
+            return load_metrics(self.directory.also(task)).evaluated_setting in (None, self.settings[task])
+        return False
 
     @property
     def is_done(self) -> bool:
@@ -181,8 +194,9 @@ def _planned(request: RunRequest, condition: Condition, trial: Trial, folder: Pa
     if isinstance(source, str):
         source = run_path(folder, source, record.seed)
     transfer = {name: task.document.file for name, task in condition.transfer.items()}
+    settings = {name: setting_of(compile_task(task)) for name, task in condition.transfer.items()}
     out = run_path(folder, record.arm, record.seed)
-    return PlannedRun(record, replace(request, out=out, init_from=source), transfer)
+    return PlannedRun(record, replace(request, out=out, init_from=source), transfer, settings)
 
 
 def _differences(run: PlannedRun, trial: Trial) -> Iterable[Problem]:
@@ -192,7 +206,7 @@ def _differences(run: PlannedRun, trial: Trial) -> Iterable[Problem]:
     # its specs.
     if run.read_state().state in ("not begun", "damaged", "running"):
         return []
-    recorded = load_metrics(directory.metrics).model_dump() if directory.is_finished else None
+    recorded = load_metrics(directory.metrics).model_dump() if directory.metrics.is_file() else None
     try:
         if request.init_from is not None:
             trial, _ = begin_from(trial, load_run(request.init_from), request.init_std)

@@ -135,7 +135,7 @@ def outcome(study: Study) -> list[str]:
 
 def verdict_words(verdict: Verdict) -> str:
     """The verdict, and whether the experiment could have decided it."""
-    return verdict.words if verdict.claim.decidable else f"{verdict.words} (three seeds cannot decide it)"
+    return verdict.words if verdict.claim.decidable else f"{verdict.words} (its seeds cannot decide it)"
 
 
 def evidence(verdict: Verdict) -> str:

@@ -75,7 +75,8 @@ def contrast_of(claim: AnyClaim, reported: float | None = None) -> Contrast:
     weight, end = (-bound, 0.0) if isinstance(claim, Ratio) else (-1.0, bound)
     terms = ((1.0, value), *((weight, other) for other in others))
     if claim.kind in _WITHIN:
-        middle = reported or 0.0 if isinstance(claim, NearReported) else 0.0
+        middle = reported if isinstance(claim, NearReported) else 0.0
+        assert middle is not None  # an experiment is not loaded without the figure
         return Contrast(terms, middle - end, middle + end)
     low, high = end if claim.kind in _AT_LEAST else -inf, end if claim.kind in _AT_MOST else inf
     return Contrast(terms, low, high, open=isinstance(claim, Compared))

@@ -9,6 +9,8 @@ transfer task.
 | `path`, `condition`, `task`, `method`, `seed` | the run; `condition` is None where no experiment plans it |
 | `side`, `evaluated_on` | which episodes, of which task: `task` itself or a transfer task |
 | `identity`, `setting` | fingerprints of the run, and of only its task, robot and model; None where unknown |
+| `recipe` | fingerprint of the run without the policy that it began with |
+| `evaluated_setting` | fingerprint of a transfer task, its robot and model; None where unknown |
 | `iterations`, `iterations_planned`, `scale` | training iterations done and wanted |
 | `state`, `damage`, `deviation` | finished, unfinished, running, missing or damaged; sentences or None |
 | `repeats` | path of another run of the same identity and seed, which is the one that counts |
@@ -20,13 +22,13 @@ transfer task.
 | `env_steps`, `training_seconds`, ... `provenance` | of the run; `provenance` is a record |
 
 Runs are compared within a *setting*: one task, robot and model. Runs of a setting are averaged within a
-*group*: one identity, number of iterations and scale, whatever their files are called. Settings and groups
-that share a name are numbered, `baseline (1)` and `baseline (2)`.
+*group*: one identity, number of iterations and scale, whatever their files are called; the policies that they
+began with may be of several seeds. Settings and groups that share a name are numbered, `baseline (1)` and
+`baseline (2)`.
 """
 
 from __future__ import annotations
 
-import hashlib
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -41,7 +43,7 @@ from kickbench.config.experiment import POINT, Side
 from kickbench.config.load import load_method
 from kickbench.errors import KickbenchError, shown
 from kickbench.results.episode_table import NON_FINITE, SIDES
-from kickbench.results.identity import Identity, read_identity
+from kickbench.results.identity import Identity, read_identity, setting_of
 from kickbench.results.integrity import check
 from kickbench.results.metrics import Asymmetry, EvaluationMetrics, Metrics, load_metrics
 from kickbench.results.progress_table import read_done
@@ -56,14 +58,15 @@ HOME: Side = "in_distribution"
 Row = dict[str, Any]
 
 _TEXT = (
-    *("path", "condition", "task", "method", "side", "evaluated_on", "identity", "setting"),
+    *("path", "condition", "task", "method", "side", "evaluated_on", "identity", "setting", "recipe"),
+    "evaluated_setting",
     *("state", "damage", "deviation", "repeats", "provenance", "twins", "equivariance/but_for"),
 )
 _NUMBERS = (
     *("iterations", "iterations_planned", "scale", "env_steps", "training_seconds", "schedule_iterations"),
     "non_finite",
 )
-_OF_THE_SETTING = ("task", "robot", "model", "terms")
+_OF_THE_POLICY = ("method", "seed", "env_steps")
 _DISTANCES = tuple(f"{name}_distance{end}" for name in ("mean", "median") for end in ("", "_low", "_high"))
 
 
@@ -141,7 +144,7 @@ def _table(rows: Sequence[Row]) -> pd.DataFrame:
     # A termination that ended no episode is not in a result's table.
     shares = [name for name in numbers if name.startswith("termination/")]
     frame[shares] = frame[shares].where(frame.episodes.isna(), frame[shares].fillna(0.0))
-    return frame
+    return frame.copy()  # pandas warns of a table whose columns lie apart
 
 
 def _flat(model: type[BaseModel], values: Mapping[str, Any] | None = None, prefix: str = "") -> Row:
@@ -237,15 +240,14 @@ def _stored_iterations(directory: RunDirectory) -> int | None:
 
 
 def _identity_columns(directory: RunDirectory) -> Row:
-    """Fingerprints of the run, and of all but the method: what runs must share to be compared."""
     identity = read_identity(directory.path)
-    setting = "".join(identity.parts.get(name, "") for name in _OF_THE_SETTING)
-    return {"identity": identity.fingerprint, "setting": hashlib.sha256(setting.encode()).hexdigest()}
+    return {"identity": identity.fingerprint, "setting": identity.setting, "recipe": identity.recipe}
 
 
 def _transfer_rows(directory: RunDirectory, own: Row, metrics: Metrics) -> Iterator[Row]:
     """Results of the run's policy on tasks that it was not trained on."""
-    keep = ("path", "task", "method", "seed", "identity", "setting", "iterations", "iterations_planned")
+    keep = ("path", "task", "method", "seed", "identity", "setting", "recipe")
+    keep += ("iterations", "iterations_planned")
     for path in sorted(directory.also("x").parent.glob("*.json")):
         row = {name: own[name] for name in keep} | {"evaluated_on": path.stem}
         try:
@@ -260,7 +262,7 @@ def _transfer_rows(directory: RunDirectory, own: Row, metrics: Metrics) -> Itera
 
 def _planned_rows(root: Path, condition: Condition) -> Iterator[Row]:
     """The rows of the planned runs of a condition, which is compiled only if there is a run of it."""
-    planned = cache(partial(_planned_specs, condition))
+    planned, setting = cache(partial(_planned_specs, condition)), cache(partial(_transfer_setting, condition))
     for seed in condition.seeds:
         first, *_ = rows = _rows(RunDirectory(run_path(root, condition.name, seed)))
         own: Row = {"condition": condition.name, "seed": seed, "iterations_planned": condition.iterations}
@@ -273,8 +275,12 @@ def _planned_rows(root: Path, condition: Condition) -> Iterator[Row]:
         is_counted = is_planned and not unequal
         unequal += size_differences(first, iterations=condition.iterations, episodes=condition.episodes)
         unequal += [] if is_planned else _differences(RunDirectory(first["path"]), planned())
-        own["deviation"] = ", ".join(unequal) or None
-        yield from (row | own | {"counted": row["counted"] and is_counted} for row in rows)
+        for row in rows:
+            name, found = row["evaluated_on"], row.get("evaluated_setting")
+            is_old = found is not None and name in condition.transfer and found != setting(name)
+            changed = [f"the task {name} has changed since the evaluation"] if is_old else []
+            own["deviation"] = ", ".join([*unequal, *changed]) or None
+            yield row | own | {"counted": row["counted"] and is_counted and not is_old}
 
 
 def _planned_specs(condition: Condition) -> Specs:
@@ -283,6 +289,12 @@ def _planned_specs(condition: Condition) -> Specs:
 
     task, method = condition.task.document.file, condition.method.document.file
     return specs_of(load_trial(task, method, condition.overrides))
+
+
+def _transfer_setting(condition: Condition, name: str) -> str:
+    from kickbench.envs.compiled_task import compile_task
+
+    return setting_of(compile_task(condition.transfer[name]))
 
 
 def _is_of(row: Row, condition: Condition, planned: Identity) -> bool:
@@ -294,11 +306,10 @@ def _is_of(row: Row, condition: Condition, planned: Identity) -> bool:
     with suppress(KickbenchError):
         parts = dict(read_identity(row["path"]).parts)
         if initial is not None and parts.pop("initial_policy", None) is not None:
-            same_start = (initial.fingerprint, initial.std) == (
-                read_identity(of).fingerprint,
-                condition.init_std,
-            )
-            return same_start and parts == planned.parts
+            begun = load_metrics(RunDirectory(of).metrics)
+            same_run = all(getattr(initial, key) == getattr(begun, key) for key in _OF_THE_POLICY)
+            start = read_identity(of).fingerprint, condition.init_std
+            return same_run and start == (initial.fingerprint, initial.std) and parts == planned.parts
     return False
 
 
@@ -327,9 +338,13 @@ def size_differences(run: Mapping[str, Any] | pd.Series, **planned: float | None
 
 
 def _with_repeats(frame: pd.DataFrame) -> pd.DataFrame:
-    """Marks runs of an identity and seed that an earlier row has: of both, that one counts."""
+    """Marks runs of an identity and seed that an earlier row has: of both, that one counts.
+
+    An experiment may plan one identity as two conditions, of which each has its runs.
+    """
     found = frame[(frame.state == "finished") & (frame.condition.isna() | frame.counted)]
-    same = found.groupby(["identity", "iterations", "scale", "seed"], dropna=False, sort=False)
+    key = ["condition", "identity", "iterations", "scale", "seed"]
+    same = found.groupby(key, dropna=False, sort=False)
     first = same.path.transform("first")
     repeats = first[first != found.path].reindex(frame.index)
     frame["repeats"] = repeats.astype(object).where(repeats.notna(), None)
@@ -341,8 +356,8 @@ def _with_groups(frame: pd.DataFrame) -> pd.DataFrame:
     """Names the settings and groups of finished runs, without namesakes."""
     finished = frame[frame.state == "finished"]
     settings = finished.setting.fillna(finished.task)
-    identities = finished.identity.fillna(finished.task + "/" + finished.method)
-    groups = identities + " " + finished.iterations.astype(str) + " " + finished.scale.fillna(1.0).astype(str)
+    recipes = _recipes(finished).fillna(finished.task + "/" + finished.method)
+    groups = recipes + " " + finished.iterations.astype(str) + " " + finished.scale.fillna(1.0).astype(str)
     # A point of a sweep is called as its folder is: it differs from the others in what the name says.
     folders = pd.Series([path.parent.name for path in finished.path], finished.index, dtype=object)
     methods = finished.method.where(~folders.str.contains(POINT, regex=False), folders)
@@ -351,6 +366,18 @@ def _with_groups(frame: pd.DataFrame) -> pd.DataFrame:
         "group": _numbered(methods, groups, settings),
     }
     return frame.assign(**{name: labels.reindex(frame.index) for name, labels in names.items()})
+
+
+def _recipes(finished: pd.DataFrame) -> pd.Series:
+    """What runs share that differ only in seeds: their own, and those of the runs that they began with."""
+    rows = zip(finished.identity, finished.recipe, finished.provenance, strict=True)
+    known: dict[str, Any] = {identity: (recipe, origin.initial) for identity, recipe, origin in rows}
+
+    def whole(identity: str) -> str:
+        recipe, initial = known.get(identity, (identity, None))
+        return recipe if initial is None else f"{recipe} {whole(initial.fingerprint)} {initial.std}"
+
+    return finished.identity.map(whole, na_action="ignore")
 
 
 def _numbered(names: pd.Series, keys: pd.Series, wholes: pd.Series) -> pd.Series:

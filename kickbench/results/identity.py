@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from os import PathLike
 
     from kickbench.config.load import Loaded, LoadedMethod, LoadedTask
+    from kickbench.envs.compiled_task import CompiledTask
     from kickbench.trials.trial import Trial
 
 FILE = "identity.json"
@@ -56,18 +57,44 @@ class Identity(Record):
     model_arrays: dict[str, str]
     """What the part `model` is made of: the beginning of the SHA-256 of each array of the compiled model."""
 
+    @property
+    def setting(self) -> str:
+        """Fingerprint of task, robot and model: what runs must share to be compared."""
+        return _setting(self.parts)
+
+    @property
+    def recipe(self) -> str:
+        """Fingerprint of all but the policy begun with, which differs from seed to seed."""
+        return _sha256({name: of for name, of in self.parts.items() if name != "initial_policy"})
+
 
 def identity_of(experiment: Trial) -> Identity:
     """Computes the identity of a run of an experiment."""
-    task, method = experiment.loaded_task, experiment.method
-    dynamics = dynamics_arrays(experiment.task.scene)
-    arrays = {name: _sha256(_plain(value))[:16] for name, value in dynamics if np.size(value)}
-    parts = {name: _sha256(_canonical(of.spec, ())) for name, of in loaded_specs(task, method).items()}
-    own = [canonical_source(Path(task.spec.terms))] if task.spec.terms else []
-    parts |= {"model": _sha256(arrays), "terms": _sha256(own)}
+    parts, arrays = _task_parts(experiment.task)
+    method = {"method": experiment.method, "representations": experiment.method.representations}
+    parts |= {name: _sha256(_canonical(of.spec, ())) for name, of in method.items()}
     if experiment.initial_policy is not None:
         parts["initial_policy"] = _sha256(experiment.initial_policy)
     return Identity(fingerprint=_sha256(parts), parts=parts, model_arrays=arrays)
+
+
+def setting_of(task: CompiledTask) -> str:
+    """The `setting` of every identity of a task."""
+    return _setting(_task_parts(task)[0])
+
+
+def _task_parts(task: CompiledTask) -> tuple[dict[str, str], dict[str, str]]:
+    """The parts that do not depend on the method, and the arrays of the model."""
+    dynamics = dynamics_arrays(task.scene)
+    arrays = {name: _sha256(_plain(value))[:16] for name, value in dynamics if np.size(value)}
+    own = [canonical_source(Path(task.spec.terms))] if task.spec.terms else []
+    specs = {"task": task.spec, "robot": task.robot.spec}
+    parts = {name: _sha256(_canonical(spec, ())) for name, spec in specs.items()}
+    return parts | {"model": _sha256(arrays), "terms": _sha256(own)}, arrays
+
+
+def _setting(parts: Mapping[str, str]) -> str:
+    return _sha256([parts.get(name) for name in ("task", "robot", "model", "terms")])
 
 
 def loaded_specs(

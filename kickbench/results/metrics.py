@@ -252,6 +252,9 @@ class Metrics(Record):
     """Wall-clock time of training [s]."""
     schedule_iterations: PositiveInt | None = None
     """Iterations over which the method's schedules ran, if a resume extended the run beyond them."""
+    evaluated_setting: str | None = None
+    """In files of `also/`: fingerprint of the task of the evaluation, with robot and model; null in older
+    ones, and in metrics.json, beside which identity.json has it."""
     evaluation: Evaluation
     provenance: Provenance
 

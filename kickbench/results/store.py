@@ -95,11 +95,6 @@ class RunDirectory:
         return _is_locked(self.path) or _is_locked(self._lock)
 
     @property
-    def is_finished(self) -> bool:
-        """Whether metrics.json exists and no file of the run is damaged."""
-        return self.metrics.is_file() and self.damage is None
-
-    @property
     def damage(self) -> str | None:
         """Why the run does not count, with the path of the file; None if it does."""
         return integrity.damage(self.path)

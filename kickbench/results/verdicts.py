@@ -8,13 +8,13 @@ met if one fails.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from typing import Literal
 
 import pandas as pd
 from pydantic import Field, TypeAdapter
 
-from kickbench.config.experiment import AnyClaim, Operand, Ratio
+from kickbench.config.experiment import AnyClaim, Ratio
 from kickbench.results.atomic import Record
 from kickbench.results.contrast import (
     Contrast,
@@ -23,7 +23,6 @@ from kickbench.results.contrast import (
     RunTerms,
     contrast_of,
     estimate,
-    over_episodes,
     run_terms,
 )
 from kickbench.results.quantities import Unit, lack_of, non_finite_note, non_finite_share, unit_of
@@ -34,6 +33,9 @@ from kickbench.trials.experiment import LoadedExperiment
 Outcome = Literal["met", "not met", "holds", "does not hold", "not enough data"]
 """With fewer than `FEWEST_SEEDS` seeds nothing is said of a method: a claim *holds* or *does not hold* for
 the policies that there are, and is not met."""
+
+Found = dict[str, dict[Hashable, RunTerms]]
+"""What the runs of each condition that a claim is about give, by seed."""
 
 FEWEST_SEEDS = 3
 _NOT_ENOUGH: Outcome = "not enough data"
@@ -104,7 +106,7 @@ def verdict_lines(experiment: LoadedExperiment, verdicts: Sequence[Verdict]) -> 
     lines = [*render_block(f"claims: {experiment.name}", header, rows).splitlines(), ""]
     for verdict in verdicts:
         section = f" (thesis {verdict.claim.section})" if verdict.claim.section else ""
-        section += "" if verdict.claim.decidable else "; three seeds cannot decide it"
+        section += "" if verdict.claim.decidable else "; its seeds cannot decide it"
         lines.append(f"{verdict.name}: {verdict.statement}{section}")
         lines += [f"    {verdict.reason}"] if verdict.reason else []
     return lines
@@ -121,20 +123,22 @@ def verdicts_json(verdicts: Sequence[Verdict]) -> str:
 
 
 def _judge(name: str, claim: AnyClaim, experiment: LoadedExperiment, measured: pd.DataFrame) -> Verdict:
-    contrast = contrast_of(claim, _reported(claim.value, claim, experiment))
-    parts, lacks = _parts(claim, contrast, measured)
-    seeds, is_each = min(map(len, parts.values())), claim.seeds == "each"
-    outcome, reason, estimated, basis = _NOT_ENOUGH, None, None, NOTHING
-    if seeds:
-        found = _each(parts) if is_each else [estimate(parts)]
-        estimated = min(found, key=lambda of: contrast.margin(of.value))
-        judged = [_outcome(contrast, of.interval, is_each or seeds == 1) for of in found]
+    reported = _reported(claim, experiment)
+    contrast = contrast_of(claim, reported)
+    found, lacks = _found(claim, contrast, measured)
+    seeds, is_each = min(map(len, found.values())), claim.seeds == "each"
+    outcome, reason, figure, interval, basis = _NOT_ENOUGH, None, None, None, NOTHING
+    if compared := _each(found) if is_each else [_whole(found)] if seeds else []:
+        estimates = [(estimate(parts), parts) for parts in compared]
+        worst, parts = min(estimates, key=lambda pair: contrast.margin(pair[0].value))
+        figure, interval = _shown(claim, worst, parts)
+        judged = [_outcome(contrast, of.interval, is_each or seeds == 1) for of, _ in estimates]
         outcome, reason = min(judged, key=lambda pair: ("not met", _NOT_ENOUGH, "met").index(pair[0]))
         outcome = _OF_POLICIES[outcome] if seeds < FEWEST_SEEDS and reason is None else outcome
-        basis = f"{estimated.basis}{_non_finite(contrast, measured)}"
+        basis = f"worst of {len(compared)} seeds" if len(compared) > 1 else worst.basis
+        basis += _non_finite(contrast, measured)
     if lacks:
         outcome, reason = _NOT_ENOUGH, "; ".join(lacks)
-    figure, interval = _shown(claim, estimated, parts) if estimated else (None, None)
     return Verdict(
         name=name,
         statement=claim.statement,
@@ -144,28 +148,27 @@ def _judge(name: str, claim: AnyClaim, experiment: LoadedExperiment, measured: p
         basis=basis,
         reason=reason,
         claim=claim,
-        reported=_reported_figure(claim, contrast, experiment),
+        reported=reported,
         seeds=seeds,
     )
 
 
-def _parts(
-    claim: AnyClaim, contrast: Contrast, measured: pd.DataFrame
-) -> tuple[dict[str, list[RunTerms]], list[str]]:
-    """What the runs of each condition give, and in words what is missing."""
-    parts: dict[str, list[RunTerms]] = {}
+def _found(claim: AnyClaim, contrast: Contrast, measured: pd.DataFrame) -> tuple[Found, list[str]]:
+    """What the runs of each condition give, by seed, and in words what is missing."""
+    found: Found = {}
     lacks: list[str] = []
     for condition in dict.fromkeys(operand.condition for _, operand in contrast.terms):
         own = [operand for _, operand in contrast.terms if operand.condition == condition]
-        parts[condition], without = [], {}
+        found[condition], without = {}, {}
         for seed, run in measured[measured.condition == condition].groupby("seed", sort=False):
             terms = run_terms(run, claim, contrast) if run.counted.any() else None
-            parts[condition] += [] if terms is None else [terms]
+            if terms is not None:
+                found[condition][seed] = terms
             if words := lack_of(run, own) or (None if terms else f"no {claim.metric}"):
                 without.setdefault(words, []).append(str(seed))
         for words, seeds in without.items():
             lacks.append(f"{condition} seed{'s' * (len(seeds) > 1)} {', '.join(seeds)}: {words}")
-    return parts, lacks
+    return found, lacks
 
 
 def _non_finite(contrast: Contrast, measured: pd.DataFrame) -> str:
@@ -188,13 +191,16 @@ def _outcome(contrast: Contrast, interval: Interval | None, is_one: bool) -> tup
     return _NOT_ENOUGH, "the interval reaches across the bound"
 
 
-def _each(parts: Parts) -> list[Estimated]:
-    """Every seed by itself, by its episodes; of two conditions the runs of the same seed are compared."""
-    runs = list(zip(*parts.values(), strict=False))
-    basis = f"worst of {len(runs)} seeds" if len(runs) > 1 else "episodes of one seed"
-    return [
-        Estimated(sum(run.value for run in of), over_episodes([[run] for run in of]), basis) for of in runs
-    ]
+def _whole(found: Found) -> Parts:
+    """All seeds together."""
+    return {condition: list(runs.values()) for condition, runs in found.items()}
+
+
+def _each(found: Found) -> list[Parts]:
+    """Every seed by itself; of two conditions the runs of the same seed are compared."""
+    first, *others = found.values()
+    seeds = [seed for seed in first if all(seed in runs for runs in others)]
+    return [{condition: [runs[seed]] for condition, runs in found.items()} for seed in seeds]
 
 
 def _shown(claim: AnyClaim, estimated: Estimated, parts: Parts) -> tuple[float | None, Interval | None]:
@@ -216,18 +222,14 @@ def _shown(claim: AnyClaim, estimated: Estimated, parts: Parts) -> tuple[float |
     return value, interval
 
 
-def _reported(operand: Operand, claim: AnyClaim, experiment: LoadedExperiment) -> float | None:
-    """What was reported of an operand's metric."""
-    return getattr(experiment.conditions[operand.condition].figures_of(operand), claim.metric, None)
-
-
-def _reported_figure(claim: AnyClaim, contrast: Contrast, experiment: LoadedExperiment) -> float | None:
+def _reported(claim: AnyClaim, experiment: LoadedExperiment) -> float | None:
     """The claim's figure from what was reported: of every operand, or of none."""
-    values = [(weight, _reported(operand, claim, experiment)) for weight, operand in contrast.terms]
-    known = [weight * value for weight, value in values if value is not None]
-    if len(known) < len(values):
+    operands = claim.operands().values()
+    figures = (experiment.conditions[of.condition].figures_of(of) for of in operands)
+    known = [of for each in figures if (of := getattr(each, claim.metric, None)) is not None]
+    if len(known) < len(operands):
         return None
+    value, *others = known
     if isinstance(claim, Ratio):
-        over = values[1][1]
-        return values[0][1] / over if values[0][1] is not None and over else None
-    return sum(known)
+        return value / others[0] if others[0] else None
+    return value - sum(others)

@@ -16,6 +16,7 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
+from kickbench.config.base import names_file, resolved
 from kickbench.config.experiment import (
     OF_A_RUN,
     POINT,
@@ -27,9 +28,10 @@ from kickbench.config.experiment import (
     ReportedFiguresSpec,
 )
 from kickbench.config.load import Loaded, LoadedMethod, LoadedTask, load, load_task
+from kickbench.config.method import MethodSpec
 from kickbench.config.task import TaskSpec
 from kickbench.config.terms import RewardParams, TerminationParams
-from kickbench.config.yamlio import Document
+from kickbench.config.yamlio import Document, Located
 from kickbench.config.yamltree import flow_yaml
 from kickbench.envs.catalog import model_of_task
 from kickbench.errors import KeyPath, Problem, SpecError, collected, did_you_mean
@@ -140,6 +142,8 @@ def load_experiment(path: str | Path, overrides: Sequence[str] = ()) -> LoadedEx
     for name, point in product(spec.conditions, spec.points()):
         with collected(problems):
             condition = _condition(name, point, spec, document, transfer)
+            if condition.name in conditions:
+                raise document.error(("sweep",), f"two of its points have the name {condition.name}")
             conditions[condition.name] = condition
     claims: dict[str, AnyClaim] = {}
     with collected(problems):
@@ -157,7 +161,7 @@ def _condition(
     document: Document,
     transfer: Mapping[str, LoadedTask[TaskSpec]],
 ) -> Condition:
-    condition, settings = spec.conditions[name], [f"{key}={flow_yaml(of)}" for key, of in point.items()]
+    condition, settings = spec.conditions[name], list(_settings(point, document))
     with _at_the_sweep(document):
         task, method = load_both(condition.task or str(spec.task), condition.method, settings)
     if task.name in transfer:
@@ -186,6 +190,17 @@ def _condition(
         init_from=_initial(name, point, spec, document),
         init_std=condition.init_std,
     )
+
+
+def _settings(point: Mapping[str, Any], document: Document) -> Iterator[str]:
+    """A point of the sweep as `key.path=value`; paths of files are made absolute."""
+    fields = TaskSpec.model_fields | MethodSpec.model_fields
+    for key, value in point.items():
+        if isinstance(value, Mapping):
+            what = f"{key}: a mapping; a sweep sets single values, by their whole key"
+            raise document.error(("sweep",), what)
+        is_file = isinstance(value, Located) and key in fields and names_file(fields[key])
+        yield f"{key}={flow_yaml(resolved(value, value.origin).as_posix() if is_file else value)}"
 
 
 def _at_point(name: str, point: Mapping[str, Any], spec: ExperimentSpec) -> str:

@@ -6,6 +6,7 @@ import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from kickbench.config.base import Spec
 from kickbench.config.experiment import ExperimentSpec
@@ -150,17 +151,22 @@ def _load(path: Path, report: Report, overrides: Sequence[str]) -> CompiledTask 
 
 
 def _robots_of_experiment(path: Path, overrides: Sequence[str], report: Report) -> list[Loaded[RobotSpec]]:
-    """Checks every task of an experiment with every method it is learned by, each pair once."""
+    """Checks every task of an experiment with every method it is learned by, each pair and setting once."""
     conditions = load_experiment(path, overrides).conditions.values()
     pairs = {
-        (task.document.file, condition.method.document.file): (task, condition.method)
+        (_as_set(task), _as_set(condition.method)): (task, condition.method)
         for condition in conditions
         for task in condition.tasks.values()
     }
-    compiled: dict[Path, CompiledTask] = {}
-    for (file, _), (task, method) in pairs.items():
+    compiled: dict[tuple[Path, str], CompiledTask] = {}
+    for (key, _), (task, method) in pairs.items():
         with collected(report.problems):
-            if file not in compiled:
-                compiled[file] = compile_task(task)
-            symmetry_of(compiled[file], method.representations, method)
+            if key not in compiled:
+                compiled[key] = compile_task(task)
+            symmetry_of(compiled[key], method.representations, method)
     return list({task.robot.document.file: task.robot for task in compiled.values()}.values())
+
+
+def _as_set(loaded: Loaded[Any]) -> tuple[Path, str]:
+    """A file with what the sweep sets in it."""
+    return loaded.document.file, repr(loaded.document.data)

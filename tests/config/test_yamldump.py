@@ -5,6 +5,7 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from kickbench.config.yamlio import Located
 from kickbench.config.yamltree import dump_yaml, flow_yaml, parse
 
 _CHARACTERS = st.characters(exclude_categories=["Cs"])
@@ -53,6 +54,10 @@ def test_other_readers_load_the_same(data):
 @given(_VALUES)
 def test_flow_style_stays_on_one_line(data):
     assert len(flow_yaml(data).splitlines()) == 1
+
+
+def test_a_string_of_a_file_is_written_as_any_other():
+    assert flow_yaml([Located("on"), Located("relu")]) == flow_yaml(["on", "relu"])
 
 
 def test_written_yaml_is_plain_and_in_order():

@@ -59,6 +59,7 @@ def test_a_run_that_comes_home_from_a_node_is_that_of_this_machine(here, experim
     assert_same_run(run.directory.path, here[0].directory.path)
     metrics = [load_metrics(each.directory.also("mini_general")) for each in (run, here[0])]
     assert metrics[0].evaluation == metrics[1].evaluation
+    assert metrics[0].evaluated_setting == metrics[1].evaluated_setting == run.settings["mini_general"]
 
 
 def test_a_run_on_a_node_that_sees_the_folder_lies_there_and_begins_with_the_policy(

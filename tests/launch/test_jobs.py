@@ -27,7 +27,7 @@ from .conftest import make_metrics
 def planned(folder: Path, seed: int) -> PlannedRun:
     record = RunRecord(arm="a", seed=seed, task="t", method="m", iterations=5, episodes=100)
     request = RunRequest(task=Path("t.yaml"), method=Path("m.yaml"), seed=seed, out=folder / f"a/seed{seed}")
-    return PlannedRun(record, request, {})
+    return PlannedRun(record, request, {}, {})
 
 
 def beginning_with(first: PlannedRun, second: PlannedRun) -> PlannedRun:
@@ -124,7 +124,11 @@ def test_what_leaves_nothing_has_failed_and_is_not_repeated_for_ever(runs, monke
 
 
 def test_a_run_is_done_when_it_is_evaluated_on_the_transfer_tasks(runs):
-    run = replace(runs[0], transfer={"near": Path("near.yaml"), "far": Path("far.yaml")})
+    run = replace(
+        runs[0],
+        transfer={"near": Path("near.yaml"), "far": Path("far.yaml")},
+        settings={"near": "", "far": ""},
+    )
     write_result(run.directory.path, make_metrics(5))
     executor = Played()
     assert outcomes(carried_out([run], executor)) == ["done"]

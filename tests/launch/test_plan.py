@@ -131,6 +131,10 @@ def test_missing_evaluations_on_further_tasks_are_found(tmp_path):
     write_metrics(run.directory.also("mini_general"), make_metrics(450, task="mini_general"))
     assert load_metrics(run.directory.also("mini_general")).task == "mini_general"
     assert run.missing_evaluations == ()
+    for setting, missing in ((run.settings["mini_general"], ()), ("of before", ("mini_general",))):
+        metrics = make_metrics(450, task="mini_general", evaluated_setting=setting)
+        write_metrics(run.directory.also("mini_general"), metrics)
+        assert run.missing_evaluations == missing
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,9 @@ import yaml
 
 import kickbench
 from kickbench.cli import main
+from kickbench.envs.compiled_task import read_task
 from kickbench.results.episode_table import read_episodes
+from kickbench.results.identity import setting_of
 from kickbench.results.metrics import load_metrics
 from kickbench.results.store import RunDirectory, find_begun_runs
 
@@ -117,6 +119,7 @@ def test_the_figures_on_another_task_are_kept_beside_the_run_and_go_when_it_is_r
     assert main(["eval", str(run), "--task", general, "--episodes", "9", "--save"]) == 0
     kept = load_metrics(run / "also/mini_general.json")
     assert (kept.task, kept.evaluation.in_distribution.episodes) == ("mini_general", 9)
+    assert kept.evaluated_setting == setting_of(read_task(general))
     assert kept.evaluation.mirrored is None, "the general task asks for one side"
     assert load_metrics(run / "metrics.json") == load_metrics(finished / "metrics.json")
     assert [found.path for found in find_begun_runs(run)] == [run], "it is no run of its own"

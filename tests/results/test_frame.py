@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
 import pytest
 
+from kickbench.config.load import load_task
+from kickbench.envs.catalog import model_of_task
+from kickbench.envs.compiled_task import compile_task
 from kickbench.results.frame import frame_of, load_runs, run_path, runs_of
-from kickbench.results.identity import identity_of
+from kickbench.results.identity import Identity, _sha256, identity_of, read_identity, setting_of
 from kickbench.results.integrity import seal
+from kickbench.results.metrics import load_metrics
+from kickbench.results.provenance import InitialRef
 from kickbench.results.quantities import lack_of
 from kickbench.results.specs import write_specs
 from kickbench.results.store import RunDirectory
@@ -174,6 +180,75 @@ def test_results_on_transfer_tasks_are_rows_of_the_run(make, tmp_path):
     other = load_runs(tmp_path).iloc[1]
     assert (other.state, other.evaluated_on) == ("damaged", "mini_general")
     assert "expected the seed 0, found 3" in other.damage
+
+
+def test_a_result_on_a_transfer_task_that_has_changed_is_no_result_of_the_plan(
+    spec, make, identity, tmp_path
+):
+    general = load_task(model_of_task, ROOT / "tasks/mini_general.yaml")
+    baseline = replace(spec.conditions["baseline"], seeds=(0,), transfer={"mini_general": general})
+    spec = replace(spec, conditions={"baseline": baseline})
+    path = run_path(tmp_path, "baseline", 0)
+    write_result(path, make.metrics(make.side(0.5)), identity)
+    changed = "the task mini_general has changed since the evaluation"
+    for setting, deviation in (
+        (None, None),
+        (setting_of(compile_task(general)), None),
+        ("another", changed),
+    ):
+        found = make.metrics(make.side(0.4), task="mini_general")
+        found = found.model_copy(update={"evaluated_setting": setting})
+        write_metrics(RunDirectory(path).also("mini_general"), found)
+        seal(path)
+        own, further = (row for _, row in load_runs(tmp_path, spec).iterrows())
+        assert (own.deviation, own.counted) == (None, True)
+        assert (further.deviation, further.counted) == (deviation, deviation is None)
+
+
+def begin_with(source: Path, path: Path, make, identity: Identity, **ref) -> None:
+    """A finished run that has begun with the policy of another one; `ref`: what it says else of that."""
+    of, parts = load_metrics(source / "metrics.json"), {**identity.parts, "initial_policy": f"{source} {ref}"}
+    labels = {key: getattr(of, key) for key in ("task", "method", "seed", "env_steps")}
+    labels |= {"fingerprint": read_identity(source).fingerprint, "policy": "p", "std": None}
+    run = make.metrics(make.side(0.5), seed=of.seed)
+    origin = run.provenance.model_copy(update={"initial": InitialRef(**{**labels, **ref})})
+    own = Identity(fingerprint=_sha256(parts), parts=parts, model_arrays=identity.model_arrays)
+    write_result(path, run.model_copy(update={"provenance": origin}), own)
+
+
+def test_seeds_that_began_with_policies_of_one_method_are_averaged(make, identity, tmp_path):
+    for seed in range(2):
+        first, second, third, other = (tmp_path / name / f"seed{seed}" for name in "abcd")
+        write_result(first, make.metrics(make.side(0.5), seed=seed), identity)
+        begin_with(first, second, make, identity)
+        begin_with(second, third, make, identity)
+        begin_with(first, other, make, identity, std=0.3)
+    runs = runs_of(load_runs(tmp_path))
+    assert list(runs.group) == [f"baseline ({number})" for number in (1, 1, 2, 2, 3, 3, 4, 4)]
+    assert runs.counted.all()
+
+
+@pytest.mark.parametrize(("ref", "counted"), [({}, True), ({"seed": 0}, False), ({"env_steps": 7}, False)])
+def test_a_run_counts_only_if_it_began_with_the_policy_of_the_planned_run(
+    spec, make, identity, tmp_path, ref, counted
+):
+    tuned = replace(spec.conditions["baseline"], name="tuned", init_from="baseline")
+    spec = replace(spec, conditions={**spec.conditions, "tuned": tuned})
+    source = run_path(tmp_path, "baseline", 1)
+    write_result(source, make.metrics(make.side(0.5), seed=1), identity)
+    begin_with(source, run_path(tmp_path, "tuned", 1), make, identity, **ref)
+    found = of(tmp_path, spec, "tuned").set_index("seed").loc[1]
+    assert found.counted == counted
+
+
+def test_conditions_of_one_identity_have_each_its_runs(spec, make, identity, tmp_path):
+    twin = replace(spec.conditions["baseline"], name="twin")
+    spec = replace(spec, conditions={**spec.conditions, "twin": twin})
+    for name in ("baseline", "twin"):
+        write_result(run_path(tmp_path, name, 0), make.metrics(make.side(0.5)), identity)
+    frame = load_runs(tmp_path, spec)
+    assert list(frame.condition[frame.counted]) == ["baseline", "twin"]
+    assert frame.repeats.isna().all()
 
 
 def test_a_copied_run_counts_once(make, tmp_path, capsys):

@@ -92,21 +92,12 @@ def test_a_written_file_has_the_permissions_of_any_other(tmp_path: Path) -> None
     assert (tmp_path / "atomic").stat().st_mode == (tmp_path / "plain").stat().st_mode
 
 
-@pytest.mark.parametrize(("metrics", "finished"), [("{}", True), ("{", False), (None, False)])
-def test_a_run_is_finished_when_its_metrics_are_valid(
-    tmp_path: Path, metrics: str | None, finished: bool
-) -> None:
-    if metrics is not None:
-        (tmp_path / METRICS).write_text(metrics)
-    assert RunDirectory(tmp_path).is_finished is finished
-
-
 def test_a_finished_run_is_not_overwritten_without_force(tmp_path: Path) -> None:
     run = make_run(tmp_path / "run")
     with pytest.raises(KickbenchError, match=r"finished run.*--force"):
         run.prepare()
     assert run.policy.exists()
-    assert run.is_finished
+    assert run.damage is None
 
 
 def files_of(run: RunDirectory) -> list[str]:
@@ -196,7 +187,7 @@ def test_a_reopened_run_is_unfinished_and_keeps_its_training(tmp_path: Path) -> 
     run = make_run(tmp_path / "run")
     (run.checkpoints / ".partial-iteration_000150.pt-0123").write_text("x")
     run.reopen()
-    assert not run.is_finished
+    assert not run.metrics.exists()
     assert run.progress.exists()
     assert len(list(run.checkpoints.iterdir())) == 2
 

@@ -324,6 +324,45 @@ def test_two_conditions_are_compared_in_every_seed(verdict, seeds, make):
     assert (mixed.outcome, mixed.figure) == ("not met", pytest.approx(-0.2))
 
 
+def test_a_ratio_of_each_seed_is_shown_as_that_of_the_worst_one(verdict, make):
+    claim = (
+        "kind: ratio_at_most, metric: mean_distance, seeds: each, value: {arm: equivariant}, "
+        "over: {arm: baseline}, bound: 0.8"
+    )
+    arms = {"equivariant": (0.9, 0.3), "baseline": (1.0, 3.0)}
+    runs = {
+        arm: [
+            make.metrics(make.side(0.5, distance), method=arm, seed=seed) for seed, distance in enumerate(of)
+        ]
+        for arm, of in arms.items()
+    }
+    found = verdict(claim, runs)
+    assert found.figure == pytest.approx(0.9)
+    assert found.interval is not None
+    assert found.interval.low == pytest.approx(0.875, abs=0.01)
+
+
+def test_a_seed_that_one_condition_lacks_is_compared_with_no_other(verdict, seeds):
+    claim = (
+        "kind: difference_at_least, metric: success_rate, seeds: each, value: {arm: equivariant}, "
+        "minus: {arm: baseline}, bound: -0.05"
+    )
+    first, _, last = seeds([0.2, 0.4, 0.6], method="equivariant")
+    found = verdict(claim, {"equivariant": [first, None, last], "baseline": seeds([0.2, 0.4, 0.6])})
+    assert (found.outcome, found.reason) == ("not enough data", "equivariant seed 1: missing")
+    assert (found.figure, found.basis) == (pytest.approx(0.0), "worst of 2 seeds")
+    apart = verdict(claim, {"equivariant": [first, None, None], "baseline": [None, *seeds([0.2, 0.4])[1:]]})
+    assert (apart.figure, apart.basis) == (None, "-")
+
+
+def test_a_claim_that_its_seeds_cannot_decide_says_so(experiment, make, seeds):
+    spec = experiment(
+        "decidable: false, kind: at_least, metric: success_rate, value: {arm: baseline}, bound: 0.5"
+    )
+    lines = verdict_lines(spec, judge(spec, make.measured({"baseline": seeds([0.8, 0.8])})))
+    assert "c0: S; its seeds cannot decide it" in lines
+
+
 def test_near_reported_with_the_arms_own_task_named_is_as_without(make):
     value = "{arm: baseline, task: mini_home_field}"
     claim = f"{{statement: S, kind: near_reported, metric: success_rate, value: {value}, bound: 0.1}}"

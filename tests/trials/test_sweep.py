@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import pandas as pd
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from kickbench.errors import SpecError
 from kickbench.launch.plan import Selection, make_plan
 from kickbench.trials.experiment import LoadedExperiment, load_experiment
+from kickbench.trials.validate import check_files
 
 ROOT = Path(__file__).parents[2]
 
@@ -40,6 +42,22 @@ def test_a_list_of_points_is_taken_as_it_is(tmp_path):
     assert names[:2] == ["one,gamma=0.9", "one,actor_hidden=16_8,gamma=0.95"]
 
 
+def test_strings_are_swept_and_files_are_relative_to_the_experiment(tmp_path):
+    (tmp_path / "table.yaml").write_text((ROOT / "methods/representations/standard.yaml").read_text())
+    text = "sweep: {network.activation: [elu, relu], representations: [table.yaml]}"
+    conditions = load(tmp_path, text).conditions
+    assert list(conditions)[1] == "one,activation=relu,representations=table.yaml"
+    relu = conditions["one,activation=relu,representations=table.yaml"].method
+    assert relu.spec.network.activation == "relu"
+    assert relu.representations.document.file == tmp_path / "table.yaml"
+
+
+def test_every_point_is_compiled_by_validate(tmp_path):
+    experiment = load(tmp_path, "sweep: {observations.actor.ball_position.delay: [100, 0.04]}")
+    (report,) = check_files([experiment.document.file])
+    assert "delay" in "\n".join(map(str, report.problems))
+
+
 def test_the_points_of_a_condition_are_planned_by_its_name(tmp_path):
     experiment = load(tmp_path, "sweep: {algorithm.gamma: [0.9, 0.95]}")
     plan = make_plan(experiment, Selection(only=("one",), seeds=(0,), out=tmp_path / "out"))
@@ -55,6 +73,11 @@ def test_the_points_of_a_condition_are_planned_by_its_name(tmp_path):
         (
             "sweep: {algorithm.iterations: [3]}\niterations: 4",
             "the experiment says algorithm.iterations, too: 4",
+        ),
+        ("sweep: {algorithm: [{iterations: 9}]}\niterations: 7", "own.yaml:6:1: sweep: algorithm: a mapping"),
+        (
+            "sweep: {description: [a b, a/b]}",
+            "own.yaml:6:1: sweep: two of its points have the name one,description=a_b",
         ),
         ("sweep: {}", "own.yaml:6:"),
     ],
@@ -103,6 +126,8 @@ def test_a_table_calls_the_points_of_a_sweep_by_their_names():
             "task": "t",
             "method": "m",
             "identity": point,
+            "recipe": point,
+            "provenance": SimpleNamespace(initial=None),
             "setting": "s",
         }
         for point in points
