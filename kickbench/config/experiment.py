@@ -210,6 +210,8 @@ class ConditionSpec(Spec):
     """Path of the method."""
     task: FileRef | None = None
     """Path of the task; default: the experiment's."""
+    set: dict[str, Any] = Field(default_factory=dict)
+    """Values of its task and method that differ, by their whole keys: `{algorithm.gamma: 0.9}`."""
     seeds: Seeds | None = None
     """Seeds of training; default: the experiment's."""
     iterations: PositiveInt | None = None

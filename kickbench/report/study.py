@@ -101,7 +101,7 @@ class Study:
         if len(keys) != 1 or rows.empty:
             return rows.iloc[:0]
         settings = {name: condition.settings for name, condition in self.plans.items()}
-        texts = {name: own[0].partition("=")[2] for name, own in settings.items() if len(own) == 1}
+        texts = {name: own[-1].partition("=")[2] for name, own in settings.items()}
         values = pd.to_numeric(rows.condition.map(texts), errors="coerce")
         of = rows.condition.str.partition(POINT)[0]
         return rows.assign(of=of, setting=keys[0], value=values) if values.notna().all() else rows.iloc[:0]

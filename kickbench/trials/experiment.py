@@ -9,7 +9,7 @@ import hashlib
 import json
 import os
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import product
@@ -34,7 +34,7 @@ from kickbench.config.terms import RewardParams, TerminationParams
 from kickbench.config.yamlio import Document, Located
 from kickbench.config.yamltree import flow_yaml
 from kickbench.envs.catalog import model_of_task
-from kickbench.errors import KeyPath, Problem, SpecError, collected, did_you_mean
+from kickbench.errors import KeyPath, Problem, SpecError, collected, did_you_mean, dotted
 from kickbench.trials.trial import load_both
 
 Misfit = tuple[KeyPath, str, str | None]
@@ -54,7 +54,7 @@ class Condition:
         episodes: Evaluation episodes a side.
         transfer: Further tasks the policies are evaluated on, by name.
         reported: What was reported of it.
-        settings: What the sweep says of task and method, as `key.path=value`.
+        settings: What it sets in task and method, and then the sweep, as `key.path=value`.
         init_from: Condition, or folder of the run, whose policy it begins with; None: random networks.
         init_std: Standard deviation of the actions to begin with; None: that policy's.
     """
@@ -161,8 +161,11 @@ def _condition(
     document: Document,
     transfer: Mapping[str, LoadedTask[TaskSpec]],
 ) -> Condition:
-    condition, settings = spec.conditions[name], list(_settings(point, document))
-    with _at_the_sweep(document):
+    condition, place = spec.conditions[name], ("conditions", name, "set")
+    if twice := condition.set.keys() & point.keys():
+        raise document.error(place, f"{min(twice)}: the sweep sets it, too")
+    settings = [*_settings(condition.set, document, place), *_settings(point, document, ("sweep",))]
+    with _at_the_settings(document, place, condition.set):
         task, method = load_both(condition.task or str(spec.task), condition.method, settings)
     if task.name in transfer:
         what = f"the condition {name} is trained on {task.name}, and evaluated on it anyway"
@@ -174,9 +177,10 @@ def _condition(
         "algorithm.iterations": condition.iterations or spec.iterations,
         "evaluation.episodes": spec.evaluation.episodes,
     }
-    for key in point:
+    for key in (*condition.set, *point):
         if said.get(key) is not None:
-            raise document.error(("sweep",), f"the experiment says {key}, too: {said[key]}")
+            where = place if key in condition.set else ("sweep",)
+            raise document.error(where, f"the experiment says {key}, too: {said[key]}")
     return Condition(
         name=_at_point(name, point, spec),
         task=task,
@@ -192,13 +196,12 @@ def _condition(
     )
 
 
-def _settings(point: Mapping[str, Any], document: Document) -> Iterator[str]:
-    """A point of the sweep as `key.path=value`; paths of files are made absolute."""
+def _settings(values: Mapping[str, Any], document: Document, place: KeyPath) -> Iterator[str]:
+    """Values by their keys as `key.path=value`; paths of files are made absolute."""
     fields = TaskSpec.model_fields | MethodSpec.model_fields
-    for key, value in point.items():
+    for key, value in values.items():
         if isinstance(value, Mapping):
-            what = f"{key}: a mapping; a sweep sets single values, by their whole key"
-            raise document.error(("sweep",), what)
+            raise document.error(place, f"{key}: a mapping; give single values, by their whole keys")
         is_file = isinstance(value, Located) and key in fields and names_file(fields[key])
         yield f"{key}={flow_yaml(resolved(value, value.origin).as_posix() if is_file else value)}"
 
@@ -241,16 +244,18 @@ def _initial(
 
 
 @contextmanager
-def _at_the_sweep(document: Document) -> Iterator[None]:
-    """Says of a setting that does not fit where it stands in the experiment's file."""
+def _at_the_settings(document: Document, place: KeyPath, own: Collection[str]) -> Iterator[None]:
+    """Says of a setting that does not fit where it stands: among the condition's own, or in the sweep."""
     try:
         yield
     except SpecError as error:
-        mark = document.mark(("sweep",))
-        raise SpecError(
-            replace(problem, mark=mark) if problem.mark and problem.mark.is_override else problem
-            for problem in error.problems
-        ) from None
+        problems = []
+        for problem in error.problems:
+            if problem.mark and problem.mark.is_override:
+                is_own = any(f"{dotted(problem.path)}.".startswith(f"{key}.") for key in own)
+                problem = replace(problem, mark=document.mark(place if is_own else ("sweep",)))
+            problems.append(problem)
+        raise SpecError(problems) from None
 
 
 def _all_claims(spec: ExperimentSpec, document: Document) -> dict[str, AnyClaim]:

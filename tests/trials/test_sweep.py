@@ -134,3 +134,36 @@ def test_a_table_calls_the_points_of_a_sweep_by_their_names():
     ]
     frame = _with_groups(pd.DataFrame(rows).assign(state="finished", iterations=1.0, scale=float("nan")))
     assert list(frame.group) == ["one,gamma=0.9", "one,gamma=0.95", "m"]
+
+
+def test_a_condition_sets_values_of_its_own_at_every_point(tmp_path):
+    own = ", set: {algorithm.gamma: 0.9}"
+    experiment = load(tmp_path, "sweep: {algorithm.desired_kl: [0.01, 0.02]}", one=own)
+    assert experiment.conditions["one,desired_kl=0.02"].overrides == (
+        "algorithm.gamma=0.9",
+        "algorithm.desired_kl=0.02",
+    )
+    assert experiment.conditions["one,desired_kl=0.01"].method.spec.algorithm.gamma == 0.9
+    assert experiment.conditions["two,desired_kl=0.01"].overrides == ("algorithm.desired_kl=0.01",)
+
+
+@pytest.mark.parametrize(
+    ("own", "text", "complaint"),
+    [
+        ("{algorithm.gama: 0.9}", "", "algorithm.gama: unknown key 'gama'"),
+        ("{algorithm: {gamma: 0.9}}", "", "algorithm: a mapping; give single values, by their whole keys"),
+        (
+            "{algorithm.gamma: 0.9}",
+            "sweep: {algorithm.gamma: [0.8]}",
+            "algorithm.gamma: the sweep sets it, too",
+        ),
+        ("{algorithm.iterations: 9}", "iterations: 7", "the experiment says algorithm.iterations, too: 7"),
+    ],
+)
+def test_a_wrong_value_of_a_condition_is_an_error_where_it_stands(tmp_path, own, text, complaint):
+    with pytest.raises(SpecError) as error:
+        load(tmp_path, text, one=f", set: {own}")
+    (problem,) = error.value.problems
+    assert complaint in str(problem)
+    assert problem.mark is not None
+    assert problem.mark.line == 4
