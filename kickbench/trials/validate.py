@@ -9,9 +9,11 @@ from pathlib import Path
 
 from kickbench.config.base import Spec
 from kickbench.config.experiment import ExperimentSpec
-from kickbench.config.load import Loaded, LoadedMethod, load, load_method, load_task
+from kickbench.config.load import Loaded, LoadedMethod, LoadedTask, load, load_method, load_task
 from kickbench.config.method import MethodSpec, RepresentationSpec
 from kickbench.config.robot import RobotSpec
+from kickbench.config.task import TaskSpec
+from kickbench.config.terms import ObservationParams
 from kickbench.config.yamlio import Document, load_document
 from kickbench.config.yamltree import RENAMED
 from kickbench.envs.catalog import catalog, model_of_task, task_model
@@ -126,9 +128,11 @@ def _load(path: Path, report: Report, overrides: Sequence[str]) -> CompiledTask 
     """Loads a file and what it names, and compares its robots' declared reflection with their geometry."""
     loaded, robots = None, list[Loaded[RobotSpec]]()
     if report.kind == "task":
-        loaded = compile_task(load_task(model_of_task, path, overrides))
+        task = load_task(model_of_task, path, overrides)
+        loaded = compile_task(task)
         robots = [loaded.robot]
         report.notes += map(str, step_warnings(loaded.robot, loaded.spec.simulation))
+        report.notes += map(str, _ball_warnings(task))
     elif report.kind == "method":
         loaded = load_method(path, overrides)
     elif report.kind == "robot":
@@ -147,6 +151,14 @@ def _load(path: Path, report: Report, overrides: Sequence[str]) -> CompiledTask 
             elif finding.problem not in report.problems:
                 report.problems.append(finding.problem)
     return loaded
+
+
+def _ball_warnings(task: LoadedTask[TaskSpec]) -> Iterator[Problem]:
+    """A ball that rolls, whose velocity the policy does not observe."""
+    speed, seen = task.spec.sampling.ball.speed, task.spec.observations.actor.active(ObservationParams)
+    if speed and speed[1] > 0.0 and "ball_velocity" not in seen:
+        what = "the ball rolls, and the actor does not observe ball_velocity: add it to observations.actor"
+        yield task.document.problem(("sampling", "ball", "speed"), what)
 
 
 def _robots_of_experiment(path: Path, overrides: Sequence[str], report: Report) -> list[Loaded[RobotSpec]]:

@@ -433,6 +433,15 @@ def test_entries_of_a_table_that_differ_from_what_the_terms_state_are_noted(plac
     ]
 
 
+def test_a_rolling_ball_whose_velocity_nobody_observes_is_noted(place, edit, capsys):
+    moving = "tasks/mini_moving_ball.yaml"
+    assert main(["validate", moving]) == 0
+    assert "note" not in capsys.readouterr().out
+    edit(moving, "    ball_velocity: {}", "    ball_velocity: null")
+    assert main(["validate", moving]) == 0
+    assert f"note: {moving}:9:5: sampling.ball.speed: the ball rolls, and" in capsys.readouterr().out
+
+
 def test_every_error_of_a_file_is_reported_in_the_order_of_its_lines(edit, fails):
     edit(TASK, "  mass: 0.1 ", "  mass: -0.1 ")
     edit(TASK, "x: [0.25, 0.55]", "x: [0.55, 0.25]")
