@@ -13,7 +13,7 @@ from kickbench.cli import app as cli
 from kickbench.config.shipped import FOLDERS, find, find_method, names
 from kickbench.errors import KickbenchError, Problem, SpecError, printable, shown
 
-Kind = Literal["task", "method", "robot", "representations", "reported"]
+Kind = Literal["task", "method", "robot", "representations", "experiment", "reported"]
 Terms = Literal["observations", "rewards", "terminations", "randomizations"]
 _NAMES = cli.names_of(*FOLDERS)
 
@@ -134,7 +134,9 @@ def schema(kind: Kind = cli.argument("Kind of file.", "KIND")) -> None:
     from kickbench.config.explain import json_schema
     from kickbench.trials.validate import model_of
 
-    print(json.dumps(json_schema(model_of(kind)), indent=2))
+    # The name of the folder, and of the schema that editors are told of, stands for the kind, too.
+    model = model_of("experiment" if kind == "reported" else kind)
+    print(json.dumps(json_schema(model), indent=2))
 
 
 def _show_fields(task: Path, method: Path, overrides: list[str]) -> None:

@@ -56,7 +56,7 @@ def claims(
     if folder and not folder.is_dir():
         raise KickbenchError(f"{folder}: no such folder")
     kept = loaded.document.file.parent.parent / "measured" / loaded.name
-    is_own = loaded.document.file not in names("reported").values()
+    is_own = loaded.document.file not in names("experiment").values()
     folder = folder or (Path("runs", loaded.name) if is_own and not kept.is_dir() else kept)
     measured = load_runs(folder, loaded)
     verdicts = judge(loaded, measured)

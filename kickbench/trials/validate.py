@@ -25,12 +25,12 @@ from kickbench.symmetry.field_table import resolve_expression
 from kickbench.trials.experiment import load_experiment
 from kickbench.trials.trial import symmetry_of
 
-KINDS = ("task", "method", "robot", "representations", "reported")
+KINDS = ("task", "method", "robot", "representations", "experiment")
 _MODELS: dict[str, type[Spec]] = {
     "method": MethodSpec,
     "robot": RobotSpec,
     "representations": RepresentationSpec,
-    "reported": ExperimentSpec,
+    "experiment": ExperimentSpec,
 }
 
 
@@ -49,7 +49,7 @@ def kind_of(document: Document) -> str:
     best = max(KINDS, key=lambda kind: known[kind])
     if not known[best] or known[best] == ("description" in document.data):
         keys = ", ".join(map(str, document.data))
-        kinds = "neither a task, a method, a robot, a representation table nor a reported experiment"
+        kinds = "neither a task, a method, a robot, a representation table nor an experiment"
         raise document.error((), f"{kinds}; its keys: {keys}")
     return best
 
@@ -68,7 +68,7 @@ def check_files(files: Sequence[Path], overrides: Sequence[str] = ()) -> Iterato
     """Checks every file once, and a single task with every method among them.
 
     Args:
-        files: Tasks, methods, robots, representation tables and reported experiments.
+        files: Tasks, methods, robots, representation tables and experiments.
         overrides: `key.path=value` texts, applied to the files whose kind has the first key.
     """
     unused = list(dict.fromkeys(overrides))
@@ -137,7 +137,7 @@ def _load(path: Path, report: Report, overrides: Sequence[str]) -> CompiledTask 
         loaded = load_method(path, overrides)
     elif report.kind == "robot":
         robots = [load(RobotSpec, path, overrides)]
-    elif report.kind == "reported":
+    elif report.kind == "experiment":
         robots = _robots_of_experiment(path, overrides, report)
     else:
         load(RepresentationSpec, path, overrides)

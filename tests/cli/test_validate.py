@@ -474,7 +474,7 @@ def test_errors_of_several_files_are_reported_together_and_the_others_are_fine(e
     assert [line.split(":")[0] for line in printed] == [HOME, EQUIVARIANT]
 
 
-NO_KIND = "neither a task, a method, a robot, a representation table nor a reported experiment"
+NO_KIND = "neither a task, a method, a robot, a representation table nor an experiment"
 
 
 @pytest.mark.parametrize(
