@@ -241,7 +241,7 @@ def test_terms_are_headed_by_their_kinds(printed):
 def test_list_names_files_of_every_kind_with_their_descriptions(printed):
     text = printed("list")
     headings = [line for line in text.splitlines() if not line.startswith(" ")]
-    assert headings == ["task:", "method:", "robot:", "representations:", "reported:"]
+    assert headings == ["task:", "method:", "robot:", "representations:", "experiment:"]
     assert re.search(r"^  mini_general +Mini kicker, ball and target anywhere in front$", text, re.MULTILINE)
     assert re.search(r"^  mini/baseline +Plain PPO$", text, re.MULTILINE)
     assert re.search(r"^  mini_kicker$", text, re.MULTILINE)
