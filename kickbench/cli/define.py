@@ -134,9 +134,7 @@ def schema(kind: Kind = cli.argument("Kind of file.", "KIND")) -> None:
     from kickbench.config.explain import json_schema
     from kickbench.trials.validate import model_of
 
-    # The name of the folder, and of the schema that editors are told of, stands for the kind, too.
-    model = model_of("experiment" if kind == "reported" else kind)
-    print(json.dumps(json_schema(model), indent=2))
+    print(json.dumps(json_schema(model_of(kind)), indent=2))
 
 
 def _show_fields(task: Path, method: Path, overrides: list[str]) -> None:

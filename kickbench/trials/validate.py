@@ -31,6 +31,7 @@ _MODELS: dict[str, type[Spec]] = {
     "robot": RobotSpec,
     "representations": RepresentationSpec,
     "experiment": ExperimentSpec,
+    "reported": ExperimentSpec,  # what files call the schema, after the folder
 }
 
 
