@@ -30,7 +30,7 @@ def derive_scene(task: CompiledTask) -> Derivation:
 
 
 def model_rows(task: CompiledTask, derivation: Derivation) -> Iterator[Row]:
-    """Rows of bodies, joints, actuators, soles, contact exclusions and randomisations, in the model's order."""
+    """Rows of bodies, joints, actuators, soles, contact exclusions and randomisation."""
     yield from _Comparer(task, derivation).rows()
     yield from _randomization_rows(task)
 

@@ -17,7 +17,8 @@ if TYPE_CHECKING:
 
     from kickbench.trials.experiment import LoadedExperiment
 
-_CLAIMED = "Folder of its runs (default: results/measured/<experiment>, of one of your own runs/<experiment>)."
+_CLAIMED = "Folder of its runs (default: the shipped; of an experiment of your own: runs/<experiment>)."
+
 
 @cli.verb("Look at results", "table runs --columns kick")
 def table(
@@ -60,8 +61,9 @@ def claims(
     folder = folder or (Path("runs", loaded.name) if is_own and not kept.is_dir() else kept)
     measured = load_runs(folder, loaded)
     verdicts = judge(loaded, measured)
-    heading, *lines = verdict_lines(loaded, verdicts)
-    print(verdicts_json(verdicts) if json else "\n".join([f"{heading}, by the runs in {shown(folder)}", *lines]))
+    heading, *rest = verdict_lines(loaded, verdicts)
+    lines = (f"{heading}, by the runs in {shown(folder)}", *rest)
+    print(verdicts_json(verdicts) if json else "\n".join(lines))
     for line in [*_when_fixed(loaded, measured), *unplanned_lines(measured)]:
         print(line, file=sys.stderr if json else sys.stdout)
     if (measured.state == "missing").all():

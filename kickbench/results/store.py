@@ -148,7 +148,7 @@ class RunDirectory:
         if not self.holds_a_run:
             return self
         if not force:
-            words = "an unfinished run; --resume (resume=True) goes on with it, --force (force=True) starts again"
+            words = "an unfinished run; --resume (resume=True) goes on, --force (force=True) starts again"
             if self.metrics.exists():
                 state = "damaged" if self.damage else "finished"
                 words = f"a {state} run; --force (force=True) runs it again and overwrites it"

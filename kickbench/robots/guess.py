@@ -306,8 +306,8 @@ def efforts_of(model: mujoco.MjModel) -> dict[str, float]:
 
 def motors_of(model: mujoco.MjModel) -> set[str]:
     """Joints that a motor drives: an actuator whose control is a force, not a position or a velocity."""
-    none = mujoco.mjtBias.mjBIAS_NONE
-    return {model.joint(joint).name for joint, a in _driving(model).items() if model.actuator_biastype[a] == none}
+    none, drives = mujoco.mjtBias.mjBIAS_NONE, _driving(model)
+    return {model.joint(joint).name for joint, a in drives.items() if model.actuator_biastype[a] == none}
 
 
 def _driving(model: mujoco.MjModel) -> dict[int, int]:

@@ -89,8 +89,8 @@ def load_run(
         unfinished: Whether a run that is not trained to its end gives the policy of its last checkpoint.
 
     Raises:
-        KickbenchError: The directory holds no run with a policy, one of its files is damaged, or the task does
-            not suit the policy.
+        KickbenchError: The directory holds no run with a policy, one of its files is damaged, or the task
+            does not suit the policy.
     """
     directory = _existing(path)
     integrity.check(directory)

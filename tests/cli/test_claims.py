@@ -57,7 +57,12 @@ def test_an_experiment_of_ones_own_is_judged_by_its_runs_and_no_run_at_all_fails
     capsys, tmp_path, monkeypatch
 ):
     monkeypatch.chdir(tmp_path)
-    Path("mine.yaml").write_text(Path(MINI).read_text().replace("../../", f"{ROOT}/").replace("[home", f"[{ROOT}/results/reported/home"))
+    Path("mine.yaml").write_text(
+        Path(MINI)
+        .read_text()
+        .replace("../../", f"{ROOT}/")
+        .replace("[home", f"[{ROOT}/results/reported/home")
+    )
     assert main(["claims", "mine.yaml"]) == 1
     printed = capsys.readouterr()
     assert printed.out.splitlines()[0] == "claims: mine, by the runs in runs/mine"

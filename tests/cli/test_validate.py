@@ -446,7 +446,9 @@ def test_what_a_method_alone_excludes_is_noted_as_unchecked(place, capsys, fails
     exclude = ["--set", "symmetry.exclude=[lft_hip]"]
     assert main(["validate", EQUIVARIANT, *exclude]) == 0
     *_, last = capsys.readouterr().out.splitlines()
-    assert last.startswith(f"{EQUIVARIANT}: note: --set symmetry.exclude=[lft_hip]: symmetry.exclude: its names")
+    assert last.startswith(
+        f"{EQUIVARIANT}: note: --set symmetry.exclude=[lft_hip]: symmetry.exclude: its names"
+    )
     (line,) = fails("validate", BASELINE, *exclude)
     assert "the method uses no symmetry" in line
     (line,) = fails("validate", TASK, EQUIVARIANT, *exclude)

@@ -91,7 +91,7 @@ def test_a_value_that_is_not_finite_is_named_and_nothing_is_stored(exported, val
     values = {name: np.ones(size) for name, size in policy._sizes.items() if name != "previous_action"}
     policy.step(values)
     before = policy.action
-    with pytest.raises(ValueError, match="NaN or infinite: ball_position$"):
+    with pytest.raises(ValueError, match=r"NaN or infinite: ball_position$"):
         policy.step(values | {"ball_position": [0.0, 0.0, value]})
     assert policy.action is before
     assert np.isfinite(policy.step(values)).all()

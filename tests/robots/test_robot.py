@@ -47,7 +47,9 @@ def test_the_written_file_says_what_it_guessed_and_both_sides_are_equal(biped, c
         assert {**servo, "joint": ""} == {**partner, "joint": ""}
     guessed = [line for line in text.splitlines() if "GUESS: effort" in line]
     assert [line.split(":")[0].strip() for line in guessed] == ["left_ankle_roll", "right_ankle_roll"]
-    assert text.count("a motor in the MJCF, whose control is a torque; here a position servo\n") == len(servos)
+    assert text.count("a motor in the MJCF, whose control is a torque; here a position servo\n") == len(
+        servos
+    )
     assert set(robot["symmetry"]["regular_sign"]["left"]) == {"left_hip_roll", "left_ankle_roll"}
 
 

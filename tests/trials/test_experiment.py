@@ -160,7 +160,12 @@ def test_what_does_not_fit_together_is_named(complaints, old, new, complaint):
     ],
 )
 def test_bounds_of_what_is_no_rate_may_exceed_1(load, new):
-    assert load("at_least, metric: success_rate, value: {condition: baseline}, bound: 0.5", new).claims["c"].bound > 1
+    assert (
+        load("at_least, metric: success_rate, value: {condition: baseline}, bound: 0.5", new)
+        .claims["c"]
+        .bound
+        > 1
+    )
 
 
 def test_the_problems_of_a_broken_task_are_those_of_the_experiment(complaints):
