@@ -14,6 +14,7 @@ import pytest
 import torch
 
 import kickbench
+from kickbench.cli import main
 from kickbench.envs.env import KickEnv
 from kickbench.results.metrics import Evaluation, load_metrics
 
@@ -79,8 +80,9 @@ def test_make_makes_envs_of_a_named_task():
         (lambda: kickbench.make("mini_home_feild"), "did you mean 'mini_home_field'"),
         (lambda: kickbench.make("mini_home_field", device="tpu"), "no such device"),
         (lambda: kickbench.train("mini_general", "equivarant"), "did you mean 'equivariant'"),
-        (lambda: kickbench.load_run("nowhere"), "not a run directory"),
-        (lambda: kickbench.evaluate("nowhere"), "not a run directory"),
+        (lambda: kickbench.load_run("nowhere"), "nowhere: no such directory"),
+        (lambda: kickbench.evaluate("nowhere"), "nowhere: no such directory"),
+        (lambda: kickbench.load_run(RUN.parents[1]), r"not a run directory .*; a run below it: .*/seed0"),
     ],
 )
 def test_errors_name_what_was_meant(call, words, tmp_path, monkeypatch):
@@ -137,6 +139,17 @@ def test_evaluate_on_another_task():
     assert general.mirrored is None
 
 
+def test_a_policy_is_not_evaluated_on_a_task_that_it_cannot_see_or_move(tmp_path, capsys):
+    assert main(["eval", str(RUN), "--task", "quadruped_home_field"]) == 2
+    assert re.search("its policy sees .*; the task quadruped_home_field has ", capsys.readouterr().err)
+    other = tmp_path / "other.yaml"
+    other.write_text(
+        f"extends: {ROOT}/tasks/mini_general.yaml\nobservations: {{actor: {{ball_velocity: {{}}}}}}\n"
+    )
+    with pytest.raises(kickbench.KickbenchError, match=r"the task other has .*, ball_velocity \(3\)"):
+        kickbench.evaluate(RUN, other)
+
+
 def test_load_runs_gives_a_table():
     runs = kickbench.load_runs(RUN)
     assert isinstance(runs, pd.DataFrame)
@@ -159,7 +172,7 @@ def test_a_training_records_the_command_that_repeats_it(tmp_path):
     command = run.metrics.provenance.command
     assert command[:2] == ["kickbench", "run"]
     assert command[-6:] == ["--iterations", "1", "--num-envs", "16", "--set", few[0]]
-    with pytest.raises(kickbench.KickbenchError, match="a finished run"):
+    with pytest.raises(kickbench.KickbenchError, match=r"a finished run; --force \(force=True\)"):
         kickbench.train("mini_home_field", "mini/baseline", out=tmp_path / "run")
 
 

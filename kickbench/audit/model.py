@@ -8,6 +8,8 @@ from collections.abc import Iterable, Iterator, Sequence
 import numpy as np
 
 from kickbench.audit.findings import Row
+from kickbench.config.terms import RandomizationParams
+from kickbench.config.yamltree import flow_yaml
 from kickbench.envs.compiled_task import CompiledTask
 from kickbench.sim.mirror_image import FIGURES, mirror_image
 from kickbench.sim.read_parts import read_parts
@@ -28,8 +30,21 @@ def derive_scene(task: CompiledTask) -> Derivation:
 
 
 def model_rows(task: CompiledTask, derivation: Derivation) -> Iterator[Row]:
-    """Rows of bodies, joints, actuators, soles and contact exclusions, in the model's order."""
+    """Rows of bodies, joints, actuators, soles, contact exclusions and randomisation."""
     yield from _Comparer(task, derivation).rows()
+    yield from _randomization_rows(task)
+
+
+def _randomization_rows(task: CompiledTask) -> Iterator[Row]:
+    """Rows of randomisations whose left side has another range than the right one.
+
+    Equal ranges are symmetric, those of `sensor_bias` too: it signs the biases of the right side.
+    """
+    for name, params in task.spec.randomization.active(RandomizationParams).items():
+        sides = params.model_dump(mode="json", include={"left", "right"})
+        if len({flow_yaml(side) for side in sides.values()}) > 1:
+            detail = ", ".join(f"{side} {flow_yaml(sides[side])}" for side in ("left", "right"))
+            yield Row("model", f"randomization {name}", "unequal", detail=detail)
 
 
 class _Comparer:

@@ -194,13 +194,13 @@ NONE: list[Any] = []
 Task = Annotated[Path, argument("Task: a YAML file or a name of `kickbench list`.", **TASK)]
 _METHOD = "Method: a YAML file or a name; of a task's robot."
 Method = Annotated[Path, argument(_METHOD, "METHOD", autocompletion=names_of("method"))]
-_REPORTED = file_of("reported")
-Experiment = Annotated[Path, argument("Experiment: a YAML file or a name.", "EXPERIMENT", **_REPORTED)]
+_EXPERIMENT = file_of("experiment")
+Experiment = Annotated[Path, argument("Experiment: a YAML file or a name.", "EXPERIMENT", **_EXPERIMENT)]
 Run = Annotated[Path, argument("Run directory.", "RUN")]
 Policy = Annotated[Path | None, option("Run directory whose policy is used.", default=..., metavar="RUN")]
 Roots = Annotated[list[Path], argument("Run directories, or folders of them.", "DIR...")]
 _FOR = "Experiment of the runs: file or name."
-For = Annotated[Path | None, option(_FOR, default=..., metavar="EXPERIMENT", **_REPORTED)]
+For = Annotated[Path | None, option(_FOR, default=..., metavar="EXPERIMENT", **_EXPERIMENT)]
 Set = Annotated[list[str], option("Override values.", "--set", default=..., metavar="key.path=value")]
 Device = Annotated[Literal["cpu", "cuda"], typer.Option(help="Where to compute.")]
 Threads = Annotated[int | None, count("Threads (default: the cores this process may use).", default=...)]

@@ -13,7 +13,7 @@ from kickbench.cli import app as cli
 from kickbench.config.shipped import FOLDERS, find, find_method, names
 from kickbench.errors import KickbenchError, Problem, SpecError, printable, shown
 
-Kind = Literal["task", "method", "robot", "representations", "reported"]
+Kind = Literal["task", "method", "robot", "representations", "experiment", "reported"]
 Terms = Literal["observations", "rewards", "terminations", "randomizations"]
 _NAMES = cli.names_of(*FOLDERS)
 

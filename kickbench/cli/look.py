@@ -9,12 +9,15 @@ from typing import TYPE_CHECKING, Literal
 import typer
 
 from kickbench.cli import app as cli
+from kickbench.config.shipped import names
 from kickbench.errors import KickbenchError, shown
 
 if TYPE_CHECKING:
     import pandas as pd
 
     from kickbench.trials.experiment import LoadedExperiment
+
+_CLAIMED = "Folder of its runs (default: the shipped; of an experiment of your own: runs/<experiment>)."
 
 
 @cli.verb("Look at results", "table runs --columns kick")
@@ -39,11 +42,11 @@ def compare(roots: cli.Roots) -> None:
 @cli.verb("Look at results", "claims mini_home_field runs/mini_home_field")
 def claims(
     experiment: cli.Experiment,
-    folder: Path | None = cli.argument("Folder of its runs (default: the shipped).", "DIR", default=None),
+    folder: Path | None = cli.argument(_CLAIMED, "DIR", default=None),
     strict: bool = cli.flag("Exit code 1 unless every claim is met.", "--strict"),
     json: cli.Json = False,
 ) -> int:
-    """Judge the claims of an experiment by its measured runs."""
+    """Judge the claims of an experiment by its measured runs; exit code 1 if there are none."""
     from kickbench.results.frame import load_runs
     from kickbench.results.tables import unplanned_lines
     from kickbench.results.verdicts import judge, verdict_lines, verdicts_json
@@ -53,11 +56,19 @@ def claims(
     # A missing default folder means that nothing is measured yet; a folder that the user names must exist.
     if folder and not folder.is_dir():
         raise KickbenchError(f"{folder}: no such folder")
-    measured = load_runs(folder or loaded.document.file.parent.parent / "measured" / loaded.name, loaded)
+    kept = loaded.document.file.parent.parent / "measured" / loaded.name
+    is_own = loaded.document.file not in names("experiment").values()
+    folder = folder or (Path("runs", loaded.name) if is_own and not kept.is_dir() else kept)
+    measured = load_runs(folder, loaded)
     verdicts = judge(loaded, measured)
-    print(verdicts_json(verdicts) if json else "\n".join(verdict_lines(loaded, verdicts)))
+    heading, *rest = verdict_lines(loaded, verdicts)
+    lines = (f"{heading}, by the runs in {shown(folder)}", *rest)
+    print(verdicts_json(verdicts) if json else "\n".join(lines))
     for line in [*_when_fixed(loaded, measured), *unplanned_lines(measured)]:
         print(line, file=sys.stderr if json else sys.stdout)
+    if (measured.state == "missing").all():
+        print(f"no run in {shown(folder)}", file=sys.stderr)
+        return 1
     return int(strict and any(verdict.outcome != "met" for verdict in verdicts))
 
 

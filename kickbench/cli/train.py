@@ -197,7 +197,7 @@ def demo(
     # All at once even on two cores: one by one, the last run would leave a core idle.
     at_a_time, threads = len(CONDITIONS), max(1, usable_cores() // len(CONDITIONS))
     selection = Selection(CONDITIONS, seeds=(0,), scale=scale, out=out, threads=threads)
-    plan = make_plan(load_experiment(find(DEMO, "reported")), selection)
+    plan = make_plan(load_experiment(find(DEMO, "experiment")), selection)
     print("""\
 The mini kicker trains with ball and target on its left only. Which method kicks as well on its right?
 Three methods, one seed each, at the same time; Ctrl-C stops, the same command goes on.

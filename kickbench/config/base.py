@@ -149,7 +149,7 @@ def _readable(name: Any) -> Any:
         check_regular(file)
         file.open("rb").close()
     except (OSError, ValueError) as error:
-        message, hint = unreadable(file, error)
+        message, hint = unreadable(file, error, name.origin)
         raise PydanticCustomError("file", "{message}", {"message": message, "hint": hint}) from None
     return file.as_posix()
 

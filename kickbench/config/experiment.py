@@ -54,6 +54,19 @@ Metric = Literal[SideMetric, RunMetric]
 OF_A_RUN: frozenset[Metric] = frozenset(get_args(RunMetric))
 """Metrics of a run as a whole: they have no sides and no transfer tasks."""
 
+SHARES: frozenset[Metric] = frozenset(
+    {
+        "success_rate",
+        "kicked_fraction",
+        "termination_share",
+        "same_side_share",
+        "favourite_foot_share",
+        "pair_agreement",
+        "success_area",
+    }
+)
+"""Metrics that are fractions."""
+
 
 class Operand(Spec):
     """Whose figure, and over which episodes."""

@@ -10,6 +10,8 @@ from pydantic import BaseModel
 from pydantic.json_schema import GenerateJsonSchema
 
 from kickbench.config.base import Spec
+from kickbench.config.task import CurriculumSpec
+from kickbench.config.terms import TermParams, TermTable
 from kickbench.config.yamlio import EXTENDS, Document
 from kickbench.config.yamltree import flow_yaml, value_at
 from kickbench.errors import KeyPath, from_here
@@ -23,30 +25,32 @@ _MAX_ALIGNED = 48
 def explain(model_instance: Spec, document: Document) -> str:
     """Writes a spec as YAML with a comment on each value: the file and line, the override, or `default`.
 
-    The text loads back to the same spec if it is saved in the working directory. Values that are null and
-    that no file wrote are left out.
+    The text loads back to the same spec if it is saved in the working directory. Terms, parameters of
+    terms and ramps that are off and that no file wrote are left out.
 
     Args:
         model_instance: A validated spec.
         document: The document it was made of.
     """
-    data = _visible(model_instance.model_dump(mode="json"), document.data)
+    data = _visible(model_instance.model_dump(mode="json"), document.data, model_instance)
     lines = list(_lines(data, (), document)) or [("{}", "")]
     widths = [len(text) for text, source in lines if source and len(text) <= _MAX_ALIGNED]
     width = max(widths, default=0)
     return "".join(f"{text:<{width}}  # {source}\n" if source else f"{text}\n" for text, source in lines)
 
 
-def _visible(value: Any, written: Any) -> Any:
-    """Drops nulls that no file wrote, and puts written keys first, in the order written."""
+def _visible(value: Any, written: Any, spec: Any) -> Any:
+    """Drops terms, parameters and ramps that are off, and puts written keys first, in the order written."""
     if isinstance(value, list):
-        return [_visible(item, value_at(written, (index,))) for index, item in enumerate(value)]
+        return [_visible(item, value_at(written, (i,)), spec[i]) for i, item in enumerate(value)]
     if not isinstance(value, dict):
         return value
     written = written if isinstance(written, dict) else {}
     order = dict.fromkeys([*(key for key in written if key in value), *value])
-    kept = [key for key in order if value[key] is not None or key in written]
-    return {key: _visible(value[key], written.get(key)) for key in kept}
+    if isinstance(spec, TermTable | TermParams | CurriculumSpec):
+        order = [key for key in order if value[key] is not None or key in written]
+    parts = dict(spec)
+    return {key: _visible(value[key], written.get(key), parts.get(key)) for key in order}
 
 
 def _lines(value: Any, path: KeyPath, document: Document) -> Iterator[tuple[str, str]]:

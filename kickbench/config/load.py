@@ -83,6 +83,10 @@ def load_task(
 def load_method(path: str | Path, overrides: Sequence[str] = ()) -> LoadedMethod:
     """Loads a method and its representation table."""
     method = load(MethodSpec, path, overrides)
+    symmetry, is_plain = method.spec.symmetry, method.spec.network.type == "mlp"
+    if symmetry.exclude and is_plain and not any(symmetry.model_dump(exclude={"exclude"}).values()):
+        what = "the method uses no symmetry that something could be excluded from"
+        raise method.document.error(("symmetry", "exclude"), what)
     table = load(RepresentationSpec, method.spec.representations)
     return LoadedMethod(method.spec, method.document, table)
 

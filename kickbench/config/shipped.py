@@ -13,7 +13,7 @@ FOLDERS = {
     "method": ("methods", "**/*.yaml"),
     "robot": ("assets", "*/*.yaml"),
     "representations": ("methods/representations", "*.yaml"),
-    "reported": ("results/reported", "*.yaml"),
+    "experiment": ("results/reported", "*.yaml"),
 }
 """Folder and files of each kind."""
 
@@ -46,6 +46,11 @@ def find(text: str | Path, *kinds: str) -> Path:
     known = {name: file for kind in reversed(kinds) for name, file in names(kind).items()}
     if not _is_path(text) and str(text) in known:
         return known[str(text)]
+    other = next((kind for kind in FOLDERS if str(text) in names(kind)), None)
+    if other and not Path(text).exists():
+        order = " (in TASK METHOD the task comes first)" if (other, *kinds) == ("method", "task") else ""
+        what = f"found the name of a {other}, expected {' or '.join(kinds)}{order}"
+        raise KickbenchError(f"{printable(str(text))}: {what}")
     if _is_path(text) or Path(text).exists() or str(text) != Path(text).name:
         return Path(text)
     hint = did_you_mean(str(text), known) or "`kickbench list` prints the names"

@@ -16,6 +16,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+from kickbench.config.shipped import FOLDERS, names, root
 from kickbench.config.yamltree import MAX_DEPTH, Place, describe, has, parse, renamed, value_at
 from kickbench.errors import KeyPath, Mark, Problem, SpecError, collected, did_you_mean, dotted, shown
 
@@ -158,7 +159,8 @@ def _read(file: Path, named: Mark, chain: tuple[Path, ...], problems: list[Probl
         check_regular(file)
         data = file.read_bytes()
     except (OSError, ValueError) as error:  # ValueError: a null byte in the path
-        raise SpecError([Problem(named, (EXTENDS,) if chain else (), *unreadable(file, error))]) from None
+        path, by = ((EXTENDS,), chain[-1]) if chain else ((), None)
+        raise SpecError([Problem(named, path, *unreadable(file, error, by))]) from None
     document, found = _parsed(data, file)
     problems += found
     if EXTENDS not in document.data:
@@ -230,8 +232,13 @@ def check_regular(file: Path) -> None:
         raise OSError(errno.EINVAL, "it is no regular file, but a pipe, socket or device")
 
 
-def unreadable(file: Path, error: Exception) -> tuple[str, str | None]:
+def unreadable(file: Path, error: Exception, by: Path | None = None) -> tuple[str, str | None]:
     """Says why a file cannot be read, with the nearest name that exists as a hint.
+
+    Args:
+        file: The file.
+        error: What reading it raised.
+        by: The YAML file that names it; None: a command line.
 
     Returns:
         Message and hint.
@@ -239,13 +246,18 @@ def unreadable(file: Path, error: Exception) -> tuple[str, str | None]:
     if isinstance(error, IsADirectoryError):
         return f"'{shown(file)}' is a directory, not a file", None
     if isinstance(error, FileNotFoundError | NotADirectoryError):
-        return f"no such file: '{shown(file)}'", _near_file(file)
+        return f"no such file: '{shown(file)}'", _near_file(file, by)
     reason = error.strerror if isinstance(error, OSError) else str(error)
     return f"'{shown(file)}' cannot be read: {reason}", None
 
 
-def _near_file(file: Path) -> str | None:
-    folder = file.parent
+def _near_file(file: Path, by: Path | None) -> str | None:
+    folder, here = file.parent, by.parent if by else Path.cwd()
+    name = file.relative_to(here).as_posix().removesuffix(".yaml") if file.is_relative_to(here) else ""
+    if by and (shipped := [path for kind in FOLDERS if (path := names(kind).get(name))]):
+        own = [os.path.relpath(path, here) if here.is_relative_to(root()) else str(path) for path in shipped]
+        return f"paths in YAML are relative to the file; the shipped one is {' or '.join(own)}"
     if not folder.is_dir():
         return f"the directory '{shown(folder)}' does not exist"
-    return did_you_mean(file.name, sorted(entry.name for entry in folder.iterdir() if entry.is_file()))
+    others = (entry.name for entry in folder.iterdir() if entry.is_file() and entry != by)
+    return did_you_mean(file.name, sorted(others))

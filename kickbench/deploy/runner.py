@@ -70,12 +70,14 @@ class Policy:
         """The observation vector [..., n] of values by name [..., components], float32.
 
         Raises:
-            ValueError: A value is missing, is not in the contract, or has another size.
+            ValueError: A value is missing, is not in the contract, has another size, or is NaN or infinite.
         """
         arrays = {name: np.atleast_1d(value) for name, value in values.items()}
         sizes = {name: array.shape[-1] for name, array in arrays.items()}
         if sizes != self._sizes:
             raise ValueError(f"expected observations of the sizes {self._sizes}, found {sizes}")
+        if broken := [name for name, array in arrays.items() if not np.isfinite(array).all()]:
+            raise ValueError(f"expected finite numbers; NaN or infinite: {', '.join(broken)}")
         vector = np.concatenate([arrays[name] for name in self._sizes], axis=-1)
         return np.clip((vector - self._offset) * self._gain, *self._clip).astype(np.float32)
 

@@ -143,10 +143,10 @@ class RunDirectory:
         if not self.holds_a_run:
             return self
         if not force:
-            words = "an unfinished run; --resume goes on with it, --force starts again"
+            words = "an unfinished run; --resume (resume=True) goes on, --force (force=True) starts again"
             if self.metrics.exists():
                 state = "damaged" if self.damage else "finished"
-                words = f"a {state} run; --force runs it again and overwrites it"
+                words = f"a {state} run; --force (force=True) runs it again and overwrites it"
             raise KickbenchError(f"{self.path}: holds {words}")
         self.beside.clear()
         return self.beside

@@ -307,6 +307,12 @@ def efforts_of(model: mujoco.MjModel) -> dict[str, float]:
     return found
 
 
+def motors_of(model: mujoco.MjModel) -> set[str]:
+    """Joints that a motor drives: an actuator whose control is a force, not a position or a velocity."""
+    none, drives = mujoco.mjtBias.mjBIAS_NONE, _driving(model)
+    return {model.joint(joint).name for joint, a in drives.items() if model.actuator_biastype[a] == none}
+
+
 def _driving(model: mujoco.MjModel) -> dict[int, int]:
     """The first actuator of each joint that has one, in the actuators' order."""
     drives = np.flatnonzero(model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from kickbench.config.yamltree import flow_yaml
-from kickbench.robots.guess import Candidate, efforts_of, two_digits
+from kickbench.robots.guess import Candidate, efforts_of, motors_of, two_digits
 from kickbench.symmetry.derive import symmetry_block
 
 _SCALE = 0.25
@@ -76,11 +76,14 @@ def _actuators(robot: Candidate) -> Iterator[str]:
 
 
 def _servo(robot: Candidate, joint: str, effort: float | None) -> str:
-    kp, kd, note = robot.gains.kp[joint], robot.gains.kd[joint], ""
+    kp, kd, notes = robot.gains.kp[joint], robot.gains.kd[joint], list[str]()
     if effort is None:
-        effort, note = two_digits(max(kp / 2.0, 1e-3)), "   # GUESS: effort, N m: what kp asks for at 0.5 rad"
+        effort, notes = two_digits(max(kp / 2.0, 1e-3)), ["GUESS: effort, N m: what kp asks for at 0.5 rad"]
+    if joint in motors_of(robot.model):
+        notes.append("a motor in the MJCF, whose control is a torque; here a position servo")
     low, high = robot.model.joint(joint).range
     scale = two_digits(min(_SCALE, (high - low) / 8.0)) if high > low else _SCALE
+    note = f"   # {'; '.join(notes)}" if notes else ""
     return f"kp: {kp!r}, kd: {kd!r}, effort: {float(f'{effort:.6g}')!r}, scale: {scale!r}}}{note}"
 
 

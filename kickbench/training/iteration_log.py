@@ -174,7 +174,7 @@ def rows_before(path: Path, first_iteration: int) -> list[list[str]]:
     rows = checked_rows(path)[: first_iteration + 1]
     if [row[:1] for row in rows] != [["iteration"], *([str(number)] for number in range(first_iteration))]:
         what = f"expected the row of iteration 0 to {first_iteration - 1} each, before the checkpoint"
-        raise KickbenchError(f"{path}: {what}; --force starts the run again")
+        raise KickbenchError(f"{path}: {what}; --force (force=True) starts the run again")
     return rows
 
 

@@ -91,7 +91,7 @@ def take_up(
     if not directory.holds_a_run:
         return begin(directory, trial, initial)
     if words := damage(directory):
-        raise KickbenchError(f"{words}; --force runs it again")
+        raise KickbenchError(f"{words}; --force (force=True) runs it again")
     if directory.metrics.exists():
         recorded = load_metrics(directory.metrics)
         check_same(directory, trial, seed, scale, recorded.model_dump(), extend=extend)
@@ -101,7 +101,7 @@ def take_up(
     if state is None:
         if any(file.exists() for file in (directory.progress, directory.policy, directory.metrics)):
             raise KickbenchError(
-                f"{directory.path}: holds a run without a checkpoint; --force starts it again"
+                f"{directory.path}: holds a run without a checkpoint; --force (force=True) starts it again"
             )
         directory.clear()
         return begin(directory, trial, initial)

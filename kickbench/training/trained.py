@@ -13,12 +13,12 @@ from kickbench.config.method import MethodSpec, RepresentationSpec
 from kickbench.config.robot import RobotSpec
 from kickbench.config.shipped import find
 from kickbench.config.task import TaskSpec
-from kickbench.envs.compiled_task import CompiledTask
+from kickbench.envs.compiled_task import CompiledTask, read_task
 from kickbench.errors import KickbenchError, shown
 from kickbench.nets.actor_critic import TrainedPolicy, build_actor
 from kickbench.results import integrity
 from kickbench.results.metrics import Metrics, load_metrics
-from kickbench.results.store import RunDirectory
+from kickbench.results.store import RunDirectory, find_begun_runs
 from kickbench.training.checkpoint import Checkpoints, load_policy, load_unfinished
 from kickbench.trials.trial import Trial, load_trial
 
@@ -89,16 +89,12 @@ def load_run(
         unfinished: Whether a run that is not trained to its end gives the policy of its last checkpoint.
 
     Raises:
-        KickbenchError: The directory holds no run with a policy, or one of its files is damaged.
+        KickbenchError: The directory holds no run with a policy, one of its files is damaged, or the task
+            does not suit the policy.
     """
-    directory = RunDirectory(path)
-    if not directory.task_spec.is_file():
-        raise KickbenchError(f"{os.fspath(path)}: not a run directory (it has no {directory.task_spec.name})")
+    directory = _existing(path)
     integrity.check(directory)
-    own = directory.task_spec if task is None else find(task, "task")
-    trial = load_trial(own, directory.method_spec)
-    if task is None and not trust_code:
-        trial = replace(trial, task=replace(trial.task, is_trusted=False))
+    trial = load_trial(directory.task_spec, directory.method_spec)
     symmetry = trial.symmetry
     network = build_actor(trial.method.spec, symmetry.groups["actor"], symmetry.actions)
     if unfinished and not directory.policy.exists():
@@ -107,4 +103,20 @@ def load_run(
         print(f"{shown(directory.path)}: {what}", file=sys.stderr)
     else:
         load_policy(directory.policy, network)
-    return Run(directory, trial, TrainedPolicy(network))
+    run = Run(directory, trial, TrainedPolicy(network))
+    if task is not None:
+        run.policy_for(read_task(task))
+        return replace(run, trial=load_trial(find(task, "task"), directory.method_spec))
+    return replace(run, trial=replace(trial, task=replace(trial.task, is_trusted=trust_code)))
+
+
+def _existing(path: Path | str) -> RunDirectory:
+    """A run directory with its specs."""
+    directory, where = RunDirectory(path), os.fspath(path)
+    if not directory.path.is_dir():
+        raise KickbenchError(f"{where}: no such directory")
+    if not directory.task_spec.is_file():
+        below = [run for run in find_begun_runs(path) if run.path != directory.path]
+        hint = f"; a run below it: {shown(below[0].path)}" if below else ""
+        raise KickbenchError(f"{where}: not a run directory (it has no {directory.task_spec.name}){hint}")
+    return directory

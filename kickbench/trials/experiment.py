@@ -20,11 +20,13 @@ from kickbench.config.base import names_file, resolved
 from kickbench.config.experiment import (
     OF_A_RUN,
     POINT,
+    SHARES,
     AnyClaim,
     ExperimentSpec,
     FiguresSpec,
     NearReported,
     Operand,
+    Ratio,
     ReportedFiguresSpec,
 )
 from kickbench.config.load import Loaded, LoadedMethod, LoadedTask, load, load_task
@@ -289,6 +291,10 @@ def _misfits(claim: AnyClaim, conditions: Mapping[str, Condition]) -> Iterator[M
     """What a claim asks of conditions that they do not have."""
     operands = claim.operands()
     known = [conditions[of.condition] for of in operands.values() if of.condition in conditions]
+    bound = getattr(claim, "bound", 0.0)
+    if claim.metric in SHARES and not isinstance(claim, Ratio) and abs(bound) > 1.0:
+        what = f"rates are fractions: expected a bound from -1 to 1, found {bound:g}"
+        yield ("bound",), what, f"{bound:g} % is {bound / 100:g}"
     if claim.seeds == "each" and len({condition.seeds for condition in known}) > 1:
         what = "each seed of two conditions is compared with that of the same number: their seeds differ"
         yield ("seeds",), what, None

@@ -174,15 +174,12 @@ def _partial(symmetry: Symmetry, task: CompiledTask, method: LoadedMethod) -> Sy
 def _exclusion_problems(
     method: LoadedMethod, known: Sequence[str], actions: Representation
 ) -> Iterator[Problem]:
-    """Names that are excluded and do not exist, and exclusions from no symmetry or from all of it."""
-    spec, document, path = method.spec, method.document, ("symmetry", "exclude")
-    for index, name in enumerate(spec.symmetry.exclude or ()):
+    """Names that are excluded and do not exist, and exclusions from all of the symmetry."""
+    document, path = method.document, ("symmetry", "exclude")
+    for index, name in enumerate(method.spec.symmetry.exclude or ()):
         if name not in known:
             what = f"the task has no observation field '{name}', and the robot no such joint"
             yield document.problem((*path, index), what, did_you_mean(name, known))
-    uses = spec.symmetry.model_dump(exclude={"exclude"}).values()
-    if spec.network.type == "mlp" and not any(uses):
-        yield document.problem(path, "the method uses no symmetry that something could be excluded from")
     if len(actions.excluded) == actions.dim:
         yield document.problem(path, "no action is left that would mirror")
 

@@ -10,9 +10,11 @@ from typing import Any
 
 from kickbench.config.base import Spec
 from kickbench.config.experiment import ExperimentSpec
-from kickbench.config.load import Loaded, LoadedMethod, load, load_method, load_task
+from kickbench.config.load import Loaded, LoadedMethod, LoadedTask, load, load_method, load_task
 from kickbench.config.method import MethodSpec, RepresentationSpec
 from kickbench.config.robot import RobotSpec
+from kickbench.config.task import TaskSpec
+from kickbench.config.terms import ObservationParams
 from kickbench.config.yamlio import Document, load_document
 from kickbench.config.yamltree import RENAMED
 from kickbench.envs.catalog import catalog, model_of_task, task_model
@@ -24,12 +26,13 @@ from kickbench.symmetry.field_table import resolve_expression
 from kickbench.trials.experiment import load_experiment
 from kickbench.trials.trial import symmetry_of
 
-KINDS = ("task", "method", "robot", "representations", "reported")
+KINDS = ("task", "method", "robot", "representations", "experiment")
 _MODELS: dict[str, type[Spec]] = {
     "method": MethodSpec,
     "robot": RobotSpec,
     "representations": RepresentationSpec,
-    "reported": ExperimentSpec,
+    "experiment": ExperimentSpec,
+    "reported": ExperimentSpec,  # what files call the schema, after the folder
 }
 
 
@@ -48,7 +51,7 @@ def kind_of(document: Document) -> str:
     best = max(KINDS, key=lambda kind: known[kind])
     if not known[best] or known[best] == ("description" in document.data):
         keys = ", ".join(map(str, document.data))
-        kinds = "neither a task, a method, a robot, a representation table nor a reported experiment"
+        kinds = "neither a task, a method, a robot, a representation table nor an experiment"
         raise document.error((), f"{kinds}; its keys: {keys}")
     return best
 
@@ -67,7 +70,7 @@ def check_files(files: Sequence[Path], overrides: Sequence[str] = ()) -> Iterato
     """Checks every file once, and a single task with every method among them.
 
     Args:
-        files: Tasks, methods, robots, representation tables and reported experiments.
+        files: Tasks, methods, robots, representation tables and experiments.
         overrides: `key.path=value` texts, applied to the files whose kind has the first key.
     """
     unused = list(dict.fromkeys(overrides))
@@ -90,6 +93,11 @@ def check_files(files: Sequence[Path], overrides: Sequence[str] = ()) -> Iterato
     if len(tasks) > 1 and methods:
         note = "none was checked together with a method, which takes a single task"
         yield Report("several tasks", "", notes=[note])
+    for method in methods if len(tasks) != 1 else ():
+        if method.spec.symmetry.exclude:
+            what = "its names are checked with a task: validate TASK METHOD"
+            note = str(method.document.problem(("symmetry", "exclude"), what))
+            yield Report(str(method.document.file), "", notes=[note])
     for method in methods if len(tasks) == 1 else ():
         report = Report(f"{tasks[0].name} with {method.name}", "task and method")
         with collected(report.problems):
@@ -127,14 +135,16 @@ def _load(path: Path, report: Report, overrides: Sequence[str]) -> CompiledTask 
     """Loads a file and what it names, and compares its robots' declared reflection with their geometry."""
     loaded, robots = None, list[Loaded[RobotSpec]]()
     if report.kind == "task":
-        loaded = compile_task(load_task(model_of_task, path, overrides))
+        task = load_task(model_of_task, path, overrides)
+        loaded = compile_task(task)
         robots = [loaded.robot]
         report.notes += map(str, step_warnings(loaded.robot, loaded.spec.simulation))
+        report.notes += map(str, _ball_warnings(task))
     elif report.kind == "method":
         loaded = load_method(path, overrides)
     elif report.kind == "robot":
         robots = [load(RobotSpec, path, overrides)]
-    elif report.kind == "reported":
+    elif report.kind == "experiment":
         robots = _robots_of_experiment(path, overrides, report)
     else:
         load(RepresentationSpec, path, overrides)
@@ -148,6 +158,14 @@ def _load(path: Path, report: Report, overrides: Sequence[str]) -> CompiledTask 
             elif finding.problem not in report.problems:
                 report.problems.append(finding.problem)
     return loaded
+
+
+def _ball_warnings(task: LoadedTask[TaskSpec]) -> Iterator[Problem]:
+    """A ball that rolls, whose velocity the policy does not observe."""
+    speed, seen = task.spec.sampling.ball.speed, task.spec.observations.actor.active(ObservationParams)
+    if speed and speed[1] > 0.0 and "ball_velocity" not in seen:
+        what = "the ball rolls, and the actor does not observe ball_velocity: add it to observations.actor"
+        yield task.document.problem(("sampling", "ball", "speed"), what)
 
 
 def _robots_of_experiment(path: Path, overrides: Sequence[str], report: Report) -> list[Loaded[RobotSpec]]:

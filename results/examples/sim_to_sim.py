@@ -1,14 +1,14 @@
 """Kicks with an exported policy in plain MuJoCo, by its contract and the robot's MJCF alone.
 
     kickbench export RUN -o FOLDER --states 200
-    python results/examples/sim_to_sim.py FOLDER RUN/specs/robot.xml
+    python results/examples/sim_to_sim.py FOLDER RUN/specs/model/ROBOT.xml
 
 Prints the share of initial states from which the ball comes to rest in the target, as `kickbench eval` does.
 Needs mujoco, numpy and onnxruntime; copy it and `scene.py` freely.
 """
 
+import argparse
 import json
-import sys
 from pathlib import Path
 
 import mujoco
@@ -114,4 +114,9 @@ def main(folder, robot):
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("folder", metavar="FOLDER", help="what `kickbench export` has written")
+    parser.add_argument("robot", metavar="ROBOT.xml", help="the robot's MJCF")
+    main(**vars(parser.parse_args()))

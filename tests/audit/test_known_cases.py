@@ -204,7 +204,35 @@ def test_a_servo_that_differs_from_its_partner_is_named(key, value, row, words, 
     assert words in next(r.detail for r in rows if r.failed)
 
 
+@pytest.mark.parametrize(
+    ("setting", "detail"),
+    [
+        ("motor_strength={left: 0.7, right: 1.0}", "left 0.7, right 1.0"),
+        ("link_mass={left: [0.8, 1.0]}", "left [0.8, 1.0], right 1.0"),
+        ("servo_stiffness={left: [0.8, 1.0], right: [0.8, 1.0], middle: 0.5}", None),
+        ("sensor_bias={left: 0.02, right: -0.02}", "left 0.02, right -0.02"),
+        ("sensor_bias={left: 0.02, right: 0.02}", None),
+    ],
+)
+def test_a_randomisation_of_one_side_makes_the_robot_unequal(mini, setting, detail):
+    baseline, override = ROOT / "methods/mini/baseline.yaml", f"randomization.{setting}"
+    chosen = load_trial(ROOT / "tasks/mini_general.yaml", baseline, [override])
+    rows = [row for row in model_rows(chosen.task, mini.derivation) if row.failed]
+    found = report(mini, rows)
+    name = setting.partition("=")[0]
+    assert [(row.name, row.detail) for row in rows] == ([(f"randomization {name}", detail)] if detail else [])
+    assert found.exit_code == (4 if detail else 0)
+
+
 # The command line
+
+
+def test_the_table_of_a_task_with_unequal_motors_is_right(capsys):
+    unequal = "randomization.motor_strength={left: 0.7, right: 1.0}"
+    assert audit(ROOT / "tasks/mini_general.yaml", "--states", "128", "--set", unequal) == 4
+    out = capsys.readouterr().out
+    assert "table: right" in out
+    assert "robot: unequal: randomization motor_strength: left 0.7, right 1.0\n" in out
 
 
 def audit(*arguments: str | Path) -> int:

@@ -26,7 +26,7 @@ SHIPPED = {
     "method": sorted(ROOT.glob("methods/[!r]*/*.yaml")),
     "representations": sorted(ROOT.glob("methods/representations/*.yaml")),
     "robot": sorted(ROOT.glob("assets/*/*.yaml")),
-    "reported": sorted(ROOT.glob("results/reported/*.yaml")),
+    "experiment": sorted(ROOT.glob("results/reported/*.yaml")),
 }
 SHIPPED_TASKS = sorted(ROOT.glob("tasks/**/*.yaml"), key=lambda path: (len(path.parts), path))
 
@@ -171,6 +171,10 @@ def test_schema_is_a_json_schema_that_knows_the_keys_of_the_shipped_files(kind, 
         assert set(load_document(path).data) <= set(schema["properties"]), path
 
 
+def test_the_name_of_the_folder_stands_for_experiments_too(printed):
+    assert printed("schema", "reported") == printed("schema", "experiment")
+
+
 def test_every_property_of_a_schema_is_described(kind, printed):
     schema = json.loads(printed("schema", kind))
     for name, rule in schema["properties"].items():
@@ -237,7 +241,7 @@ def test_terms_are_headed_by_their_kinds(printed):
 def test_list_names_files_of_every_kind_with_their_descriptions(printed):
     text = printed("list")
     headings = [line for line in text.splitlines() if not line.startswith(" ")]
-    assert headings == ["task:", "method:", "robot:", "representations:", "reported:"]
+    assert headings == ["task:", "method:", "robot:", "representations:", "experiment:"]
     assert re.search(r"^  mini_general +Mini kicker, ball and target anywhere in front$", text, re.MULTILINE)
     assert re.search(r"^  mini/baseline +Plain PPO$", text, re.MULTILINE)
     assert re.search(r"^  mini_kicker$", text, re.MULTILINE)
@@ -354,8 +358,13 @@ def test_a_name_that_is_a_folder_here_is_still_a_name(tmp_path, monkeypatch):
         ),
         (["run", "k1_general", "nowhere/x.yaml"], "the directory 'nowhere' does not exist"),
         (["run", "nowhere/x.yaml", "equivariant"], "the directory 'nowhere' does not exist"),
+        (
+            ["run", "mini/equivariant", "mini_home_field"],
+            "mini/equivariant: found the name of a method, expected task (in TASK METHOD the task comes first)",
+        ),
+        (["reproduce", "k1_general"], "k1_general: found the name of a task, expected experiment\n"),
         (["validate", "k1_generl"], "did you mean 'k1_general'?"),
-        (["reproduce", "general_fst"], "did you mean 'general_fast'?"),
+        (["reproduce", "general_fst"], "no experiment of this name (did you mean 'general_fast'?)"),
     ],
 )
 def test_a_wrong_name_is_refused_before_anything_heavy_is_imported(argv, said, tmp_path):

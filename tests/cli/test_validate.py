@@ -433,6 +433,29 @@ def test_entries_of_a_table_that_differ_from_what_the_terms_state_are_noted(plac
     ]
 
 
+def test_a_rolling_ball_whose_velocity_nobody_observes_is_noted(place, edit, capsys):
+    moving = "tasks/mini_moving_ball.yaml"
+    assert main(["validate", moving]) == 0
+    assert "note" not in capsys.readouterr().out
+    edit(moving, "    ball_velocity: {}", "    ball_velocity: null")
+    assert main(["validate", moving]) == 0
+    assert f"note: {moving}:9:5: sampling.ball.speed: the ball rolls, and" in capsys.readouterr().out
+
+
+def test_what_a_method_alone_excludes_is_noted_as_unchecked(place, capsys, fails):
+    exclude = ["--set", "symmetry.exclude=[lft_hip]"]
+    assert main(["validate", EQUIVARIANT, *exclude]) == 0
+    *_, last = capsys.readouterr().out.splitlines()
+    assert last.startswith(
+        f"{EQUIVARIANT}: note: --set symmetry.exclude=[lft_hip]: symmetry.exclude: its names"
+    )
+    (line,) = fails("validate", BASELINE, *exclude)
+    assert "the method uses no symmetry" in line
+    (line,) = fails("validate", TASK, EQUIVARIANT, *exclude)
+    assert "no observation field 'lft_hip'" in line
+    assert "note" not in capsys.readouterr().out
+
+
 def test_every_error_of_a_file_is_reported_in_the_order_of_its_lines(edit, fails):
     edit(TASK, "  mass: 0.1 ", "  mass: -0.1 ")
     edit(TASK, "x: [0.25, 0.55]", "x: [0.55, 0.25]")
@@ -465,7 +488,7 @@ def test_errors_of_several_files_are_reported_together_and_the_others_are_fine(e
     assert [line.split(":")[0] for line in printed] == [HOME, EQUIVARIANT]
 
 
-NO_KIND = "neither a task, a method, a robot, a representation table nor a reported experiment"
+NO_KIND = "neither a task, a method, a robot, a representation table nor an experiment"
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ from pydantic import Field, PrivateAttr
 from kickbench.config.base import FileRef, FloatList, NameList, Range, Spec
 from kickbench.config.explain import explain
 from kickbench.config.problems import validate
+from kickbench.config.terms import TermTable
 from kickbench.config.yamlio import load_document
 from kickbench.config.yamltree import dump_yaml
 
@@ -66,15 +67,18 @@ def test_every_value_says_where_it_came_from():
         "fall:\n"
         "  weight: 2.0      # a.yaml:3\n"
         "  sigma: 1.0e-05   # --set fall.sigma=1e-5\n"
+        "  note: null       # default\n"
         "mode: b            # base.yaml:5\n"
         "flag: false        # a.yaml:4\n"
         "name: 'on'         # default\n"
+        "robot: null        # default\n"
         "gains: [1.0, 2.0]  # default\n"
         "names: []          # default\n"
         "foot: left         # default\n"
         "first:\n"
         "  weight: 1.0      # default\n"
         "  sigma: 0.1       # default\n"
+        "  note: null       # default\n"
         "terms: {}          # default\n"
         "list: []           # default\n"
     )
@@ -82,12 +86,20 @@ def test_every_value_says_where_it_came_from():
 
 def test_keys_come_in_the_order_written_and_then_in_the_order_of_the_model():
     rows = [row.split(":")[0] for row in explained("mode: b\nname: x\n").splitlines() if row[0] != " "]
-    assert rows[:4] == ["mode", "name", "ball", "gains"]
+    assert rows[:4] == ["mode", "name", "robot", "ball"]
 
 
-def test_an_unwritten_null_is_left_out_and_a_written_one_is_not():
-    assert lines("name: x\nfall: null\n")["fall: null"] == "a.yaml:2"
-    assert "robot" not in explained("name: x\n")
+class Terms(TermTable):
+    fall: Term | None = None
+    slip: Term | None = None
+
+
+def test_a_null_is_a_value_but_a_term_that_is_off_is_left_out_unless_a_file_says_so():
+    shown = lines("name: x\nfall: null\n")
+    assert (shown["fall: null"], shown["robot: null"]) == ("a.yaml:2", "default")
+    Path("terms.yaml").write_text("fall: null\n")
+    document = load_document("terms.yaml")
+    assert explain(validate(Terms, document), document) == "fall: null  # terms.yaml:1\n"
 
 
 def test_an_override_of_a_list_entry_is_named_beside_the_file():
@@ -120,6 +132,7 @@ def test_lists_of_specs_and_empty_mappings_are_written_as_yaml():
         "list:\n"
         "  - weight: 1.0    # a.yaml:2\n"
         "    sigma: 0.1     # default\n"
+        "    note: null     # default\n"
         "  - weight: 2.0    # a.yaml:3\n"
         "    note: x        # a.yaml:3\n"
         "    sigma: 0.1     # default\n"
@@ -142,7 +155,7 @@ def test_private_attributes_stay_private():
 def test_a_long_value_does_not_move_all_comments():
     rows = explained(f"name: {'x' * 80}\n").splitlines()
     assert rows[0].endswith("x  # a.yaml:1")
-    assert rows[1] == "ball: 1.0          # default"
+    assert rows[2] == "ball: 1.0          # default"
 
 
 _MODERATE = st.floats(1e-12, 1e12) | st.floats(-1e12, -1e-12) | st.just(0.0)

@@ -3,8 +3,10 @@ from pathlib import Path
 import pytest
 
 from kickbench.config import yamlio
-from kickbench.config.yamlio import load_document
+from kickbench.config.yamlio import load_document, unreadable
 from kickbench.errors import SpecError
+
+ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture(autouse=True)
@@ -318,6 +320,27 @@ def test_a_missing_base_points_to_extends():
     write("a: 1\nextends: bas.yaml\n")
     hint = "did you mean 'base.yaml'?"
     assert problems() == [("a.yaml:2:1", ("extends",), "no such file: 'bas.yaml'", hint)]
+
+
+@pytest.mark.parametrize("name", ["mini_goal", "mini_goal.yaml", "./mini_goal.yaml"])
+def test_a_shipped_name_in_yaml_is_no_path_and_its_path_is_given(name):
+    write(f"extends: {name}\n", "my_mini_goal.yaml")
+    ((_, _, message, hint),) = problems("my_mini_goal.yaml")
+    path = ROOT / "tasks/mini_goal.yaml"
+    assert message == f"no such file: '{Path(name)}'"
+    assert hint == f"paths in YAML are relative to the file; the shipped one is {path}"
+
+
+def test_a_shipped_file_that_gives_a_name_gets_the_relative_path():
+    experiment = ROOT / "results/reported/x.yaml"
+    _, hint = unreadable(experiment.parent / "mini/baseline", FileNotFoundError(), experiment)
+    assert hint is not None
+    assert hint.endswith("the shipped one is ../../methods/mini/baseline.yaml")
+
+
+def test_the_file_itself_is_never_the_nearest():
+    write("extends: my_gaol.yaml\n", "my_goal.yaml")
+    assert problems("my_goal.yaml")[0][3] is None
 
 
 @pytest.mark.parametrize(

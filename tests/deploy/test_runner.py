@@ -85,6 +85,18 @@ def test_wrong_observations_are_refused(exported, change):
         policy.step({name: value for name, value in values.items() if value is not None})
 
 
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_value_that_is_not_finite_is_named_and_nothing_is_stored(exported, value):
+    policy = Policy(exported(RUN)[1])
+    values = {name: np.ones(size) for name, size in policy._sizes.items() if name != "previous_action"}
+    policy.step(values)
+    before = policy.action
+    with pytest.raises(ValueError, match=r"NaN or infinite: ball_position$"):
+        policy.step(values | {"ball_position": [0.0, 0.0, value]})
+    assert policy.action is before
+    assert np.isfinite(policy.step(values)).all()
+
+
 def test_what_is_no_export_is_refused(exported, tmp_path):
     folder = exported(RUN)[1]
     with pytest.raises(KickbenchError, match="no such file"):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import runpy
 import sys
 from pathlib import Path
 
@@ -27,6 +28,14 @@ def examples(monkeypatch):
     yield scene, sim_to_sim
     for name in ("scene", "sim_to_sim"):
         del sys.modules[name]
+
+
+def test_help_says_which_files_it_takes(examples, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["sim_to_sim.py", "--help"])
+    with pytest.raises(SystemExit) as stop:
+        runpy.run_path(str(EXAMPLES / "sim_to_sim.py"), run_name="__main__")
+    assert stop.value.code == 0
+    assert "FOLDER RUN/specs/model/ROBOT.xml" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("name", ["mini_home_field/equivariant/seed0", "k1_lite/equivariant/seed0"])

@@ -49,7 +49,17 @@ def test_the_written_file_says_what_it_guessed_and_both_sides_are_equal(biped, c
         assert {**servo, "joint": ""} == {**partner, "joint": ""}
     guessed = [line for line in text.splitlines() if "GUESS: effort" in line]
     assert [line.split(":")[0].strip() for line in guessed] == ["left_ankle_roll", "right_ankle_roll"]
+    assert text.count("a motor in the MJCF, whose control is a torque; here a position servo\n") == len(
+        servos
+    )
     assert set(robot["symmetry"]["regular_sign"]["left"]) == {"left_hip_roll", "left_ankle_roll"}
+
+
+def test_a_servo_of_the_mjcf_is_no_motor(biped, capsys):
+    text = Path("my_robot.xml").read_text().replace("<motor", "<position kp='20'")
+    Path("my_robot.xml").write_text(text)
+    assert run(capsys, "kickbench robot init my_robot.xml")[0] == 0
+    assert "a motor" not in Path("robot.yaml").read_text()
 
 
 def test_an_existing_file_is_not_overwritten(biped, capsys):

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from kickbench.config.experiment import METRICS, Operand
+from kickbench.config.experiment import METRICS, SHARES, Operand
 from kickbench.errors import SpecError
 from kickbench.results import quantities
 from kickbench.results.metrics import Metrics
@@ -59,6 +59,7 @@ def test_table_4_2_and_table_4_3():
 
 def test_every_metric_has_a_source_and_a_unit():
     assert set(quantities.METRICS) == set(METRICS)
+    assert {name for name, (_, unit) in quantities.METRICS.items() if unit.is_share} == SHARES
     assert "scale" in Metrics.model_fields
 
 
@@ -142,11 +143,29 @@ VALUE, METRIC = "value: {condition: baseline}", "metric: success_rate"
          "less_than, metric: success_rate, seeds: each, value: {condition: baseline}, than: {condition: other}",
          "x.yaml:8:60: claims.c.seeds: each seed of two conditions is compared with that of the same number: their "
          "seeds differ"),
+        ("bound: 0.5", "bound: 80", "x.yaml:8:89: claims.c.bound: rates are fractions: expected a bound from -1 to 1, "
+         "found 80 (80 % is 0.8)"),
     ],
-    ids=["condition", "side", "task", "termination", "reward", "not reported", "transfer", "seeds"],
+    ids=["condition", "side", "task", "termination", "reward", "not reported", "transfer", "seeds", "bound"],
 )  # fmt: skip
 def test_what_does_not_fit_together_is_named(complaints, old, new, complaint):
     assert complaint in complaints(old, new)
+
+
+@pytest.mark.parametrize(
+    "new",
+    [
+        "ratio_at_most, metric: success_rate, value: {condition: baseline}, over: {condition: other}, bound: 2.0",
+        "at_most, metric: mean_episode_steps, value: {condition: baseline}, bound: 80",
+    ],
+)
+def test_bounds_of_what_is_no_rate_may_exceed_1(load, new):
+    assert (
+        load("at_least, metric: success_rate, value: {condition: baseline}, bound: 0.5", new)
+        .claims["c"]
+        .bound
+        > 1
+    )
 
 
 def test_the_problems_of_a_broken_task_are_those_of_the_experiment(complaints):

@@ -68,4 +68,4 @@ def test_an_old_and_a_new_key_together_are_an_error(tmp_path):
 def test_an_override_by_an_old_name_fits_an_experiment(capsys):
     file = ROOT / "results/reported/mini_home_field.yaml"
     (report,) = check_files([file], ["arms.baseline.seeds=[3]"])
-    assert (report.kind, report.problems) == ("reported", [])
+    assert (report.kind, report.problems) == ("experiment", [])

@@ -72,7 +72,7 @@ ERRORS = {
     ),
     "no such run": (
         ["render", TASK, "--out", "a.webp", "--policy", "runs/x"],
-        "runs/x: not a run directory (it has no task.yaml)",
+        "runs/x: no such directory",
     ),
     "no such task": (["render", "x.yaml"], "x.yaml: no such file: 'x.yaml'"),
 }
