@@ -11,6 +11,8 @@ from pathlib import Path
 from kickbench.errors import KickbenchError
 from kickbench.results import integrity
 from kickbench.results.atomic import atomic_write_text, read_text
+from kickbench.results.identity import read_identity
+from kickbench.results.metrics import load_metrics
 from kickbench.results.store import RunDirectory, find_begun_runs
 from kickbench.training.checkpoint import drop_critic
 
@@ -23,8 +25,8 @@ EVERY = 5
 def keep(runs: Path, place: Path, every: int = EVERY, critic: bool = True) -> list[Path]:
     """Copies finished runs, with two tables thinned and compressed.
 
-    All but those two, and the critic where it is left out, is copied as it is. Of the episodes, every k-th of both sides is kept, with k such that
-    about `EPISODES` a side are left; a table with no more is kept whole.
+    All but those two, and the critic where it is left out, is copied as it is. Of the episodes, every k-th of
+    both sides is kept, with k such that about `EPISODES` a side are left; a table with no more is kept whole.
 
     Args:
         runs: A folder of runs, or one run.
@@ -37,14 +39,27 @@ def keep(runs: Path, place: Path, every: int = EVERY, critic: bool = True) -> li
         The folders of the copies.
 
     Raises:
-        KickbenchError: A run is not finished or damaged, or there is none.
+        KickbenchError: A run is not finished or damaged, or there is none; or a critic is to be left out with
+            which another run began: its identity covers it.
     """
     begun = find_begun_runs(runs)
     for run in begun:
         integrity.check(run)
     if not begun or not all(run.metrics.is_file() for run in begun):
         raise KickbenchError(f"{runs}: expected finished runs, and nothing else")
+    if not critic:
+        _check_no_critic_is_needed(begun)
     return [_keep(run, place / run.path.relative_to(runs), every, critic) for run in begun]
+
+
+def _check_no_critic_is_needed(runs: list[RunDirectory]) -> None:
+    found = {(read_identity(run).fingerprint, load_metrics(run.metrics).seed): run for run in runs}
+    for run in runs:
+        initial = load_metrics(run.metrics).provenance.initial
+        source = found.get((initial.fingerprint, initial.seed)) if initial and initial.critic else None
+        if source is not None:
+            what = "began with its policy and its critic, which has to stay"
+            raise KickbenchError(f"{source.path}: {run.path} {what}")
 
 
 def _keep(run: RunDirectory, place: Path, every: int, critic: bool) -> Path:
@@ -66,8 +81,8 @@ def _keep(run: RunDirectory, place: Path, every: int, critic: bool) -> Path:
 
 
 def _thinned(rows: list[str], every: int) -> list[str]:
-    """Every k-th row, and the last."""
-    return [*rows[::every], *(rows[-1:] if (len(rows) - 1) % every else [])]
+    """The rows of every k-th iteration, and the last: all that are left where they were thinned before."""
+    return [*(row for row in rows[:-1] if int(row.partition(",")[0]) % every == 0), *rows[-1:]]
 
 
 def _thinned_sides(rows: list[str]) -> list[str]:

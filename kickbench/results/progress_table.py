@@ -52,12 +52,12 @@ def read_progress(path: Path) -> pd.DataFrame:
     Returns:
         A row per iteration, ascending, with the column `iteration`; the others are floats, NaN where nothing
         is known yet. A compressed table may have been thinned (`results/keep.py`); any other has every
-        row.
+        row. An empty file, as before the first iteration has ended, has none.
 
     Raises:
         KickbenchError: The file cannot be read or is no such table.
     """
-    names, *rows = checked_rows(path) or [[]]
+    names, *rows = checked_rows(path) or [["iteration"]]
     if names[:1] != ["iteration"]:
         raise KickbenchError(f"{path}:1: expected a progress table whose first column is iteration")
     try:

@@ -239,9 +239,9 @@ def portable_command(argv: Sequence[str]) -> list[str]:
 
 def _portable(argument: str) -> str:
     # An equals sign in a path is no key's: folders of a sweep have them.
-    key, equals, value = ("", "", argument) if os.path.isabs(argument) else argument.rpartition("=")
-    here = from_here(value)
-    return f"{key}{equals}{(Path(here).name or '.') if os.path.isabs(here) else here}"
+    start = 0 if os.path.isabs(argument) else argument.find("=/") + 1
+    here = from_here(argument[start:])
+    return f"{argument[:start]}{(Path(here).name or '.') if os.path.isabs(here) else here}"
 
 
 def _git(folder: Path, *arguments: str) -> str | None:

@@ -14,6 +14,7 @@ import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from datetime import timedelta
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,9 @@ import torch.distributed
 from torch import nn
 
 from kickbench.errors import KickbenchError
+
+_PATIENCE = timedelta(days=1)
+"""How long processes wait for one another, as they do while rank 0 evaluates."""
 
 
 @dataclass(frozen=True)
@@ -128,15 +132,17 @@ def read_ranks(device: str, environ: Mapping[str, str] = os.environ) -> Ranks:
 
 @contextmanager
 def joined(ranks: Ranks) -> Iterator[None]:
-    """Within the block, the processes can communicate."""
+    """Within the block, the processes can communicate. Unless one fails, they leave it together."""
     if ranks.size == 1:
         yield
         return
     if ranks.device.type == "cuda":
         torch.cuda.set_device(ranks.device)
-    torch.distributed.init_process_group("nccl" if ranks.device.type == "cuda" else "gloo")
+    backend = "nccl" if ranks.device.type == "cuda" else "gloo"
+    torch.distributed.init_process_group(backend, timeout=_PATIENCE)
     try:
         yield
+        ranks.any(False)  # the others may read what rank 0 has written
     finally:
         torch.distributed.destroy_process_group()
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 
 import pytest
 
@@ -73,6 +74,14 @@ def test_a_run_whose_folder_is_locked_is_running(make_run):
         state = read_state(run, 450)
         assert (state.state, state.done) == ("running", 117)
     assert read_state(run, 450).state == "interrupted"
+
+
+def test_a_running_run_is_the_forced_one_or_the_one_that_goes_on_after_it_was_killed(make_run):
+    run, forced = make_run(rows=117, checkpoints=(100,)), make_run("run/.partial-force", rows=7)
+    with run.occupied():
+        for written, done in ((2e9, 7), (1e9, 117)):
+            os.utime(forced.path, (written, written))
+            assert read_state(run, 450).done == done
 
 
 def test_a_look_at_the_lock_keeps_no_run_out(make_run):

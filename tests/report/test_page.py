@@ -165,6 +165,15 @@ def test_an_experiment_names_missing_unfinished_and_smaller_runs(folder):
     assert "Learning curves As the thesis'" in page.text, "the unfinished run's"
 
 
+def test_a_run_in_its_first_iteration_has_no_curve_yet(folder):
+    begun = folder.path / "augmentation" / "seed0"
+    begun.mkdir(parents=True)
+    (begun / "progress.csv").touch()
+    page, _ = page_of(folder.path)
+    assert "0 of 1 runs are finished." in page.text
+    assert "Learning curves As" not in page.text
+
+
 def test_measured_results_of_the_repository_are_judged(tmp_path):
     measured = ROOT / "results/measured/mini_home_field"
     out = tmp_path / "page.html"

@@ -12,9 +12,11 @@ import pytest
 
 from kickbench.errors import KickbenchError
 from kickbench.results.episode_table import EpisodeSides, read_episodes, write_episodes
+from kickbench.results.identity import read_identity
 from kickbench.results.integrity import damage, read_sums, seal
 from kickbench.results.metrics import load_metrics
 from kickbench.results.progress_table import read_progress
+from kickbench.results.provenance import InitialRef
 from kickbench.results.store import RunDirectory
 from kickbench.results.summary import summarise_sides
 from kickbench.training.trained import load_run
@@ -88,7 +90,7 @@ def test_a_kept_run_is_intact_and_can_be_kept_again(run, tmp_path):
     assert read_sums(tmp_path / "kept").keys() == files_of(tmp_path / "kept")
     keep(tmp_path / "kept", tmp_path / "again")
     assert damage(tmp_path / "again") is None
-    for name in ("metrics.json", "policy.pt", "episodes.csv.gz"):
+    for name in ("metrics.json", "policy.pt", "episodes.csv.gz", "progress.csv.gz"):
         assert (tmp_path / "again" / name).read_bytes() == (tmp_path / "kept" / name).read_bytes()
 
 
@@ -111,11 +113,29 @@ def test_a_place_that_holds_a_run_is_refused(run, tmp_path):
         keep(run, tmp_path / "kept")
 
 
+WITH_CRITIC = RESULTS / "measured/mini_unequal_motors/baseline,left=1.0/seed0"
+
+
 def test_a_run_may_be_kept_without_its_critic(tmp_path):
-    """Of a run with one: its policy is as it was, and the file is half as large."""
-    run = RESULTS / "measured/mini_unequal_motors/baseline,left=1.0/seed0"
+    """Its policy is as it was, and the file is half as large."""
+    run = WITH_CRITIC
     (kept,) = keep(run, tmp_path / "kept", critic=False)
     assert damage(kept) is None
     before, after = load_run(run).policy, load_run(kept).policy
     assert_same_bits(before.network.state_dict(), after.network.state_dict())
     assert (kept / "policy.pt").stat().st_size < 0.6 * (run / "policy.pt").stat().st_size
+
+
+def test_a_critic_that_another_run_began_with_stays(tmp_path):
+    """`reproduce` would take the other run, whose identity covers the critic, for another experiment's."""
+    source, run = (shutil.copytree(WITH_CRITIC, tmp_path / "runs" / name) for name in ("first", "second"))
+    metrics = load_metrics(run / "metrics.json")
+    labels = {key: getattr(metrics, key) for key in ("task", "method", "seed", "env_steps")}
+    fingerprint = read_identity(source).fingerprint
+    initial = InitialRef(**labels, fingerprint=fingerprint, policy="0", critic="1", std=None)
+    origin = metrics.provenance.model_copy(update={"initial": initial, "seed": 1})
+    write_metrics(run / "metrics.json", metrics.model_copy(update={"provenance": origin, "seed": 1}))
+    seal(run)
+    with pytest.raises(KickbenchError, match=r"first: \S+second began with .* its critic, which has to stay"):
+        keep(tmp_path / "runs", tmp_path / "kept", critic=False)
+    assert not (tmp_path / "kept").exists()

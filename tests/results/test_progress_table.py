@@ -29,6 +29,7 @@ def test_a_row_that_a_kill_cut_short_is_left_out(tmp_path):
 
 def test_a_table_without_rows_has_no_iterations(tmp_path):
     assert read(tmp_path, "iteration,a\n").empty
+    assert read(tmp_path, "").columns.tolist() == ["iteration"], "before the first iteration has ended"
 
 
 @pytest.mark.parametrize(

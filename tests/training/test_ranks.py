@@ -18,7 +18,7 @@ from kickbench.cli import main
 from kickbench.errors import KickbenchError
 from kickbench.results.metrics import load_metrics
 from kickbench.training.checkpoint import Checkpoints
-from kickbench.training.ranks import ALONE, Ranks, fingerprint, read_ranks
+from kickbench.training.ranks import ALONE, Ranks, fingerprint, joined, read_ranks
 from kickbench.training.trainer import stop_request
 
 from ..support import untimed_rows
@@ -120,6 +120,18 @@ def test_a_training_by_several_processes_goes_on_with_as_many(experiment):
         KickbenchError, match="was trained by 2 processes and goes on with as many, not with 1"
     ):
         trainer.load_state_dict({**state, "ranks": [part, part]})
+
+
+def test_processes_leave_together_so_that_all_can_read_what_rank_0_has_written(monkeypatch):
+    done = []
+    for name in ("init_process_group", "all_reduce", "destroy_process_group"):
+        monkeypatch.setattr(torch.distributed, name, lambda *_, name=name, **__: done.append(name))
+    with joined(Ranks(rank=1, size=2)):
+        done.append("block")
+    assert done == ["init_process_group", "block", "all_reduce", "destroy_process_group"]
+    with pytest.raises(KickbenchError), joined(Ranks(rank=1, size=2)):
+        raise KickbenchError("diverged")
+    assert done[4:] == ["init_process_group", "destroy_process_group"], "the others may never come"
 
 
 def command(out: Path, *options: str) -> list[str]:
