@@ -22,34 +22,41 @@ EVERY = 5
 """Of so many training iterations one is kept."""
 
 
-def keep(runs: Path, place: Path, every: int = EVERY, critic: bool = True) -> list[Path]:
+def keep(runs: Path, place: Path, every: int = EVERY, small: bool = False) -> list[Path]:
     """Copies finished runs, with two tables thinned and compressed.
 
-    All but those two, and the critic where it is left out, is copied as it is. Of the episodes, every k-th of
-    both sides is kept, with k such that about `EPISODES` a side are left; a table with no more is kept whole.
+    All but those two is copied as it is. Of the episodes, every k-th of both sides is kept, with k such that
+    about `EPISODES` a side are left; a table with no more is kept whole.
 
     Args:
         runs: A folder of runs, or one run.
         place: Where they go, in the same arrangement; a run that is there already is an error.
         every: Of so many training iterations one is kept, and the last; 1: all, as claims about learning
             curves need them.
-        critic: Whether the critics stay, with which `--init-from` a training goes on best.
+        small: Leave out the critics, with which `--init-from` a training goes on best, and all policies but
+            that of each condition's first seed: for studies of many seeds, of which the figures count.
 
     Returns:
         The folders of the copies.
 
     Raises:
-        KickbenchError: A run is not finished or damaged, or there is none; or a critic is to be left out with
-            which another run began: its identity covers it.
+        KickbenchError: A run is not finished or damaged, or there is none; or one is to be small with whose
+            critic another run began: its identity covers it.
     """
     begun = find_begun_runs(runs)
     for run in begun:
         integrity.check(run)
     if not begun or not all(run.metrics.is_file() for run in begun):
         raise KickbenchError(f"{runs}: expected finished runs, and nothing else")
-    if not critic:
+    if small:
         _check_no_critic_is_needed(begun)
-    return [_keep(run, place / run.path.relative_to(runs), every, critic) for run in begun]
+    kept = [_keep(run, place / run.path.relative_to(runs), every) for run in begun]
+    first = {path.parent: path for path in reversed(kept)}
+    for path in kept if small else ():
+        policy = RunDirectory(path).policy
+        drop_critic(policy) if path == first[path.parent] else policy.unlink(missing_ok=True)
+        integrity.seal(path)
+    return kept
 
 
 def _check_no_critic_is_needed(runs: list[RunDirectory]) -> None:
@@ -62,7 +69,7 @@ def _check_no_critic_is_needed(runs: list[RunDirectory]) -> None:
             raise KickbenchError(f"{source.path}: {run.path} {what}")
 
 
-def _keep(run: RunDirectory, place: Path, every: int, critic: bool) -> Path:
+def _keep(run: RunDirectory, place: Path, every: int) -> Path:
     if RunDirectory(place).holds_a_run:
         raise KickbenchError(f"{place}: holds a run")
     for name in (integrity.FILE, *integrity.read_sums(run.path)):
@@ -74,8 +81,6 @@ def _keep(run: RunDirectory, place: Path, every: int, critic: bool) -> Path:
         kept = _thinned(rows, every) if file == run.progress else _thinned_sides(rows)
         (place / file.name).unlink()
         atomic_write_text(place / f"{file.name.removesuffix('.gz')}.gz", "".join([header, *kept]))
-    if not critic:
-        drop_critic(place / run.policy.name)
     integrity.seal(place)
     return place
 
@@ -97,9 +102,9 @@ if __name__ == "__main__":
     parser.add_argument("runs", type=Path, help="a folder of finished runs, or one run")
     parser.add_argument("place", type=Path, help="where they go, in the same arrangement")
     parser.add_argument("--every", type=int, default=EVERY, help="of so many training iterations one is kept")
-    parser.add_argument("--without-critic", action="store_true", help="leave the critics out")
+    parser.add_argument("--small", action="store_true", help="no critics, and policies of first seeds alone")
     given = parser.parse_args()
     try:
-        keep(given.runs, given.place, given.every, not given.without_critic)
+        keep(given.runs, given.place, given.every, given.small)
     except KickbenchError as error:
         sys.exit(str(error))

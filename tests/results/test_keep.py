@@ -113,17 +113,19 @@ def test_a_place_that_holds_a_run_is_refused(run, tmp_path):
         keep(run, tmp_path / "kept")
 
 
-WITH_CRITIC = RESULTS / "measured/mini_unequal_motors/baseline,left=1.0/seed0"
+WITH_CRITIC = RESULTS / "measured/mini_worlds/goal_baseline/seed0"
 
 
-def test_a_run_may_be_kept_without_its_critic(tmp_path):
-    """Its policy is as it was, and the file is half as large."""
-    run = WITH_CRITIC
-    (kept,) = keep(run, tmp_path / "kept", critic=False)
-    assert damage(kept) is None
-    before, after = load_run(run).policy, load_run(kept).policy
+def test_of_a_study_the_first_seed_keeps_its_policy_and_none_its_critic(tmp_path):
+    """That policy is as it was, and the file is half as large."""
+    for seed in (0, 1):
+        shutil.copytree(WITH_CRITIC, tmp_path / f"runs/own/seed{seed}")
+    first, second = keep(tmp_path / "runs", tmp_path / "kept", small=True)
+    assert damage(first) is damage(second) is None
+    before, after = load_run(WITH_CRITIC).policy, load_run(first).policy
     assert_same_bits(before.network.state_dict(), after.network.state_dict())
-    assert (kept / "policy.pt").stat().st_size < 0.6 * (run / "policy.pt").stat().st_size
+    assert (first / "policy.pt").stat().st_size < 0.6 * (WITH_CRITIC / "policy.pt").stat().st_size
+    assert files_of(second) == files_of(first) - {"policy.pt"}
 
 
 def test_a_critic_that_another_run_began_with_stays(tmp_path):
@@ -137,5 +139,5 @@ def test_a_critic_that_another_run_began_with_stays(tmp_path):
     write_metrics(run / "metrics.json", metrics.model_copy(update={"provenance": origin, "seed": 1}))
     seal(run)
     with pytest.raises(KickbenchError, match=r"first: \S+second began with .* its critic, which has to stay"):
-        keep(tmp_path / "runs", tmp_path / "kept", critic=False)
+        keep(tmp_path / "runs", tmp_path / "kept", small=True)
     assert not (tmp_path / "kept").exists()
