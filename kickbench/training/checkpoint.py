@@ -95,7 +95,7 @@ def load_policy(path: Path, policy: MLPModel) -> None:
         KickbenchError: The file is missing, damaged or of another network.
     """
     if not path.exists():
-        raise KickbenchError(f"{path}: no policy; did the run finish?")
+        raise KickbenchError(f"{path}: no policy: the run is not finished, or was kept without it")
     _load(path, policy, lambda: _read(path)["actor_state_dict"])
 
 

@@ -97,7 +97,7 @@ def load_run(
     trial = load_trial(directory.task_spec, directory.method_spec)
     symmetry = trial.symmetry
     network = build_actor(trial.method.spec, symmetry.groups["actor"], symmetry.actions)
-    if unfinished and not directory.policy.exists():
+    if unfinished and not (directory.policy.exists() or directory.metrics.exists()):
         iteration = load_unfinished(Checkpoints(directory.checkpoints), network)
         what = f"not finished; this is its policy after {iteration} iterations"
         print(f"{shown(directory.path)}: {what}", file=sys.stderr)
