@@ -37,6 +37,12 @@ def names(kind: str) -> dict[str, Path]:
     }
 
 
+def name_of(file: Path) -> str | None:
+    """The name by which a command line finds a shipped file; None: it is none."""
+    kinds = ("task", "method", "experiment")
+    return next((name for kind in kinds for name, own in names(kind).items() if own == file), None)
+
+
 def find(text: str | Path, *kinds: str) -> Path:
     """The file that a path, or a name of one of some kinds, means; a path need not lead to a file.
 

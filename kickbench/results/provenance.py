@@ -16,6 +16,7 @@ from typing import Any
 
 from pydantic import NonNegativeFloat, NonNegativeInt, PositiveInt
 
+from kickbench.config.shipped import name_of
 from kickbench.errors import from_here, printable
 from kickbench.results.atomic import Record
 
@@ -232,7 +233,7 @@ def portable_command(argv: Sequence[str]) -> list[str]:
     """The command without paths of this machine.
 
     The program becomes `kickbench`. An absolute path, alone or behind `key=`, becomes relative to the working
-    directory if it lies in it, and its last name otherwise.
+    directory if it lies in it; otherwise the name of a shipped file, or its own last name.
     """
     return ["kickbench", *(printable(_portable(argument)) for argument in argv[1:])]
 
@@ -241,7 +242,8 @@ def _portable(argument: str) -> str:
     # An equals sign in a path is no key's: folders of a sweep have them.
     start = 0 if os.path.isabs(argument) else argument.find("=/") + 1
     here = from_here(argument[start:])
-    return f"{argument[:start]}{(Path(here).name or '.') if os.path.isabs(here) else here}"
+    known = name_of(Path(here)) or Path(here).name or "." if os.path.isabs(here) else here
+    return f"{argument[:start]}{known}"
 
 
 def _git(folder: Path, *arguments: str) -> str | None:
