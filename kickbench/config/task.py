@@ -358,7 +358,7 @@ class CurriculumSpec(Spec):
 
 
 class TaskSpec(Spec):
-    """A task. Tables of terms are narrowed by `mdp.catalog.task_model` to the terms that exist."""
+    """A task. Tables of terms are narrowed by `envs.catalog.model_of_task` to the terms that exist."""
 
     description: str = ""
     """One line for lists and reports."""

@@ -1,8 +1,8 @@
 """Parameters of terms as YAML gives them, and the tables that collect them.
 
 `kickbench.envs` defines the terms and derives one model per table from its catalogue
-(`mdp.catalog.task_model`), so a wrong name or parameter is an error at validation, and a new term needs no
-change here.
+(`envs.catalog.model_of_task`), so a wrong name or parameter is an error at validation, and a new term needs
+no change here.
 """
 
 from __future__ import annotations

@@ -335,7 +335,7 @@ def evaluate(
     if isinstance(policy, str | Path):
         policy = load_run(policy, task)
     elif isinstance(policy, Run) and task is not None:
-        policy = load_run(policy.directory.path, task)
+        policy = load_run(policy.directory.path, task, unfinished=True)
     if isinstance(policy, Run):
         compiled, symmetry, function = policy.trial.task, policy.trial.symmetry, policy.policy
     elif task is not None:

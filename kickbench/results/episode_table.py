@@ -41,8 +41,6 @@ from kickbench.results.atomic import atomic_write_text, read_text
 
 NON_FINITE = "non_finite"
 """What ended an episode whose state became NaN or infinite, in the place of a termination's name."""
-KICK_COLUMNS = ("touches", "walked_after_touch", "launch_speed", "direction_error")
-"""Columns that tables of older versions lack."""
 _KINDS: dict[str, Any] = {
     **dict.fromkeys(("start_ball_x", "start_ball_y", "target_x", "target_y"), float),
     **dict.fromkeys(("final_ball_x", "final_ball_y", "distance"), float),
@@ -73,12 +71,11 @@ def episode_table(**columns: ArrayLike) -> EpisodeTable:
     Raises:
         ValueError: a column is missing, or holds something else than its kind.
     """
-    if missing := set(_KINDS) - set(KICK_COLUMNS) - set(columns):
+    if missing := set(_KINDS) - set(columns):
         raise ValueError(
             f"expected the columns {', '.join(_KINDS)}; there is no {', '.join(sorted(missing))}"
         )
-    kinds = {name: kind for name, kind in _KINDS.items() if name in columns}
-    return pd.DataFrame({name: columns[name] for name in kinds}).astype(kinds)
+    return pd.DataFrame({name: columns[name] for name in _KINDS}).astype(_KINDS)
 
 
 def write_episodes(path: Path, sides: EpisodeSides) -> None:

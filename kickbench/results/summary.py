@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from kickbench.results.episode_table import KICK_COLUMNS, NON_FINITE, EpisodeSides, EpisodeTable
+from kickbench.results.episode_table import NON_FINITE, EpisodeSides, EpisodeTable
 from kickbench.results.metrics import (
     Asymmetry,
     EquivarianceError,
@@ -106,15 +106,13 @@ def _kicks(episodes: EpisodeTable) -> Kicks:
     )
 
 
-def measure_kick(episodes: EpisodeTable, control_interval: float) -> KickFigures | None:
-    """Figures of the kick; None for tables of older versions, which lack its columns.
+def measure_kick(episodes: EpisodeTable, control_interval: float) -> KickFigures:
+    """Figures of the kick.
 
     Args:
         episodes: the table, at least one row.
         control_interval: length of a control step [s].
     """
-    if not set(KICK_COLUMNS) <= set(episodes):
-        return None
     touched, error = episodes[episodes.touches > 0], episodes.direction_error
     speed, rng = touched.launch_speed, np.random.default_rng(_KICK_SEED)
     figures = {

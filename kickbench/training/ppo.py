@@ -100,7 +100,7 @@ class _AugmentationOnly(Symmetry):
     """rsl_rl's symmetry extension without the forward pass for a mirror loss."""
 
     def compute_loss(self, actor: MLPModel, batch: RolloutStorage.Batch, original_batch_size: int) -> Tensor:
-        return torch.zeros((), device=batch.actions.device) if batch.actions is not None else torch.zeros(())
+        return torch.zeros((), device=next(actor.parameters()).device)
 
 
 def build_ppo(

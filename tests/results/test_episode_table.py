@@ -9,7 +9,6 @@ import pytest
 
 from kickbench.errors import KickbenchError
 from kickbench.results.episode_table import (
-    KICK_COLUMNS,
     EpisodeSides,
     EpisodeTable,
     episode_table,
@@ -81,19 +80,16 @@ def test_the_file_is_plain_csv_with_a_side_column(tmp_path: Path) -> None:
     assert cells["success"] == "1"
 
 
-def test_a_file_of_an_older_version_is_read_without_the_kick_and_columns_may_be_in_any_order(
-    tmp_path: Path,
-) -> None:
-    older = make_table(4).drop(columns=list(KICK_COLUMNS))
+def test_columns_may_be_in_any_order_and_others_beside_them(tmp_path: Path) -> None:
+    table = make_table(4)
     path = tmp_path / "episodes.csv"
-    write_episodes(path, EpisodeSides(older))
+    write_episodes(path, EpisodeSides(table))
     header, *rows = [line.split(",") for line in path.read_text().splitlines()]
-    assert not set(KICK_COLUMNS) & set(header)
     added = [[*header[:1], "world", "episode", *header[1:]]]
     added += [[row[0], str(index), "0", *row[1:]] for index, row in enumerate(rows)]
     path.write_text("".join(",".join(reversed(line)) + "\n" for line in added))
     found = read_episodes(path).in_distribution
-    assert_same(found, older)
+    assert_same(found, table)
 
 
 def test_float32_columns_become_doubles() -> None:
@@ -137,16 +133,16 @@ def test_a_missing_file_is_an_error(tmp_path: Path) -> None:
 
 
 def test_a_compressed_table_is_the_same_table(tmp_path: Path) -> None:
-    folder = tmp_path / "run"
-    folder.mkdir()
+    ftable = tmp_path / "run"
+    ftable.mkdir()
     sides = EpisodeSides(make_table(5), None)
-    assert RunDirectory(folder).episodes.name == "episodes.csv"
-    write_episodes(folder / "episodes.csv.gz", sides)
-    assert RunDirectory(folder).episodes.name == "episodes.csv.gz"
-    write_episodes(folder / "plain.csv", sides)
-    data = (folder / "episodes.csv.gz").read_bytes()
-    assert gzip.decompress(data) == (folder / "plain.csv").read_bytes()
-    assert read_episodes(folder / "episodes.csv.gz").mirrored is None
-    (folder / "episodes.csv.gz").write_bytes(data[:-9])
+    assert RunDirectory(ftable).episodes.name == "episodes.csv"
+    write_episodes(ftable / "episodes.csv.gz", sides)
+    assert RunDirectory(ftable).episodes.name == "episodes.csv.gz"
+    write_episodes(ftable / "plain.csv", sides)
+    data = (ftable / "episodes.csv.gz").read_bytes()
+    assert gzip.decompress(data) == (ftable / "plain.csv").read_bytes()
+    assert read_episodes(ftable / "episodes.csv.gz").mirrored is None
+    (ftable / "episodes.csv.gz").write_bytes(data[:-9])
     with pytest.raises(KickbenchError, match="cannot read the episode table"):
-        read_episodes(folder / "episodes.csv.gz")
+        read_episodes(ftable / "episodes.csv.gz")
