@@ -37,6 +37,7 @@ STYLE = {
     "axes.grid": True,
     "grid.color": RULE,
     "text.color": INK,
+    "text.parse_math": False,
     "savefig.dpi": 150,
     "figure.constrained_layout.use": True,
 }
