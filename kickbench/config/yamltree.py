@@ -147,6 +147,8 @@ class _Loader(yaml.SafeLoader):
     """Composes nodes whose tags follow the core schema; it never constructs an object."""
 
     yaml_implicit_resolvers: ClassVar[dict[str, Any]] = {}
+    # YAML 1.1 and PyYAML take the last three for line breaks: what follows one in a comment would be read.
+    NON_PRINTABLE = re.compile(f"{yaml.SafeLoader.NON_PRINTABLE.pattern}|[\x85\u2028\u2029]")
 
     def get_single_node(self) -> Node | None:
         try:
