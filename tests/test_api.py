@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
+import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -17,6 +19,7 @@ import kickbench
 from kickbench.cli import main
 from kickbench.envs.env import KickEnv
 from kickbench.results.metrics import Evaluation, load_metrics
+from kickbench.results.store import RunDirectory
 
 ROOT = Path(__file__).parents[1]
 RUN = ROOT / "results/measured/mini_home_field/baseline/seed0"
@@ -148,6 +151,13 @@ def test_a_policy_is_not_evaluated_on_a_task_that_it_cannot_see_or_move(tmp_path
     )
     with pytest.raises(kickbench.KickbenchError, match=r"the task other has .*, ball_velocity \(3\)"):
         kickbench.evaluate(RUN, other)
+
+
+def test_evaluate_of_an_unfinished_run_on_another_task_takes_its_own_policy(tmp_path):
+    shutil.copytree(RUN / "specs", tmp_path / "specs")
+    run = replace(kickbench.load_run(RUN), directory=RunDirectory(tmp_path))
+    found = kickbench.evaluate(run, "mini_general", episodes=4)
+    assert found == kickbench.evaluate(RUN, "mini_general", episodes=4)
 
 
 def test_load_runs_gives_a_table():

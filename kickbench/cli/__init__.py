@@ -74,6 +74,8 @@ def _call(argv: list[str]) -> int:
         text = error.format_message()
         if parameter is not None and type(error) is typer.BadParameter:
             text = f"{parameter.opts[0]}: {error.message.removeprefix('Value error, ')}"
+        if "extra argument" in text and "--only" in argv:
+            text += "; --only is repeated: --only a --only b"
         _report(printable(f"{where}: {text} ({where} --help)"))
         raise SystemExit(error.exit_code) from None  # type: ignore[attr-defined]
 

@@ -335,7 +335,9 @@ def evaluate(
     if isinstance(policy, str | Path):
         policy = load_run(policy, task)
     elif isinstance(policy, Run) and task is not None:
-        policy = load_run(policy.directory.path, task, unfinished=True)
+        # The policy is the run's own: of a run that is not finished, its folder may hold a newer one by now.
+        trial = load_trial(find(task, "task"), policy.directory.method_spec)
+        policy = replace(policy, trial=trial, policy=policy.policy_for(trial.task))
     if isinstance(policy, Run):
         compiled, symmetry, function = policy.trial.task, policy.trial.symmetry, policy.policy
     elif task is not None:

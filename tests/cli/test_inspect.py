@@ -90,6 +90,12 @@ def test_no_verb_is_a_usage_error(capsys):
     assert len(re.findall("^  kickbench ", said, re.MULTILINE)) == 5
 
 
+def test_two_conditions_after_one_only_are_told_how_to_be_given(capsys):
+    with pytest.raises(SystemExit, match="2"):
+        main(["reproduce", "mini_home_field", "--only", "baseline", "equivariant"])
+    assert "(equivariant); --only is repeated: --only a --only b" in capsys.readouterr().err
+
+
 def test_help_lists_every_verb(capsys):
     with pytest.raises(SystemExit) as stop:
         main(["--help"])

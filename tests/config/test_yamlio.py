@@ -181,6 +181,9 @@ def test_all_problems_of_a_file_are_told_at_once():
         ('a: "b\\U00110000"\n', "a.yaml:1:8", "the escape stands for no character", None),
         ('a: "b\\Uffffffff"\n', "a.yaml:1:8", "the escape stands for no character", None),
         ("a: 1\nb: \0\n", "a.yaml:2:4", "the character '\\x00' is not allowed", None),
+        ("# one\n# two\x85b: 1\na: 1\n", "a.yaml:2:6", "the character '\\x85' is not allowed", None),
+        ("# one\u2028b: 1\n", "a.yaml:1:6", "the character '\\u2028' is not allowed", None),
+        ("a: b\u2029\n", "a.yaml:1:5", "the character '\\u2029' is not allowed", None),
     ],
 )
 def test_a_syntax_error_has_its_place(text, mark, message, hint):

@@ -79,10 +79,3 @@ def test_booleans_nulls_quotes_and_core_tags(text, expected):
 )
 def test_a_value_found_is_described_in_words(value, words):
     assert describe(value) == words
-
-
-@pytest.mark.parametrize("character", ["\x85", "\u2028", "\u2029"])
-def test_what_begins_a_line_in_yaml_1_1_alone_is_refused_with_its_place(character):
-    found = parse(f"a: 1\n# a comment{character} b: 1\n", "x.yaml", Path("x.yaml"))
-    (problem,) = found.problems
-    assert str(problem).startswith(f"x.yaml:2:12: the character U+{ord(character):04X}")
