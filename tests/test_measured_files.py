@@ -17,9 +17,10 @@ from kickbench.results.metrics import (
     SideSuccess,
     load_metrics,
 )
+from kickbench.results.specs import stored_experiment
 from kickbench.results.statistics import mcnemar, two_proportions, wilson
+from kickbench.results.store import RunDirectory
 from kickbench.results.verdicts import judge, verdicts_json
-from kickbench.training.trained import load_run
 from kickbench.trials.experiment import load_experiment
 
 ROOT = Path(__file__).parent.parent
@@ -113,8 +114,7 @@ def check_pairs(pairs: MirroredPairs, home: EvaluationMetrics, mirrored: Evaluat
 
 @pytest.mark.parametrize("run", RUNS, ids=lambda run: str(run.relative_to(MEASURED)))
 def test_it_is_the_result_of_its_specs(run):
-    loaded = load_run(run)
-    metrics, experiment = loaded.metrics, loaded.trial
+    metrics, experiment = load_metrics(run / "metrics.json"), stored_experiment(RunDirectory(run))
     algorithm, evaluation = experiment.method.spec.algorithm, experiment.task.spec.evaluation
     assert metrics.seed == metrics.provenance.seed
     assert 0 < metrics.iterations <= algorithm.iterations, "a training may be ended early, and says so"

@@ -43,6 +43,10 @@ def episodes(successes: int, count: int = 10) -> EpisodeTable:
         kick_foot=np.full(count, "left"),
         kick_step=numbers,
         peak_ball_speed=zeros + 1,
+        touches=numbers,
+        walked_after_touch=zeros,
+        launch_speed=zeros + 1,
+        direction_error=zeros,
     )
 
 
