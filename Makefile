@@ -33,7 +33,7 @@ test: $(INSTALLED)  ## the tests, on all cores; without those that train or meas
 
 test-all: test  ## these, the seeded faults, and then the trainings, recorded policies, mujoco_warp
 	$(BIN)/python tests/faults/run.py --tested
-	$(BIN)/pytest -m 'slow and not ray_all'
+	$(BIN)/pytest -m 'slow and not ray_all' -n auto --dist loadfile
 
 faults: $(INSTALLED)  ## put each bug of tests/faults into a copy: the tests must catch it
 	$(BIN)/python tests/faults/run.py

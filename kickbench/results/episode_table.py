@@ -110,7 +110,8 @@ def read_episodes(path: Path) -> EpisodeSides:
     """
     try:
         text = io.StringIO(read_text(path))
-        whole = pd.read_csv(text, keep_default_na=False, na_values=["nan"], float_precision="round_trip")
+        whole = pd.read_csv(text, dtype=str, keep_default_na=False)  # pandas' own numbers are not exact
+        whole["success"] = whole["success"].astype(int)
         home, mirrored = (episode_table(**whole[whole["side"] == side]) for side in SIDES)
     except (OSError, ValueError, KeyError) as error:
         raise KickbenchError(f"{path}: cannot read the episode table: {error}") from error
