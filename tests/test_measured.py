@@ -1,8 +1,9 @@
 """Measured policies, evaluated again from their own specs: they still do what was recorded of them.
 
-One seed of each condition: what is tested is the code, which knows no seeds; SHA256SUMS guards the others' files. New episodes are compared with the recorded figures as two independent samples. All comparisons of all runs together
-fail by chance less often than once in ten thousand (Bonferroni). As seeds are fixed, "by chance" means over changes of
-the code that change episodes but not what they are drawn from: a test that passes goes on passing.
+One seed of each condition: what is tested is the code, which knows no seeds; SHA256SUMS guards the others' files.
+New episodes are compared with the recorded figures as two independent samples. All comparisons of all runs together
+fail by chance less often than once in ten thousand (Bonferroni). As seeds are fixed, "by chance" means over changes
+of the code that change episodes but not what they are drawn from: a test that passes goes on passing.
 """
 
 from __future__ import annotations

@@ -210,6 +210,8 @@ class ReportedFiguresSpec(Spec):
     """Of episodes as the task samples them."""
     mirrored: FiguresSpec | None = None
     """Of episodes from the mirror images of those starts."""
+    env_steps: PositiveInt | None = None
+    """Control steps of the training, of all envs together."""
 
     def of_side(self, side: Side) -> FiguresSpec | None:
         """The figures of a side, if they were reported."""

@@ -178,6 +178,26 @@ def learning_curves(curves: pd.DataFrame, looks: Looks) -> Figure:
     return figure
 
 
+def over_samples(curves: pd.DataFrame, looks: Looks, width: float) -> Figure:
+    """Success in exploration, and how far a curriculum has come to the whole task, over the samples.
+
+    Args:
+        curves: Rows of `whole_trainings`.
+        looks: The look of each condition.
+        width: CSS pixels.
+    """
+    figure, (panels,) = subplots(width, 260, 1, 2)
+    curves, last = curves.assign(samples=curves.env_steps / 1e6), int(curves.iteration.max()) + 1
+    shown = {"success_rate": "success in exploration, %", "way": "way to the whole task, %"}
+    for axes, (column, title) in zip(panels, shown.items(), strict=True):
+        for condition, own in curves.groupby("condition", sort=False):
+            runs = 100 * smoothed(own, column, range(last))
+            _draw_curve(axes, own, "samples", runs, looks[condition], str(condition))
+        axes.set(xlabel="samples, million", ylabel=title, xlim=(0, None), ylim=(-2, 102))
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left", ncols=4)
+    return figure
+
+
 def smoothed(curves: pd.DataFrame, column: str, span: range) -> pd.DataFrame:
     """Centred moving means of the runs of a condition over about a hundredth of the span, NaN left out.
 

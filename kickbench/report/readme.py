@@ -16,6 +16,7 @@ import pandas as pd
 from kickbench.errors import KickbenchError
 from kickbench.report import contents, plots
 from kickbench.report.contents import evidence, verdict_words, warnings
+from kickbench.report.reported import beside_reported, whole_trainings
 from kickbench.report.study import Study, studies
 from kickbench.report.style import Picture, looks_of, style
 from kickbench.results.atomic import atomic_write_text
@@ -106,16 +107,18 @@ def pictures(results: Sequence[Study]) -> dict[str, Picture]:
         for study in results
         if len(rows := study.swept(SUCCESS))
     }
-    return swept | {
-        "home-field": Picture(
-            "Success in distribution (left end) and from the mirror images of the same starts (right end)",
-            plots.slopes(planned, runs, looks, _WIDTH),
-            _means(planned, SUCCESS),
-        ),
-        "success": Picture(
-            SUCCESS.title, plots.dots({SUCCESS: estimates}, runs, looks, _WIDTH), _means(estimates, SUCCESS)
-        ),
+    curves = {study.name: whole_trainings(study, results) for study in results}
+    title = "Exploration over the samples of the whole training"
+    learned = {
+        f"{name}-learning": Picture(title, plots.over_samples(of, looks, _WIDTH))
+        for name, of in curves.items()
+        if len(of)
     }
+    title = "Success in distribution (left end) and from the mirror images of the same starts (right end)"
+    slopes = Picture(title, plots.slopes(planned, runs, looks, _WIDTH), _means(planned, SUCCESS))
+    found = plots.dots({SUCCESS: estimates}, runs, looks, _WIDTH)
+    dots = Picture(SUCCESS.title, found, _means(estimates, SUCCESS))
+    return {**swept, **learned, "home-field": slopes, "success": dots}
 
 
 def _means(estimates: pd.DataFrame, quantity: Quantity) -> str:
@@ -124,10 +127,16 @@ def _means(estimates: pd.DataFrame, quantity: Quantity) -> str:
 
 
 def summary(results: Sequence[Study], drawn: dict[str, Picture]) -> str:
-    """The text between the marks of `README.md`: success by condition, of experiments with one task each."""
+    """The text between the marks of `README.md`: reported figures beside ours, and success by condition."""
+    tables = ["\n".join(_table(of)) for of in (beside_reported(results), by_condition(results)) if len(of)]
+    return "\n\n".join([*tables, _image("home-field", drawn, PICTURES)])
+
+
+def by_condition(results: Sequence[Study]) -> pd.DataFrame:
+    """Success by condition, of experiments with one task each of which nothing was reported."""
     rows = []
     specs = ((study, study.experiment.spec) for study in results if study.experiment)
-    for study in (study for study, spec in specs if spec.task and spec.sweep is None):
+    for study in (of for of, spec in specs if spec.task and spec.sweep is None and not of.has_reported):
         means = {
             (quantity.title, row.condition, row.side): quantity.spread(row["mean"], row["std"])
             for quantity in (SUCCESS, DISTANCE)
@@ -139,7 +148,7 @@ def summary(results: Sequence[Study], drawn: dict[str, Picture]) -> str:
             if seeds := study.counted(condition).seed.nunique():
                 rows.append([study.name, condition, seeds, *(means.get(key, "-") for key in keys)])
     head = ["Task", "Method", "Seeds", "Success [%]", "Mirrored [%]", "Distance [m]"]
-    return "\n".join([*_table(pd.DataFrame(rows, columns=head)), "", _image("home-field", drawn, PICTURES)])
+    return pd.DataFrame(rows, columns=head)
 
 
 def section(results: Sequence[Study], drawn: dict[str, Picture]) -> str:
@@ -147,8 +156,8 @@ def section(results: Sequence[Study], drawn: dict[str, Picture]) -> str:
     parts = list[str]()
     for study in results:
         parts.append(_study_text(study))
-        if study.name in drawn:
-            parts.append(_image(study.name, drawn, "pictures"))
+        names = (study.name, f"{study.name}-learning")
+        parts += [_image(name, drawn, "pictures") for name in names if name in drawn]
     return "\n\n".join([*parts, _image("success", drawn, "pictures")])
 
 

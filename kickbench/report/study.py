@@ -54,6 +54,11 @@ class Study:
         return self.experiment.conditions if self.experiment else {}
 
     @property
+    def has_reported(self) -> bool:
+        """Whether something was reported of any condition."""
+        return any(condition.reported for condition in self.plans.values())
+
+    @property
     def runs(self) -> pd.DataFrame:
         """A row per run."""
         return runs_of(self.rows)
@@ -66,21 +71,25 @@ class Study:
     @property
     def measured(self) -> pd.DataFrame:
         """A row per side of every run that counts, on its own task; with the columns study and label."""
-        return self._labelled(self.rows[self.rows.counted & (self.rows.evaluated_on == self.rows.task)])
+        return self._labelled(self._on(None))
 
     def counted(self, condition: str) -> pd.DataFrame:
         """A row per run of a condition that counts."""
         return self.runs[self.runs.counted & (self.runs.condition == condition)]
 
-    def estimates(self, quantity: Quantity) -> pd.DataFrame:
+    def estimates(self, quantity: Quantity, task: str | None = None) -> pd.DataFrame:
         """A figure of every condition, on every side that was measured or reported for any of them.
+
+        Args:
+            quantity: The figure.
+            task: A transfer task, whose episodes are meant; None: the task trained on.
 
         Returns:
             Columns study, condition, side, label, those of `over_seeds`, reported and reported_std; NaN where
             there is nothing.
         """
         keys = pd.MultiIndex.from_tuples(product(self.conditions, SIDES), names=["condition", "side"])
-        found = over_seeds(self.measured, quantity).reindex(keys)
+        found = over_seeds(self._on(task), quantity).reindex(keys)
         reported = [self._reported(*key) for key in keys]
         for name, column in (("reported", quantity.column), ("reported_std", f"{quantity.column}_std")):
             found[name] = pd.Series([getattr(of, column, None) for of in reported], keys, dtype=float)
@@ -105,6 +114,10 @@ class Study:
         values = pd.to_numeric(rows.condition.map(texts), errors="coerce")
         of = rows.condition.str.partition(POINT)[0]
         return rows.assign(of=of, setting=keys[0], value=values) if values.notna().all() else rows.iloc[:0]
+
+    def _on(self, task: str | None) -> pd.DataFrame:
+        """Rows that count of a transfer task, or of the task trained on."""
+        return self.rows[self.rows.counted & (self.rows.evaluated_on == (task or self.rows.task))]
 
     def _labelled(self, rows: pd.DataFrame) -> pd.DataFrame:
         mirrored = rows.side.map({"in_distribution": "", "mirrored": ", mirrored"})

@@ -257,4 +257,4 @@ def _differing(values: Sequence[Any], path: KeyPath = ()) -> Iterator[tuple[KeyP
 
 
 def _text(value: Any) -> str:
-    return value if isinstance(value, str) else flow_yaml(to_jsonable_python(value))
+    return value if isinstance(value, str) else flow_yaml(to_jsonable_python(value, exclude_none=True))

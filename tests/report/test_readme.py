@@ -54,7 +54,7 @@ def test_the_readme_is_up_to_date(results, drawn):
 def test_the_readme_is_short(results, drawn):
     assert len((ROOT / "README.md").read_text().splitlines()) <= 150
     lines = summary(results, drawn).splitlines()
-    assert {line.count("|") - 1 for line in lines if line.startswith("|")} == {6}
+    assert {line.count("|") - 1 for line in lines if line.startswith("|")} == {6}, "of either table"
 
 
 def test_its_pictures_show_what_was_measured(results, drawn):
