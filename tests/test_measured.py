@@ -109,7 +109,7 @@ def test_a_measured_policy_still_does_what_was_recorded(run):
 
 def test_the_comparison_would_notice_another_policy():
     """Of the baseline one side is no likely sample of the other."""
-    run = MEASURED / "mini_home_field_first/baseline/seed0"
+    run = MEASURED / "mini_home_field/baseline/seed0"
     recorded = load_metrics(run / "metrics.json").evaluation
     loaded = load_run(run)
     sides, _ = run_sides(loaded.trial.task, loaded.policy, episodes=128)
