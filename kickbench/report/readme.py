@@ -22,7 +22,7 @@ from kickbench.report.style import Picture, looks_of, style
 from kickbench.results.atomic import atomic_write_text
 from kickbench.results.episode_table import SIDES
 from kickbench.results.frame import HOME
-from kickbench.results.quantities import DISTANCE, SUCCESS, Quantity
+from kickbench.results.quantities import DISTANCE, PERCENT, SUCCESS, Quantity
 from kickbench.results.verdicts import Verdict
 from kickbench.trials.experiment import load_experiment
 
@@ -110,7 +110,7 @@ def pictures(results: Sequence[Study]) -> dict[str, Picture]:
     curves = {study.name: whole_trainings(study, results) for study in results}
     title = "Exploration over the samples of the whole training"
     learned = {
-        f"{name}-learning": Picture(title, plots.over_samples(of, looks, _WIDTH))
+        f"{name}-learning": Picture(title, plots.over_samples(of, looks, _WIDTH), _progress_words(of))
         for name, of in curves.items()
         if len(of)
     }
@@ -119,6 +119,15 @@ def pictures(results: Sequence[Study]) -> dict[str, Picture]:
     found = plots.dots({SUCCESS: estimates}, runs, looks, _WIDTH)
     dots = Picture(SUCCESS.title, found, _means(estimates, SUCCESS))
     return {**swept, **learned, "home-field": slopes, "success": dots}
+
+
+def _progress_words(curves: pd.DataFrame) -> str:
+    """How far each condition has come, in words."""
+    ends = curves.groupby("condition", sort=False)[["env_steps", "way"]].max()
+    return "; ".join(
+        f"{condition}: {PERCENT.write(row.way)} of the way after {row.env_steps / 1e6:,.0f} million samples"
+        for condition, row in ends.iterrows()
+    )
 
 
 def _means(estimates: pd.DataFrame, quantity: Quantity) -> str:
