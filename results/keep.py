@@ -23,9 +23,9 @@ EVERY = 5
 
 
 def keep(runs: Path, place: Path, every: int = EVERY, small: bool = False) -> list[Path]:
-    """Copies finished runs, with two tables thinned and compressed.
+    """Copies finished runs, with two tables thinned and compressed, and without the policy they began with.
 
-    All but those two is copied as it is. Of the episodes, every k-th of both sides is kept, with k such that
+    That is the policy of the run that their provenance names. All else is copied as it is. Of the episodes, every k-th of both sides is kept, with k such that
     about `EPISODES` a side are left; a table with no more is kept whole.
 
     Args:
@@ -73,7 +73,7 @@ def _keep(run: RunDirectory, place: Path, every: int) -> Path:
     if RunDirectory(place).holds_a_run:
         raise KickbenchError(f"{place}: holds a run")
     for name in (integrity.FILE, *integrity.read_sums(run.path)):
-        if (run.path / name).is_file():
+        if (run.path / name).is_file() and run.path / name != run.initial_policy:
             (place / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy(run.path / name, place / name)
     for file in filter(Path.is_file, (run.episodes, run.progress)):

@@ -94,6 +94,18 @@ def test_a_kept_run_is_intact_and_can_be_kept_again(run, tmp_path):
         assert (tmp_path / "again" / name).read_bytes() == (tmp_path / "kept" / name).read_bytes()
 
 
+def test_the_policy_that_a_run_began_with_is_left_to_the_run_it_is_of(run, tmp_path):
+    began = RunDirectory(run).initial_policy
+    shutil.copy(run / "policy.pt", began)
+    seal(run)
+    keep(run, tmp_path / "kept")
+    assert damage(tmp_path / "kept") is None
+    assert files_of(run) - {"progress.csv", "episodes.csv"} == {
+        *(files_of(tmp_path / "kept") - {"progress.csv.gz", "episodes.csv.gz"}),
+        str(began.relative_to(run)),
+    }
+
+
 def test_a_damaged_or_unfinished_run_is_not_kept(run, tmp_path):
     with pytest.raises(KickbenchError, match="finished runs"):
         keep(tmp_path / "kept", tmp_path / "nothing")
