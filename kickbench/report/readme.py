@@ -96,7 +96,7 @@ def pictures(results: Sequence[Study]) -> dict[str, Picture]:
     runs, estimates = (of.assign(label=of.study + ": " + of.label) for of in (runs, estimates))
     estimates = estimates[estimates.seeds > 0]
     planned = plots.both_sides(
-        estimates[estimates.study.isin([study.name for study in results if study.plans])]
+        estimates[estimates.study.isin([of.name for of in results if of.plans and not of.has_reported])]
     )
     swept = {
         study.name: Picture(
