@@ -25,8 +25,8 @@ EVERY = 5
 def keep(runs: Path, place: Path, every: int = EVERY, small: bool = False) -> list[Path]:
     """Copies finished runs, with two tables thinned and compressed, and without the policy they began with.
 
-    That is the policy of the run that their provenance names. All else is copied as it is. Of the episodes, every k-th of both sides is kept, with k such that
-    about `EPISODES` a side are left; a table with no more is kept whole.
+    That is the policy of the run that their provenance names. All else is copied as it is. Of the episodes,
+    every k-th of both sides is kept, with k such that about `EPISODES` a side are left; a table with no more is kept whole.
 
     Args:
         runs: A folder of runs, or one run.

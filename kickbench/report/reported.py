@@ -46,13 +46,14 @@ def _cell(figures: Iterable[tuple[Quantity, pd.DataFrame]], mean: str, std: str)
 
 
 def _effort(runs: pd.DataFrame, results: Sequence[Study]) -> tuple[str, str]:
-    """Samples in millions and hours, or dashes without a run."""
+    """Samples in millions and hours, or dashes without a run; `over` where an earlier stage is not known."""
     if runs.empty:
         return "-", "-"
     columns = ["env_steps", "training_seconds"]
-    sums = [stages(run, results)[columns].astype(float).sum() for _, run in runs.iterrows()]
-    steps, seconds = pd.DataFrame(sums).mean()
-    return f"{steps / 1e6:,.0f}", f"{seconds / 3600:.1f}"
+    trainings = [stages(run, results) for _, run in runs.iterrows()]
+    steps, seconds = pd.DataFrame([of[columns].astype(float).sum() for of in trainings]).mean()
+    over = "over " if any(of.provenance.iloc[0].initial for of in trainings) else ""
+    return f"{over}{steps / 1e6:,.0f}", f"{over}{seconds / 3600:.1f}"
 
 
 def stages(run: pd.Series, results: Sequence[Study]) -> pd.DataFrame:

@@ -62,6 +62,12 @@ def test_a_stage_that_is_not_among_the_results_is_left_out(general):
     assert stages(last_stage(general), [general]).env_steps.tolist() == [AT_10_MS, WHOLE]
 
 
+def test_samples_of_a_stage_that_is_not_known_are_not_passed_over(general):
+    row = beside_reported([general]).set_index("Method").loc["equivariant"]
+    assert row["Samples [million]"] == "over 45 of 1,475"
+    assert row["Training [h]"].startswith("over ")
+
+
 def test_learning_curves_go_on_from_stage_to_stage(results, general):
     curves = whole_trainings(general, results)
     assert set(curves.condition) == {"equivariant"}, "stages are no conditions of their own"
