@@ -20,21 +20,24 @@ EPISODES = 200
 """Episodes of a side, about, that are kept; all figures of all episodes are in `metrics.json`."""
 EVERY = 5
 """Of so many training iterations one is kept."""
+SMALL_EPISODES, SMALL_EVERY = 50, 20
+"""The same for studies of many seeds."""
 
 
-def keep(runs: Path, place: Path, every: int = EVERY, small: bool = False) -> list[Path]:
+def keep(runs: Path, place: Path, every: int | None = None, small: bool = False) -> list[Path]:
     """Copies finished runs, with two tables thinned and compressed, and without the policy they began with.
 
     That is the policy of the run that their provenance names. All else is copied as it is. Of the episodes,
-    every k-th of both sides is kept, with k such that about `EPISODES` a side are left; a table with no more is kept whole.
+    every k-th of both sides is kept, with k such that about `EPISODES` a side are left; a table with no more is
+    kept whole.
 
     Args:
         runs: A folder of runs, or one run.
         place: Where they go, in the same arrangement; a run that is there already is an error.
         every: Of so many training iterations one is kept, and the last; 1: all, as claims about learning
-            curves need them.
-        small: Leave out the critics, with which `--init-from` a training goes on best, and all policies but
-            that of each condition's first seed: for studies of many seeds, of which the figures count.
+            curves need them; default: `EVERY`.
+        small: For studies of many seeds, of which the figures count: fewer rows, no critics, with which
+            `--init-from` a training goes on best, and of policies that of each condition's first seed.
 
     Returns:
         The folders of the copies.
@@ -50,7 +53,9 @@ def keep(runs: Path, place: Path, every: int = EVERY, small: bool = False) -> li
         raise KickbenchError(f"{runs}: expected finished runs, and nothing else")
     if small:
         _check_no_critic_is_needed(begun)
-    kept = [_keep(run, place / run.path.relative_to(runs), every) for run in begun]
+    episodes = SMALL_EPISODES if small else EPISODES
+    every = every or (SMALL_EVERY if small else EVERY)
+    kept = [_keep(run, place / run.path.relative_to(runs), every, episodes) for run in begun]
     first = {path.parent: path for path in reversed(kept)}
     for path in kept if small else ():
         policy = RunDirectory(path).policy
@@ -69,7 +74,7 @@ def _check_no_critic_is_needed(runs: list[RunDirectory]) -> None:
             raise KickbenchError(f"{source.path}: {run.path} {what}")
 
 
-def _keep(run: RunDirectory, place: Path, every: int) -> Path:
+def _keep(run: RunDirectory, place: Path, every: int, episodes: int) -> Path:
     if RunDirectory(place).holds_a_run:
         raise KickbenchError(f"{place}: holds a run")
     for name in (integrity.FILE, *integrity.read_sums(run.path)):
@@ -78,7 +83,7 @@ def _keep(run: RunDirectory, place: Path, every: int) -> Path:
             shutil.copy(run.path / name, place / name)
     for file in filter(Path.is_file, (run.episodes, run.progress)):
         header, *rows = read_text(file).splitlines(keepends=True)
-        kept = _thinned(rows, every) if file == run.progress else _thinned_sides(rows)
+        kept = _thinned(rows, every) if file == run.progress else _thinned_sides(rows, episodes)
         (place / file.name).unlink()
         atomic_write_text(place / f"{file.name.removesuffix('.gz')}.gz", "".join([header, *kept]))
     integrity.seal(place)
@@ -90,10 +95,10 @@ def _thinned(rows: list[str], every: int) -> list[str]:
     return [*(row for row in rows[:-1] if int(row.partition(",")[0]) % every == 0), *rows[-1:]]
 
 
-def _thinned_sides(rows: list[str]) -> list[str]:
-    """Of each side every k-th episode."""
+def _thinned_sides(rows: list[str], episodes: int) -> list[str]:
+    """Of each side every k-th episode, so that about so many are left."""
     sides = [list(own) for _, own in groupby(rows, lambda row: row.partition(",")[0])]
-    every = max(1, len(sides[0]) // EPISODES)
+    every = max(1, len(sides[0]) // episodes)
     return [row for own in sides for row in own[::every]]
 
 
@@ -101,8 +106,10 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("runs", type=Path, help="a folder of finished runs, or one run")
     parser.add_argument("place", type=Path, help="where they go, in the same arrangement")
-    parser.add_argument("--every", type=int, default=EVERY, help="of so many training iterations one is kept")
-    parser.add_argument("--small", action="store_true", help="no critics, and policies of first seeds alone")
+    parser.add_argument("--every", type=int, help="of so many training iterations one is kept")
+    parser.add_argument(
+        "--small", action="store_true", help="fewer rows, no critics, and policies of first seeds alone"
+    )
     given = parser.parse_args()
     try:
         keep(given.runs, given.place, given.every, given.small)
