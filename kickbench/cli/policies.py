@@ -29,33 +29,22 @@ def evaluate(
     """Evaluate the policy of a finished run again."""
     if save and not (task or grid):
         raise KickbenchError("--save keeps other figures beside the run's own: it needs --task or --grid")
-    from kickbench.launch.run import evaluate as measure
+    from kickbench.launch.run import evaluate_again
     from kickbench.results.frame import frame_of
-    from kickbench.results.identity import setting_of
-    from kickbench.results.integrity import write_also
-    from kickbench.results.metrics import metrics_bytes
-    from kickbench.results.store import RunDirectory
     from kickbench.results.tables import render_grid, render_table
     from kickbench.training.trained import load_run
 
     loaded = load_run(run, task, trust_code=trust_code)
-    figures = measure(loaded, episodes=episodes, seed=seed, threads=threads, grid=grid)
     # Where a run keeps its task, the file's name is not the task's.
     name = loaded.trial.task.name if task else loaded.metrics.task
     name += "_grid" if grid else ""
-    new = {"task": name, "evaluated_setting": setting_of(loaded.trial.task), "evaluation": figures}
-    metrics = loaded.metrics.model_copy(update=new)
-    if save:
-        directory = RunDirectory(run)
-        with directory.occupied():
-            write_also(directory, f"also/{metrics.task}.json", metrics_bytes(metrics))
+    size = {"episodes": episodes, "seed": seed, "threads": threads}
+    metrics = evaluate_again(loaded, name, save=save, grid=grid, **size)
     if json:
         print(metrics.model_dump_json(indent=2))
-    elif figures.grid is not None:
-        count = figures.in_distribution.episodes
-        print(
-            render_grid(f"goal grid: {name}: {count} episodes on {len(figures.grid)} targets", figures.grid)
-        )
+    elif (grid_rates := metrics.evaluation.grid) is not None:
+        count = metrics.evaluation.in_distribution.episodes
+        print(render_grid(f"goal grid: {name}: {count} episodes on {len(grid_rates)} targets", grid_rates))
     else:
         print(render_table(frame_of([metrics])))
 

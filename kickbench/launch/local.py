@@ -26,10 +26,7 @@ import torch
 
 from kickbench.errors import KickbenchError
 from kickbench.launch.plan import PlannedRun
-from kickbench.launch.run import evaluate, run
-from kickbench.results.identity import setting_of
-from kickbench.results.integrity import write_also
-from kickbench.results.metrics import metrics_bytes
+from kickbench.launch.run import evaluate_again, run
 from kickbench.training.trained import load_run
 
 _POLL_SECONDS = 0.5
@@ -114,11 +111,8 @@ def _train_and_evaluate(planned: PlannedRun) -> None:
         raise KeyboardInterrupt
     for name in planned.missing_evaluations:
         loaded = load_run(planned.directory.path, planned.transfer[name])
-        figures = evaluate(loaded, episodes=planned.record.episodes, threads=planned.request.threads)
-        new = {"task": name, "evaluated_setting": setting_of(loaded.trial.task), "evaluation": figures}
-        metrics = loaded.metrics.model_copy(update=new)
-        with planned.directory.occupied():
-            write_also(planned.directory, f"also/{name}.json", metrics_bytes(metrics))
+        size = {"episodes": planned.record.episodes, "threads": planned.request.threads}
+        evaluate_again(loaded, name, save=True, **size)
 
 
 def last_lines(log: Path, count: int = 1) -> str:

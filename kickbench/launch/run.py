@@ -21,7 +21,9 @@ from kickbench.evaluation.grid import evaluate_grid
 from kickbench.evaluation.rollouts import Policy, run_sides, success_by_side
 from kickbench.nets.actor_critic import build_actor, update_threads
 from kickbench.results.episode_table import write_episodes
-from kickbench.results.metrics import Evaluation, Metrics, load_metrics
+from kickbench.results.identity import setting_of
+from kickbench.results.integrity import write_also
+from kickbench.results.metrics import Evaluation, Metrics, load_metrics, metrics_bytes
 from kickbench.results.provenance import ExperimentRef, RunHistory, earlier_parts
 from kickbench.results.specs import update_specs
 from kickbench.results.store import RunDirectory
@@ -348,3 +350,21 @@ def evaluate(
         return evaluate_grid(compiled, function, episodes=episodes or 1, seed=seed, num_threads=threads)
     sides, of = run_sides(compiled, function, symmetry, episodes=episodes, seed=seed, num_threads=threads)
     return summarise_sides(sides, compiled.spec.simulation.control_interval, *of)
+
+
+def evaluate_again(run: Run, name: str, *, save: bool, **options: Any) -> Metrics:
+    """Evaluates a run's policy on the task that it was loaded for; its result with these figures.
+
+    Args:
+        run: The run, as `load_run` gives it with another task.
+        name: What the result calls this task.
+        save: Whether to keep the result beside the run's own, in `also/<name>.json`.
+        options: Those of `evaluate`.
+    """
+    figures = evaluate(run, **options)
+    new = {"task": name, "evaluated_setting": setting_of(run.trial.task), "evaluation": figures}
+    metrics = run.metrics.model_copy(update=new)
+    if save:
+        with run.directory.occupied():
+            write_also(run.directory, f"also/{name}.json", metrics_bytes(metrics))
+    return metrics
