@@ -5,8 +5,8 @@ from __future__ import annotations
 import json as json_text
 import sys
 from collections.abc import Callable
-from importlib import import_module
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any
 
 from kickbench.cli import app as cli
@@ -63,14 +63,8 @@ def check(
     return int(report.failed)
 
 
-def _model(path: Path) -> Path:
-    if not path.is_file():
-        raise KickbenchError(f"{path}: {'a folder, no file' if path.is_dir() else 'no such file'}")
-    return path
-
-
 @cli.verb("Define", "symmetry derive my_robot.xml", of=cli.symmetry)
-def derive(model: Path = cli.argument("MJCF file.", "MODEL", callback=_model)) -> int:
+def derive(model: Path = cli.argument("MJCF file.", "MODEL", **cli.FILE)) -> int:
     """Print the `symmetry:` block of a robot file, derived from the geometry of its MJCF."""
     from kickbench.sim.carried import compile_robot
     from kickbench.sim.read_parts import read_parts
@@ -83,7 +77,7 @@ def derive(model: Path = cli.argument("MJCF file.", "MODEL", callback=_model)) -
 
 @cli.verb("Define", "symmetry check robot.xml --mirror my_robot.symmetry:mirror", "check", of=cli.symmetry)
 def check_mirror(
-    model: Path = cli.argument("MJCF file, or a robot.yaml.", "MODEL", callback=_model),
+    model: Path = cli.argument("MJCF file, or a robot.yaml.", "MODEL", **cli.FILE),
     mirror: str = cli.option(
         "Function (env, obs, actions) -> (obs, actions), as rsl_rl's symmetry extension takes it.",
         metavar="MODULE:FUNCTION",
@@ -110,17 +104,14 @@ def check_mirror(
 
 
 def _function(flag: str, text: str) -> Callable[..., Any]:
-    module, _, name = text.partition(":")
-    if not module or not name:
-        raise KickbenchError(f"{flag} {text}: expected MODULE:FUNCTION")
     sys.path.insert(0, str(Path.cwd()))
     try:
-        found = getattr(import_module(module), name, None)
+        found = resolve_name(text)
     except Exception as error:  # the module may raise anything
         reason = " ".join(f"{type(error).__name__}: {error}".split())
         raise KickbenchError(f"{flag} {text}: cannot be imported: {reason}") from None
     finally:
         sys.path.remove(str(Path.cwd()))
     if not callable(found):
-        raise KickbenchError(f"{flag} {text}: the module has no function '{name}'")
+        raise KickbenchError(f"{flag} {text}: expected MODULE:FUNCTION")
     return found

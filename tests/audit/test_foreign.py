@@ -325,8 +325,8 @@ def test_the_verb_imports_what_it_is_given_and_says_what_is_wrong(tmp_path, monk
     first = out.splitlines()[0]
     assert first == f"{names[1]}: the mirror gives {names[1]}; right: -{names[1]}"
     refused = {
-        "nothing": "expected MODULE:FUNCTION",
-        "my_mini_mirror:nothing": "the module has no function 'nothing'",
+        "my_mini_mirror": "expected MODULE:FUNCTION",
+        "my_mini_mirror:nothing": "cannot be imported: AttributeError: module 'my_mini_mirror' has no attribute 'nothing'",
         "my_broken_module:mirror": "cannot be imported: OSError: no",
         "no_such_module:mirror": "cannot be imported: ModuleNotFoundError: No module named 'no_such_module'",
     }
