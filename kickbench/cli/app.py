@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
@@ -123,19 +122,15 @@ def refuse_contradiction(overrides: Sequence[str], key: str, *values: int | None
         raise SpecError.of(f"--set {override}", f"{flag} sets {key}, too: give one of them only")
 
 
-def number(low: float, high: float) -> Callable[[str], float]:
-    """Parses a number between two others."""
+def between(low: float, high: float) -> Callable[[float | None], float | None]:
+    """Checks that a number, if it is given, is between two others; NaN is not."""
 
-    def parse(text: str) -> float:
-        try:
-            value = float(text)
-        except ValueError:
-            value = math.nan
-        if not low < value < high:
-            raise typer.BadParameter(f"expected a number between {low:g} and {high:g}, found {text!r}")
+    def check(value: float | None) -> float | None:
+        if value is not None and not low < value < high:
+            raise typer.BadParameter(f"expected a number between {low:g} and {high:g}, found {value:g}")
         return value
 
-    return parse
+    return check
 
 
 class Pixels(NamedTuple):
@@ -210,6 +205,6 @@ TaskSeed = Annotated[int | None, count(_TASK_SEED, default=..., least=0, max=2**
 Trust = Annotated[bool, option("Run the code that came with the run.", "--trust-code", default=...)]
 Json = Annotated[bool, option("Print JSON.", "--json", default=...)]
 _SCALE = "Shrink iterations and evaluation episodes (100 a side at least) by this factor; marked in results."
-Scale = Annotated[float | None, option(_SCALE, default=..., metavar="S", parser=number(0, 1))]
+Scale = Annotated[float | None, option(_SCALE, default=..., metavar="S", callback=between(0, 1))]
 _SIZE = "Pixels of a picture (default: 400x300, films 640x480)."
 Size = Annotated[Pixels | None, option(_SIZE, default=..., metavar="WxH", parser=_size)]

@@ -88,7 +88,7 @@ def check_mirror(
     ),
     group: str = cli.option("Observation group (default: policy).", default="policy", metavar="NAME"),
     period: float | None = cli.option(
-        "Period of clocks that --observe reads off data.time, s.", parser=cli.number(0, 1e6), metavar="S"
+        "Period of clocks that --observe reads off data.time, s.", callback=cli.between(0, 1e6), metavar="S"
     ),
 ) -> int:
     """Prove a hand-written mirror function against geometry and physics; exit code 1 if it is wrong.

@@ -46,7 +46,7 @@ def run(
     threads: cli.Threads = None,
     experiment: cli.For = None,
     init_from: Path | None = cli.option("Begin with the policy of this run.", metavar="RUN"),
-    init_std: float | None = cli.option("Its action noise to begin with.", parser=cli.number(1e-3, 10)),
+    init_std: float | None = cli.option("Its action noise to begin with.", callback=cli.between(1e-3, 10)),
     force: bool = cli.flag("Overwrite a run that is there.", "--force"),
     resume: bool = cli.flag("Go on with the run that is there; --iterations may extend it.", "--resume"),
 ) -> int:
@@ -87,7 +87,7 @@ def reproduce(
     on: Literal["local", "ray"] = cli.option("Where: this machine, or a Ray cluster.", default="local"),
     address: str | None = cli.option("Of the Ray cluster (default: one started here).", metavar="HOST:PORT"),
     cpus_per_run: int = cli.count("Cores that Ray gives a run (default: 1).", default=1),
-    gpus_per_run: float | None = cli.option(_GPUS, metavar="SHARE", parser=cli.number(0, 64)),
+    gpus_per_run: float | None = cli.option(_GPUS, metavar="SHARE", callback=cli.between(0, 64)),
     device: cli.Device = "cpu",
     threads: cli.Threads = None,
     out: Path | None = cli.option(_RUNS, metavar="DIR"),
