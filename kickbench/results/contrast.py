@@ -11,9 +11,9 @@ nothing is known of other trainings: the interval is then that of the episodes (
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from math import inf, sqrt
+from math import inf, isnan, nan, nextafter, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -30,26 +30,20 @@ class Contrast:
 
     Attributes:
         terms: Weights and operands.
-        low: Lower end of the range.
-        high: Upper end of the range.
-        open: Whether the ends do not belong to the range.
+        low: Lower end of the range, which belongs to it.
+        high: Upper end of the range, which belongs to it.
     """
 
     terms: tuple[tuple[float, Operand], ...]
     low: float = -inf
     high: float = inf
-    open: bool = False
 
     def holds(self, interval: Interval) -> bool:
         """Whether all of an interval lies in the range."""
-        if self.open:
-            return self.low < interval.low and interval.high < self.high
         return self.low <= interval.low and interval.high <= self.high
 
     def fails(self, interval: Interval) -> bool:
         """Whether nothing of an interval lies in the range."""
-        if self.open:
-            return interval.high <= self.low or interval.low >= self.high
         return interval.high < self.low or interval.low > self.high
 
     def margin(self, value: float) -> float:
@@ -78,49 +72,61 @@ def contrast_of(claim: AnyClaim, reported: float | None = None) -> Contrast:
         middle = reported if isinstance(claim, NearReported) else 0.0
         assert middle is not None  # an experiment is not loaded without the figure
         return Contrast(terms, middle - end, middle + end)
-    low, high = end if claim.kind in _AT_LEAST else -inf, end if claim.kind in _AT_MOST else inf
-    return Contrast(terms, low, high, open=isinstance(claim, Compared))
+    step = nextafter(0.0, inf) if isinstance(claim, Compared) else 0.0  # equal is neither greater nor less
+    low = end + step if claim.kind in _AT_LEAST else -inf
+    return Contrast(terms, low, end - step if claim.kind in _AT_MOST else inf)
 
 
-class Term(NamedTuple):
-    """A weighted figure of one run."""
-
-    weight: float
-    operand: Operand
-    figure: Estimate
-
-
-class RunTerms(NamedTuple):
+class Part(NamedTuple):
     """The part of a contrast that one run gives.
 
     Attributes:
-        terms: Its weighted figures.
-        correlation: Between the figures of its two sides, over episodes.
+        value: The weighted sum of its figures.
+        below: Square of the distance from it down to the end of its interval; NaN where that is not known.
+        above: The same, up.
+        last: The last of its figures, without its weight.
     """
 
-    terms: tuple[Term, ...]
-    correlation: float = 0.0
-
-    @property
-    def value(self) -> float:
-        """The weighted sum."""
-        return sum(term.weight * term.figure.value for term in self.terms)
+    value: float
+    below: float
+    above: float
+    last: float
 
 
-Parts = Mapping[str, Sequence[RunTerms]]
-"""For each condition that a claim is about what its runs give."""
-
-
-def run_terms(run: pd.DataFrame, claim: AnyClaim, contrast: Contrast) -> RunTerms | None:
+def part_of(run: pd.DataFrame, claim: AnyClaim, contrast: Contrast) -> Part | None:
     """The part of a contrast that a run gives; None if the run lacks a figure."""
-    terms = []
-    for weight, operand in contrast.terms:
-        if operand.condition == run.condition.iloc[0]:
-            figure = figure_of(run, claim, operand)
-            if figure is None:
-                return None
-            terms.append(Term(weight, operand, figure))
-    return RunTerms(tuple(terms), _correlation(run, claim, [term.operand for term in terms]))
+    terms = [(weight, of) for weight, of in contrast.terms if of.condition == run.condition.iloc[0]]
+    figures = [figure for _, of in terms if (figure := figure_of(run, claim, of))]
+    if len(figures) < len(terms):
+        return None
+    return combined([w for w, _ in terms], figures, _correlation(run, claim, [of for _, of in terms]))
+
+
+def combined(weights: Sequence[float], figures: Sequence[Estimate], correlation: float = 0.0) -> Part:
+    """Square-and-add of the intervals of one run's figures.
+
+    With l_i and u_i the distances from a figure to the ends of its interval, taken the other way round where
+    its weight w_i is negative: the lower end lies sqrt(sum w_i^2 l_i^2 + 2 rho w_1 w_2 l_1 l_2) below the
+    weighted sum, the upper end likewise above it. Newcombe's interval is the special case of a difference of
+    two proportions.
+
+    Args:
+        weights: w.
+        figures: What they weigh.
+        correlation: rho, between the figures of the run's two sides, over episodes.
+
+    Source: G. Y. Zou and A. Donner, "Construction of confidence limits about effect measures: a general
+        approach", 2008.
+    """
+    w, values = np.array(weights), np.array([value for value, _ in figures])
+    low, high = np.transpose([interval or (nan, nan) for _, interval in figures])
+    distances = np.abs(w) * np.maximum(0.0, [values - low, high - values])
+    distances = np.where(w > 0, distances, distances[::-1])
+    squares = (distances**2).sum(axis=1)
+    if len(w) == 2:
+        both = 2 * correlation * np.sign(w[0] * w[1]) * distances[:, 0] * distances[:, 1]
+        squares = np.maximum(0.0, squares + both)
+    return Part(float((w * values).sum()), *map(float, squares), last=figures[-1].value)
 
 
 def _correlation(run: pd.DataFrame, claim: AnyClaim, operands: Sequence[Operand]) -> float:
@@ -147,62 +153,18 @@ class Estimated(NamedTuple):
     basis: str
 
 
-def estimate(parts: Parts) -> Estimated:
-    """A contrast over all seeds, of at least one run per condition."""
-    samples = [[run.value for run in runs] for runs in parts.values()]
-    seeds = min(len(sample) for sample in samples)
+def estimate(conditions: Sequence[Sequence[Part]]) -> Estimated:
+    """A contrast over all seeds, by what the runs of each condition give: at least one run per condition."""
+    samples = [[run.value for run in runs] for runs in conditions]
+    seeds = min(map(len, samples))
     value = sum(float(np.mean(sample)) for sample in samples)
     # Seeds that all give the same, such as no fall at all, do not show how seeds vary: their episodes must
     # do.
     if seeds == 1 or all(max(sample) == min(sample) for sample in samples):
-        interval = over_episodes(list(parts.values()))
+        below = sum(run.below / len(runs) ** 2 for runs in conditions for run in runs)
+        above = sum(run.above / len(runs) ** 2 for runs in conditions for run in runs)
+        interval = None if isnan(below) else Interval(value - sqrt(below), value + sqrt(above))
         return Estimated(value, interval, f"episodes of {'one seed' if seeds == 1 else f'{seeds} seeds'}")
     first, *second = samples
     interval = welch(first, [-x for x in second[0]]).interval if second else student(first)
     return Estimated(value, interval, f"{seeds} seeds")
-
-
-def over_episodes(conditions: Sequence[Sequence[RunTerms]]) -> Interval | None:
-    """The interval of a contrast of given policies, by square-and-add of the intervals of its figures.
-
-    With l_i and u_i the distances from a figure to the ends of its interval, taken the other way round where
-    its weight w_i is negative: the lower end lies sqrt(sum w_i^2 l_i^2 + 2 rho w_1 w_2 l_1 l_2) below the
-    value, the upper end likewise above it, with rho the correlation of a run's two sides. Newcombe's interval
-    is the special case of a difference of two proportions.
-
-    Args:
-        conditions: What the runs of each condition give.
-
-    Returns:
-        The interval; None if that of a figure is not known.
-
-    Source: G. Y. Zou and A. Donner, "Construction of confidence limits about effect measures: a general
-        approach",
-    2008.
-    """
-    value, below, above = 0.0, 0.0, 0.0
-    for runs in conditions:
-        value += sum(run.value for run in runs) / len(runs)
-        for run in runs:
-            if any(term.figure.interval is None for term in run.terms):
-                return None
-            lows, highs = zip(*map(_distances, run.terms), strict=True)
-            below += _squared(run, lows) / len(runs) ** 2
-            above += _squared(run, highs) / len(runs) ** 2
-    return Interval(value - sqrt(below), value + sqrt(above))
-
-
-def _distances(term: Term) -> tuple[float, float]:
-    """From the weighted figure down and up to the ends of its weighted interval."""
-    value, interval = term.figure
-    assert interval is not None
-    down, up = (abs(term.weight) * max(0.0, d) for d in (value - interval.low, interval.high - value))
-    return (down, up) if term.weight > 0 else (up, down)
-
-
-def _squared(run: RunTerms, distances: Sequence[float]) -> float:
-    total = sum(d**2 for d in distances)
-    if len(distances) == 2:
-        sign = np.sign(run.terms[0].weight * run.terms[1].weight)
-        total += 2 * run.correlation * float(sign) * distances[0] * distances[1]
-    return max(0.0, total)

@@ -16,15 +16,7 @@ from pydantic import Field, TypeAdapter
 
 from kickbench.config.experiment import AnyClaim, Ratio
 from kickbench.results.atomic import Record
-from kickbench.results.contrast import (
-    Contrast,
-    Estimated,
-    Parts,
-    RunTerms,
-    contrast_of,
-    estimate,
-    run_terms,
-)
+from kickbench.results.contrast import Contrast, Estimated, Part, contrast_of, estimate, part_of
 from kickbench.results.quantities import Unit, lack_of, non_finite_note, non_finite_share, unit_of
 from kickbench.results.statistics import Interval
 from kickbench.results.tables import NOTHING, Row, render_block
@@ -34,7 +26,7 @@ Outcome = Literal["met", "not met", "holds", "does not hold", "not enough data"]
 """With fewer than `FEWEST_SEEDS` seeds nothing is said of a method: a claim *holds* or *does not hold* for
 the policies that there are, and is not met."""
 
-Found = dict[str, dict[Hashable, RunTerms]]
+Found = Sequence[dict[Hashable, Part]]
 """What the runs of each condition that a claim is about give, by seed."""
 
 FEWEST_SEEDS = 3
@@ -126,9 +118,9 @@ def _judge(name: str, claim: AnyClaim, experiment: LoadedExperiment, measured: p
     reported = _reported(claim, experiment)
     contrast = contrast_of(claim, reported)
     found, lacks = _found(claim, contrast, measured)
-    seeds, is_each = min(map(len, found.values())), claim.seeds == "each"
+    seeds, is_each = min(map(len, found)), claim.seeds == "each"
     outcome, reason, figure, interval, basis = _NOT_ENOUGH, None, None, None, NOTHING
-    if compared := _each(found) if is_each else [_whole(found)] if seeds else []:
+    if compared := _compared(found, is_each):
         estimates = [(estimate(parts), parts) for parts in compared]
         worst, parts = min(estimates, key=lambda pair: contrast.margin(pair[0].value))
         figure, interval = _shown(claim, worst, parts)
@@ -155,17 +147,18 @@ def _judge(name: str, claim: AnyClaim, experiment: LoadedExperiment, measured: p
 
 def _found(claim: AnyClaim, contrast: Contrast, measured: pd.DataFrame) -> tuple[Found, list[str]]:
     """What the runs of each condition give, by seed, and in words what is missing."""
-    found: Found = {}
+    found: list[dict[Hashable, Part]] = []
     lacks: list[str] = []
     for condition in dict.fromkeys(operand.condition for _, operand in contrast.terms):
         own = [operand for _, operand in contrast.terms if operand.condition == condition]
-        found[condition], without = {}, {}
+        parts, without = {}, {}
         for seed, run in measured[measured.condition == condition].groupby("seed", sort=False):
-            terms = run_terms(run, claim, contrast) if run.counted.any() else None
-            if terms is not None:
-                found[condition][seed] = terms
-            if words := lack_of(run, own) or (None if terms else f"no {claim.metric}"):
+            part = part_of(run, claim, contrast) if run.counted.any() else None
+            if part is not None:
+                parts[seed] = part
+            if words := lack_of(run, own) or (None if part else f"no {claim.metric}"):
                 without.setdefault(words, []).append(str(seed))
+        found.append(parts)
         for words, seeds in without.items():
             lacks.append(f"{condition} seed{'s' * (len(seeds) > 1)} {', '.join(seeds)}: {words}")
     return found, lacks
@@ -191,25 +184,21 @@ def _outcome(contrast: Contrast, interval: Interval | None, is_one: bool) -> tup
     return _NOT_ENOUGH, "the interval reaches across the bound"
 
 
-def _whole(found: Found) -> Parts:
-    """All seeds together."""
-    return {condition: list(runs.values()) for condition, runs in found.items()}
+def _compared(found: Found, is_each: bool) -> list[list[list[Part]]]:
+    """What is judged at once, by condition: all runs, or every seed that no condition lacks by itself."""
+    if not is_each:
+        return [[list(runs.values()) for runs in found]] if all(found) else []
+    seeds = [seed for seed in found[0] if all(seed in runs for runs in found)]
+    return [[[runs[seed]] for runs in found] for seed in seeds]
 
 
-def _each(found: Found) -> list[Parts]:
-    """Every seed by itself; of two conditions the runs of the same seed are compared."""
-    first, *others = found.values()
-    seeds = [seed for seed in first if all(seed in runs for runs in others)]
-    return [{condition: [runs[seed]] for condition, runs in found.items()} for seed in seeds]
-
-
-def _shown(claim: AnyClaim, estimated: Estimated, parts: Parts) -> tuple[float | None, Interval | None]:
+def _shown(
+    claim: AnyClaim, estimated: Estimated, parts: list[list[Part]]
+) -> tuple[float | None, Interval | None]:
     """The figure as people read it: of a ratio claim the ratio, of any other the contrast itself."""
     value, interval = estimated.value, estimated.interval
     if isinstance(claim, Ratio):
-        runs = parts[claim.over.condition]
-        figures = [t.figure.value for run in runs for t in run.terms if t.operand is claim.over]
-        over = sum(figures) / len(figures)
+        over = sum(run.last for run in parts[-1]) / len(parts[-1])  # the last operand of a ratio
         if over <= 0:
             return None, None
         # value - bound over = 0 is where the ratio is the bound: so the interval judges the same way in
