@@ -74,19 +74,26 @@ def summarise_sides(
     equivariance: EquivarianceError | None = None,
     twins: tuple[TwinDistance, ...] | None = None,
 ) -> Evaluation:
-    """Metrics of both sides of an evaluation.
+    """Metrics of both sides of an evaluation, and what they say about left and right.
 
     Args:
-        sides: the episodes of both sides.
+        sides: episodes; row i of the mirrored side, if there is one, starts from the mirror image of row i.
         control_interval: as for `summarise`.
         equivariance: the policy's equivariance error over the states visited in these episodes, if measured.
         twins: the distance between the sides over time, if measured.
     """
     home, mirrored = sides
+    both = home if mirrored is None else pd.concat([home, mirrored])
     return Evaluation(
         in_distribution=summarise(home, control_interval),
         mirrored=None if mirrored is None else summarise(mirrored, control_interval),
-        asymmetry=measure_asymmetry(sides, equivariance, twins),
+        asymmetry=Asymmetry(
+            equivariance=equivariance,
+            legs=_legs(both),
+            success=_side_success(both),
+            twins=twins,
+            pairs=None if mirrored is None else mirrored_pairs(home, mirrored),
+        ),
     )
 
 
@@ -150,29 +157,6 @@ def grid_cell(episodes: EpisodeTable, distance: float, angle: float) -> GridCell
         "mean_direction_error": episodes.direction_error.abs().mean(),
     }
     return GridCell(distance=distance, angle=angle, episodes=len(episodes), **_known(figures))
-
-
-def measure_asymmetry(
-    sides: EpisodeSides,
-    equivariance: EquivarianceError | None = None,
-    twins: tuple[TwinDistance, ...] | None = None,
-) -> Asymmetry:
-    """What an evaluation says about left and right.
-
-    Args:
-        sides: episodes; row i of the mirrored side, if there is one, starts from the mirror image of row i.
-        equivariance: equivariance error over the states visited in them, if it was measured.
-        twins: the distance between the sides over time, if measured.
-    """
-    home, mirrored = sides
-    both = home if mirrored is None else pd.concat([home, mirrored])
-    return Asymmetry(
-        equivariance=equivariance,
-        legs=_legs(both),
-        success=_side_success(both),
-        twins=twins,
-        pairs=None if mirrored is None else mirrored_pairs(home, mirrored),
-    )
 
 
 def _legs(both: EpisodeTable) -> LegPreference:

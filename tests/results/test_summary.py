@@ -8,9 +8,9 @@ from scipy import stats
 
 from kickbench.results.episode_table import EpisodeSides, EpisodeTable, episode_table
 from kickbench.results.frame import frame_of
-from kickbench.results.metrics import EquivarianceError, KickFigures
+from kickbench.results.metrics import Asymmetry, EquivarianceError, KickFigures
 from kickbench.results.statistics import mcnemar, wilson
-from kickbench.results.summary import measure_asymmetry, measure_kick
+from kickbench.results.summary import measure_kick, summarise_sides
 from kickbench.results.tables import render_table
 
 SWAP = {"left": "right", "right": "left"}
@@ -41,6 +41,12 @@ def table_of(ball_y, feet, success, terminations=None) -> EpisodeTable:
     )
 
 
+def asymmetry_of(sides: EpisodeSides, equivariance: EquivarianceError | None = None) -> Asymmetry:
+    asymmetry = summarise_sides(sides, 0.02, equivariance).asymmetry
+    assert asymmetry is not None
+    return asymmetry
+
+
 def mirrored(table: EpisodeTable) -> EpisodeTable:
     """What an equivariant policy does from the mirror images of the starts."""
     feet = np.array([SWAP.get(foot, foot) for foot in table.kick_foot.tolist()])
@@ -55,7 +61,7 @@ def random_table(n: int = 400, seed: int = 0) -> EpisodeTable:
 
 def test_the_kicks_of_a_general_task_are_counted_by_foot_and_side() -> None:
     table = table_of([0.1, 0.2, -0.1, -0.2, 0.1], ["left", "right", "left", "none", "other"], [1, 0, 1, 1, 0])
-    asymmetry = measure_asymmetry(EpisodeSides(table))
+    asymmetry = asymmetry_of(EpisodeSides(table))
     legs, success = asymmetry.legs, asymmetry.success
     assert (legs.kicks, legs.same_side_share, legs.left_foot_share) == (3, 1 / 3, 2 / 3)
     assert success is not None
@@ -66,7 +72,7 @@ def test_the_kicks_of_a_general_task_are_counted_by_foot_and_side() -> None:
 
 def test_an_equivariant_policy_has_no_preference() -> None:
     table = random_table()
-    asymmetry = measure_asymmetry(EpisodeSides(table, mirrored(table)))
+    asymmetry = asymmetry_of(EpisodeSides(table, mirrored(table)))
     assert asymmetry.legs.left_foot_share == 0.5
     assert asymmetry.legs.left_foot_ci == (0.5, 0.5), (
         "pairs are drawn whole: each holds one left and one right kick"
@@ -83,15 +89,15 @@ def test_a_one_legged_policy_is_told_from_one_that_takes_the_near_foot() -> None
     y = np.linspace(0.01, 0.3, 100)
     one_legged = table_of(y, ["left"] * 100, [1] * 100)
     same_leg = one_legged.assign(start_ball_y=-y)
-    legs = measure_asymmetry(EpisodeSides(one_legged, same_leg)).legs
+    legs = asymmetry_of(EpisodeSides(one_legged, same_leg)).legs
     assert (legs.left_foot_share, legs.same_side_share) == (1.0, 0.5)
-    legs = measure_asymmetry(EpisodeSides(one_legged, mirrored(one_legged))).legs
+    legs = asymmetry_of(EpisodeSides(one_legged, mirrored(one_legged))).legs
     assert (legs.left_foot_share, legs.same_side_share) == (0.5, 1.0)
 
 
 def test_a_mirrored_policy_has_the_mirrored_preference() -> None:
     table = random_table()
-    here, there = measure_asymmetry(EpisodeSides(table)), measure_asymmetry(EpisodeSides(mirrored(table)))
+    here, there = asymmetry_of(EpisodeSides(table)), asymmetry_of(EpisodeSides(mirrored(table)))
     assert there.legs.same_side_share == here.legs.same_side_share
     assert there.legs.left_foot_share == pytest.approx(1 - here.legs.left_foot_share)
     assert here.success is not None
@@ -102,7 +108,7 @@ def test_a_mirrored_policy_has_the_mirrored_preference() -> None:
 
 def test_the_interval_of_the_leg_preference_is_scipys_bootstrap() -> None:
     table = random_table()
-    legs = measure_asymmetry(EpisodeSides(table)).legs
+    legs = asymmetry_of(EpisodeSides(table)).legs
     by_foot = np.isin(table.kick_foot, ["left", "right"])
     same_side = (table.kick_foot == np.where(table.start_ball_y >= 0, "left", "right"))[by_foot]
     assert legs.same_side_share == same_side.mean()
@@ -120,7 +126,7 @@ def test_success_by_side_is_tested_as_scipy_does() -> None:
     rng = np.random.default_rng(2)
     y = rng.uniform(-0.3, 0.3, 500)
     table = table_of(y, ["left"] * 500, rng.random(500) < np.where(y > 0, 0.8, 0.65))
-    success = measure_asymmetry(EpisodeSides(table)).success
+    success = asymmetry_of(EpisodeSides(table)).success
     assert success is not None
     left, right = table.success[y > 0], table.success[y < 0]
     counts = [[left.sum(), (~left).sum()], [right.sum(), (~right).sum()]]
@@ -138,7 +144,7 @@ def test_pairs_agree_where_ending_and_success_do() -> None:
         [1, 0, 0, 0],
         ["hit", "missed", "time_out", "missed"],
     )
-    pairs = measure_asymmetry(EpisodeSides(home, away)).pairs
+    pairs = asymmetry_of(EpisodeSides(home, away)).pairs
     assert pairs is not None
     assert (pairs.pairs, pairs.agreement, pairs.agreement_ci) == (4, 0.5, wilson(2, 4))
     assert pairs.foot_agreement == 3 / 4
@@ -146,7 +152,7 @@ def test_pairs_agree_where_ending_and_success_do() -> None:
 
 
 def test_without_kicks_or_with_one_side_only_there_is_nothing_to_compare() -> None:
-    asymmetry = measure_asymmetry(EpisodeSides(table_of([0.1, 0.2], ["none", "other"], [0, 0])))
+    asymmetry = asymmetry_of(EpisodeSides(table_of([0.1, 0.2], ["none", "other"], [0, 0])))
     assert asymmetry.legs.kicks == 0
     assert asymmetry.legs.same_side_share is None
     assert asymmetry.legs.left_foot_ci is None
@@ -155,8 +161,8 @@ def test_without_kicks_or_with_one_side_only_there_is_nothing_to_compare() -> No
 
 def test_the_equivariance_error_is_passed_on() -> None:
     error = EquivarianceError(states=3, rms=0.1, largest=0.2, relative=0.3)
-    assert measure_asymmetry(EpisodeSides(random_table()), error).equivariance == error
-    assert measure_asymmetry(EpisodeSides(random_table())).equivariance is None
+    assert asymmetry_of(EpisodeSides(random_table()), error).equivariance == error
+    assert asymmetry_of(EpisodeSides(random_table())).equivariance is None
 
 
 NAN = np.nan
