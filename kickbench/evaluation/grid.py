@@ -16,9 +16,8 @@ from kickbench.envs.initial_states import InitialStates, InitialStateSampler, ov
 from kickbench.errors import KickbenchError
 from kickbench.evaluation.progress_bar import EVALUATING, Steps
 from kickbench.evaluation.rollouts import Policy, run_episodes
-from kickbench.results.episode_table import EpisodeTable
 from kickbench.results.metrics import Evaluation, GridCell
-from kickbench.results.summary import grid_cell, summarise
+from kickbench.results.summary import summarise
 
 _BALL_PARTS, _DISTANCE_PARTS, _ANGLE_PARTS = 3, 3, 5
 """Equal parts of each range of the task's regions whose middles make the default grid."""
@@ -67,8 +66,13 @@ def evaluate_grid(
     states = grid_states(task, grid, episodes, seed)
     with Steps(EVALUATING, "episodes", len(states)) as steps:
         table = run_episodes(task, policy, states, seed, num_threads=num_threads, note=steps.advance)
-    figures = summarise(table, task.spec.simulation.control_interval)
-    return Evaluation(in_distribution=figures, grid=_cells(table, grid))
+    interval, each = task.spec.simulation.control_interval, len(table) // len(grid.targets)
+    figures = [summarise(table[start : start + each], interval) for start in range(0, len(table), each)]
+    cells = (
+        GridCell(distance=distance, angle=angle, figures=of)
+        for (distance, angle), of in zip(grid.targets, figures, strict=True)
+    )
+    return Evaluation(in_distribution=summarise(table, interval), grid=tuple(cells))
 
 
 def _without_chance(task: CompiledTask) -> CompiledTask:
@@ -145,9 +149,3 @@ def grid_states(task: CompiledTask, grid: Grid, episodes: int, seed: int) -> Ini
     goal = np.stack([distance * np.cos(angle), distance * np.sin(angle)], axis=1)
     sampler = InitialStateSampler(task, torch.Generator().manual_seed(seed))
     return sampler.sample(len(ball), *map(torch.from_numpy, (ball, goal)))
-
-
-def _cells(table: EpisodeTable, grid: Grid) -> tuple[GridCell, ...]:
-    targets = grid.targets
-    each = len(table) // len(targets)
-    return tuple(grid_cell(table[i * each : (i + 1) * each], *target) for i, target in enumerate(targets))

@@ -211,14 +211,7 @@ class GridCell(Record):
     """Of the target from the robot [m]."""
     angle: float
     """Of the target from straight ahead, positive to the left [rad]."""
-    episodes: PositiveInt
-    success_rate: Fraction
-    mean_distance: NonNegativeFloat
-    """Mean distance from ball to target at the end [m]."""
-    mean_launch_speed: NonNegativeFloat | None = None
-    """As in `KickFigures` [m/s]; null without a touch."""
-    mean_direction_error: Angle | None = None
-    """As in `KickFigures` [rad]; null without a launched ball."""
+    figures: EvaluationMetrics
 
 
 class Evaluation(Record):

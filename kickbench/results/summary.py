@@ -23,7 +23,6 @@ from kickbench.results.metrics import (
     Evaluation,
     EvaluationMetrics,
     FootCounts,
-    GridCell,
     KickFigures,
     Kicks,
     LegPreference,
@@ -140,23 +139,6 @@ def measure_kick(episodes: EpisodeTable, control_interval: float) -> KickFigures
 def _known(figures: Mapping[str, float]) -> dict[str, float]:
     """Without the means of nothing."""
     return {name: value for name, value in figures.items() if not np.isnan(value)}
-
-
-def grid_cell(episodes: EpisodeTable, distance: float, angle: float) -> GridCell:
-    """Figures of the episodes of a goal grid that have one target.
-
-    Args:
-        episodes: those episodes.
-        distance: of the target from the robot [m].
-        angle: of the target from straight ahead [rad].
-    """
-    figures = {
-        "success_rate": episodes.success.mean(),
-        "mean_distance": episodes.distance.mean(),
-        "mean_launch_speed": episodes.launch_speed.mean(),
-        "mean_direction_error": episodes.direction_error.abs().mean(),
-    }
-    return GridCell(distance=distance, angle=angle, episodes=len(episodes), **_known(figures))
 
 
 def _legs(both: EpisodeTable) -> LegPreference:

@@ -185,10 +185,10 @@ def render_table(frame: pd.DataFrame, columns: Literal["success", "kick"] = "suc
 
 
 _GRID_FIGURES = (
-    ("success [%]", "success_rate", 100.0, 0),
-    ("mean distance [m]", "mean_distance", 1.0, 2),
-    ("launch [m/s]", "mean_launch_speed", 1.0, 1),
-    ("aim error [deg]", "mean_direction_error", math.degrees(1.0), 0),
+    ("success [%]", "figures.success_rate", 100.0, 0),
+    ("mean distance [m]", "figures.mean_distance", 1.0, 2),
+    ("launch [m/s]", "figures.kick.mean_launch_speed", 1.0, 1),
+    ("aim error [deg]", "figures.kick.mean_direction_error", math.degrees(1.0), 0),
 )
 """Heading of a figure of a goal grid, its column, factor and decimals."""
 
@@ -202,9 +202,9 @@ def render_grid(title: str, cells: Sequence[GridCell]) -> str:
         title: first line.
         cells: of every distance every angle.
     """
-    grid, blocks = pd.DataFrame([cell.model_dump() for cell in cells]).astype(float), []
+    grid, blocks = pd.json_normalize([cell.model_dump() for cell in cells]), []
     for heading, column, factor, decimals in _GRID_FIGURES:
-        values = factor * grid.pivot(index="distance", columns="angle", values=column)
+        values = factor * grid.pivot(index="distance", columns="angle", values=column).astype(float)
         rows = values.assign(mean=values.mean(axis=1)).to_numpy()
         texts = [[NOTHING if np.isnan(v) else f"{v:.{decimals}f}" for v in row] for row in rows]
         named = zip(values.index, texts, strict=True)

@@ -46,7 +46,7 @@ def kicker(chosen, seed: int = 0):
 def distances(cells) -> np.ndarray:
     """Mean distance of every cell [targets' distances, angles]."""
     angles = len({cell.angle for cell in cells})
-    return np.array([cell.mean_distance for cell in cells]).reshape(-1, angles)
+    return np.array([cell.figures.mean_distance for cell in cells]).reshape(-1, angles)
 
 
 @pytest.mark.parametrize("method", ["equivariant", "baseline"])
@@ -68,7 +68,7 @@ def test_with_one_episode_a_place_nothing_is_random_and_with_more_the_robot_is(e
     assert evaluate_grid(lossy.task, policy, seed=1) == evaluate_grid(late.task, policy, seed=2) != expected
     several = [evaluate_grid(random.task, policy, episodes=2, seed=seed) for seed in (1, 1, 2)]
     assert several[0] == several[1] != several[2]
-    assert [cell.episodes for cell in several[0].grid] == [4] * 6
+    assert [cell.figures.episodes for cell in several[0].grid] == [4] * 6
 
 
 def test_every_target_meets_every_ball_in_the_order_of_the_file(experiment):
@@ -109,19 +109,21 @@ def test_a_cell_has_the_figures_of_its_episodes(experiment):
     chosen = experiment("mini_general", "baseline", SHORT, SMALL)
     policy = kicker(chosen)
     cell = evaluate_grid(chosen.task, policy).grid[4]
-    assert (cell.distance, cell.angle, cell.episodes) == (1.0, 0.0, 2)
+    assert (cell.distance, cell.angle, cell.figures.episodes) == (1.0, 0.0, 2)
     table = run_episodes(chosen.task, policy, grid_states(chosen.task, grid_of(chosen.task), 1, 0), 0)
     own = slice(8, 10)
-    assert cell.mean_distance == pytest.approx(table.distance[own].mean())
-    assert cell.success_rate == table.success[own].mean()
-    assert cell.mean_launch_speed == pytest.approx(np.nanmean(table.launch_speed[own]))
-    assert cell.mean_direction_error == pytest.approx(np.nanmean(np.abs(table.direction_error[own])))
+    assert cell.figures.mean_distance == pytest.approx(table.distance[own].mean())
+    assert cell.figures.success_rate == table.success[own].mean()
+    assert cell.figures.kick.mean_launch_speed == pytest.approx(np.nanmean(table.launch_speed[own]))
+    assert cell.figures.kick.mean_direction_error == pytest.approx(
+        np.nanmean(np.abs(table.direction_error[own]))
+    )
 
 
 def test_without_a_touch_there_are_no_figures_of_the_kick(experiment):
     chosen = experiment("mini_general", "baseline", "episode.max_steps=3", SMALL)
     cells = evaluate_grid(chosen.task, lambda seen: torch.zeros(len(seen), 7)).grid
-    assert {cell.mean_launch_speed for cell in cells} == {None}
+    assert {cell.figures.kick.mean_launch_speed for cell in cells} == {None}
     *_, launch, aim = render_grid("title", cells).split("\n\n")
     assert launch.split() == ["launch", "[m/s]", "1", *"----", "launch", "[m/s]", "1.5", *"----"]
     assert aim.startswith("aim error [deg]")
