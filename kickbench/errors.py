@@ -16,9 +16,9 @@ KeyPath = tuple[str | int, ...]
 """Keys and list indices that lead from the top of a file to a value."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, order=True)
 class Mark:
-    """A place in a file, or an override on the command line.
+    """A place in a file, or an override on the command line; marks of a file are in the order of its lines.
 
     Attributes:
         file: Path of the file, or the override as typed: `--set rewards.x.weight=3`.

@@ -62,19 +62,19 @@ MALFORMED = {
         [TASK],
         (TASK, "contact_window: 15 ", "contact_window: 1.5 "),
         (TASK, "contact_window: ¦1.5"),
-        "episode.contact_window: expected a whole number, found the number 1.5",
+        "episode.contact_window: expected a valid integer, found the number 1.5",
     ),
     "string for a number": Case(
         [TASK],
         (TASK, "timestep: 0.005 ", "timestep: 5 ms "),
         (TASK, "timestep: ¦5 ms"),
-        "simulation.timestep: expected a number, found the string '5 ms'",
+        "simulation.timestep: expected a valid number, found the string '5 ms'",
     ),
     "string for a switch": Case(
         [HOME],
         (HOME, "mirrored: true", "mirrored: yes"),
         (HOME, "mirrored: ¦yes"),
-        "evaluation.mirrored: expected true or false, found the string 'yes'",
+        "evaluation.mirrored: expected a valid boolean, found the string 'yes'",
     ),
     "list for a mapping": Case(
         [TASK],
@@ -118,7 +118,7 @@ MALFORMED = {
         [TASK],
         (TASK, "  friction: [1.0, 0.5, ", "  friction: [1.0, -0.5, "),
         (TASK, "[1.0, ¦-0.5,"),
-        "ball.friction.1: expected a number of at least 0, found the number -0.5",
+        "ball.friction.1: expected a number greater than or equal to 0, found the number -0.5",
     ),
     "empty range": Case(
         [TASK],
@@ -522,7 +522,7 @@ def test_a_missing_file_is_named_with_the_nearest_that_exists(fails):
 
 BAD_OVERRIDES = {
     "rewards": "expected key.path=value (for example rewards.fall.weight=-2)",
-    "ball.mass=heavy": "ball.mass: expected a number, found the string 'heavy'",
+    "ball.mass=heavy": "ball.mass: expected a valid number, found the string 'heavy'",
     "ball.mass=.nan": "ball.mass: expected a finite number, found .nan",
     "ball.mas=0.2": "ball.mas: unknown key 'mas'; expected one of: mass, radius, inertia, friction, condim, "
     "priority, solref (did you mean 'mass'?)",
@@ -547,7 +547,7 @@ def test_an_override_reaches_the_files_that_have_its_key(place, capsys, fails):
     assert main(["validate", TASK, BASELINE, "--set", "algorithm.gamma=0.9", "--set", "ball.mass=0.2"]) == 0
     capsys.readouterr()
     assert fails("validate", TASK, BASELINE, "--set", "algorithm.gamma=2") == [
-        "--set algorithm.gamma=2: algorithm.gamma: expected a number of at most 1, found the number 2"
+        "--set algorithm.gamma=2: algorithm.gamma: expected a number less than or equal to 1, found the number 2"
     ]
 
 

@@ -168,7 +168,7 @@ def test_a_range_of_another_form_says_its_form(text, found):
 
 
 def test_a_bound_that_is_no_number_has_its_own_place():
-    message = "expected a number, found the string 'x'"
+    message = "expected a valid number, found the string 'x'"
     assert problems("range: [1, x]\n") == [("a.yaml:1:12", ("range", 1), message, None)]
 
 
@@ -221,15 +221,27 @@ def test_a_missing_key_has_the_mark_of_its_parent_and_says_what_it_is():
 @pytest.mark.parametrize(
     ("text", "column", "path", "message", "hint"),
     [
-        ("scale: abc", 8, ("scale",), "expected a number, found the string 'abc'", None),
-        ("scale: '1'", 8, ("scale",), "expected a number, found the string '1'", None),
-        ("scale: 1_0", 8, ("scale",), "expected a number, found the string '1_0'", None),
-        ("scale: true", 8, ("scale",), "expected a number, found true", None),
-        ("scale: null", 8, ("scale",), "expected a number, found null", None),
-        ("scale: 1.5", 8, ("scale",), "expected a number of at most 1, found the number 1.5", None),
-        ("count: 1.5", 8, ("count",), "expected a whole number, found the number 1.5", None),
-        ("count: 1.0", 8, ("count",), "expected a whole number, found the number 1.0", None),
-        ("count: -1", 8, ("count",), "expected a number of at least 0, found the number -1", None),
+        ("scale: abc", 8, ("scale",), "expected a valid number, found the string 'abc'", None),
+        ("scale: '1'", 8, ("scale",), "expected a valid number, found the string '1'", None),
+        ("scale: 1_0", 8, ("scale",), "expected a valid number, found the string '1_0'", None),
+        ("scale: true", 8, ("scale",), "expected a valid number, found true", None),
+        ("scale: null", 8, ("scale",), "expected a valid number, found null", None),
+        (
+            "scale: 1.5",
+            8,
+            ("scale",),
+            "expected a number less than or equal to 1, found the number 1.5",
+            None,
+        ),
+        ("count: 1.5", 8, ("count",), "expected a valid integer, found the number 1.5", None),
+        ("count: 1.0", 8, ("count",), "expected a valid integer, found the number 1.0", None),
+        (
+            "count: -1",
+            8,
+            ("count",),
+            "expected a number greater than or equal to 0, found the number -1",
+            None,
+        ),
         (
             "part: {mass: 0}",
             14,
@@ -237,17 +249,29 @@ def test_a_missing_key_has_the_mark_of_its_parent_and_says_what_it_is():
             "expected a number greater than 0, found the number 0",
             None,
         ),
-        ("name: 3", 7, ("name",), "expected a string, found the number 3", None),
-        ("name: [a]", 7, ("name",), "expected a string, found a list of 1", None),
-        ("on: on", 5, ("on",), "expected true or false, found the string 'on'", None),
-        ("on: 1", 5, ("on",), "expected true or false, found the number 1", None),
+        ("name: 3", 7, ("name",), "expected a valid string, found the number 3", None),
+        ("name: [a]", 7, ("name",), "expected a valid string, found a list of 1", None),
+        ("on: on", 5, ("on",), "expected a valid boolean, found the string 'on'", None),
+        ("on: 1", 5, ("on",), "expected a valid boolean, found the number 1", None),
         ("names: a", 8, ("names",), "expected a list, found the string 'a'", None),
-        ("names: [a, 1]", 12, ("names", 1), "expected a string, found the number 1", None),
+        ("names: [a, 1]", 12, ("names", 1), "expected a valid string, found the number 1", None),
         ("vector: [1, 2]", 9, ("vector",), "expected more entries, found a list of 2", None),
         ("vector: []", 9, ("vector",), "expected more entries, found an empty list", None),
-        ("vector: [1, 2, 3, 4]", 9, ("vector",), "expected at most 3 entries, found a list of 4", None),
-        ("gains: [1]", 8, ("gains",), "expected at least 2 entries, found a list of 1", None),
-        ("gains: [1, 2, 3, 4]", 8, ("gains",), "expected at most 3 entries, found a list of 4", None),
+        (
+            "vector: [1, 2, 3, 4]",
+            9,
+            ("vector",),
+            "expected at most 3 items after validation, found a list of 4",
+            None,
+        ),
+        ("gains: [1]", 8, ("gains",), "expected at least 2 items after validation, found a list of 1", None),
+        (
+            "gains: [1, 2, 3, 4]",
+            8,
+            ("gains",),
+            "expected at most 3 items after validation, found a list of 4",
+            None,
+        ),
         ("part: 1", 7, ("part",), "expected a mapping, found the number 1", None),
         ("part: []", 7, ("part",), "expected a mapping, found an empty list", None),
         ("parts: 1", 8, ("parts",), "expected a mapping, found the number 1", None),
@@ -279,9 +303,12 @@ def test_a_wrong_key_of_a_typed_dict_lists_the_choices():
     assert problems("sides: {right: 1, lefft: 2}\n") == [("a.yaml:1:19", ("sides", "lefft"), message, hint)]
 
 
-def test_the_arms_of_a_union_are_one_problem():
-    message = "expected a whole number or one of: joints, actions, found the string 'joint'"
-    assert problems("size: joint\n") == [("a.yaml:1:7", ("size",), message, "did you mean 'joints'?")]
+def test_each_alternative_of_a_union_is_a_problem():
+    found, hint = "found the string 'joint'", "did you mean 'joints'?"
+    assert problems("size: joint\n") == [
+        ("a.yaml:1:7", ("size",), f"expected a valid integer, {found}", None),
+        ("a.yaml:1:7", ("size",), f"expected one of: joints, actions, {found}", hint),
+    ]
 
 
 def test_a_discriminated_union_names_its_key():
@@ -308,7 +335,7 @@ def test_a_wrong_override_names_itself():
     message = "unknown key 'mas'; expected one of: mass, mesh"
     found = problems("part: {mass: 1}\n", "part.mas=3")
     assert found == [("--set part.mas=3", ("part", "mas"), message, "did you mean 'mass'?")]
-    message = "expected a number, found the string 'x'"
+    message = "expected a valid number, found the string 'x'"
     assert problems("scale: 1\n", "scale=x") == [("--set scale=x", ("scale",), message, None)]
 
 
@@ -355,7 +382,7 @@ def test_a_directory_is_no_file():
 
 
 def test_a_file_name_that_is_no_string_is_a_wrong_type():
-    message = "expected a string, found the number 3"
+    message = "expected a valid string, found the number 3"
     assert problems("files: [3]\n") == [("a.yaml:1:9", ("files", 0), message, None)]
 
 

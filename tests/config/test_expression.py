@@ -110,5 +110,5 @@ def test_a_table_may_leave_all_fields_to_their_terms():
 
 def test_an_expression_is_a_string(complaints):
     assert complaints(RepresentationSpec, "fields:\n  ball: [trivial, sign]\n") == [
-        "a.yaml:2:9: fields.ball: expected a string, found a list of 2"
+        "a.yaml:2:9: fields.ball: expected a valid string, found a list of 2"
     ]

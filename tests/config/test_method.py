@@ -44,7 +44,9 @@ def test_even_widths_make_an_equivariant_network(read):
 @pytest.mark.parametrize("role", ["actor", "critic"])
 def test_hidden_layers_are_not_optional(complaints, role):
     (complaint,) = complaints(MethodSpec, METHOD, f"network.{role}_hidden=[]")
-    assert complaint.endswith(f"network.{role}_hidden: expected at least 1 entry, found an empty list")
+    assert complaint.endswith(
+        f"network.{role}_hidden: expected at least 1 item after validation, found an empty list"
+    )
 
 
 def test_a_width_is_positive(complaints):
@@ -56,7 +58,7 @@ def test_a_width_is_positive(complaints):
 @pytest.mark.parametrize("value", ["'0.5'", "nan", "inf"])
 def test_a_string_is_no_number(complaints, value):
     (complaint,) = complaints(MethodSpec, METHOD, f"algorithm.gamma={value}")
-    assert "expected a number, found the string" in complaint
+    assert "expected a valid number, found the string" in complaint
 
 
 def test_there_are_at_least_as_many_samples_as_mini_batches(complaints, read):
@@ -70,12 +72,15 @@ def test_there_are_at_least_as_many_samples_as_mini_batches(complaints, read):
     ("override", "message"),
     [
         ("algorithm.iterations=0", "expected a number greater than 0, found the number 0"),
-        ("algorithm.iterations=1.5", "expected a whole number, found the number 1.5"),
-        ("algorithm.num_envs=1048577", "expected a number of at most 1048576, found the number 1048577"),
+        ("algorithm.iterations=1.5", "expected a valid integer, found the number 1.5"),
+        (
+            "algorithm.num_envs=1048577",
+            "expected a number less than or equal to 1048576, found the number 1048577",
+        ),
         ("algorithm.learning_rate=-1e-3", "expected a number greater than 0, found the number -0.001"),
-        ("algorithm.gamma=1.01", "expected a number of at most 1, found the number 1.01"),
-        ("algorithm.gae_lambda=-0.1", "expected a number of at least 0, found the number -0.1"),
-        ("algorithm.clip_value_loss=1", "expected true or false, found the number 1"),
+        ("algorithm.gamma=1.01", "expected a number less than or equal to 1, found the number 1.01"),
+        ("algorithm.gae_lambda=-0.1", "expected a number greater than or equal to 0, found the number -0.1"),
+        ("algorithm.clip_value_loss=1", "expected a valid boolean, found the number 1"),
         ("network.initial_std=0", "expected a number greater than 0, found the number 0"),
     ],
 )
@@ -120,6 +125,6 @@ def test_the_mirror_loss_is_off_until_it_has_a_weight(complaints, read):
     text = f"{METHOD}symmetry: {{mirror_loss_coefficient: 0.5}}\n"
     assert read(MethodSpec, text).symmetry.mirror_loss_coefficient == 0.5
     (complaint,) = complaints(MethodSpec, text, "symmetry.mirror_loss_coefficient=-1")
-    assert complaint.endswith("expected a number of at least 0, found the number -1")
+    assert complaint.endswith("expected a number greater than or equal to 0, found the number -1")
     (complaint,) = complaints(MethodSpec, text.replace("coefficient", "coeficient"))
     assert "did you mean 'mirror_loss_coefficient'?" in complaint

@@ -206,7 +206,7 @@ def test_a_servo_must_make_sense(complaints, servo, what):
     ("old", "new", "what"),
     [
         ("kp: 20.0", "kp: 0.0", "kp: expected a number greater than 0, found the number 0.0"),
-        ("kd: 1.0", "kd: -1.0", "kd: expected a number of at least 0, found the number -1.0"),
+        ("kd: 1.0", "kd: -1.0", "kd: expected a number greater than or equal to 0, found the number -1.0"),
         ("effort: 15.0", "effort: 0", "effort: expected a number greater than 0, found the number 0"),
         ("scale: 0.5", "scale: -0.5", "scale: expected a number greater than 0, found the number -0.5"),
         (
@@ -244,7 +244,7 @@ def test_a_robot_without_actuators_is_an_error(complaints):
     head, tail = ROBOT.split("actuators:\n")
     text = head + "actuators: {}\nsymmetry:" + tail.split("symmetry:")[1]
     assert complaints(RobotSpec, text) == [
-        "a.yaml:3:12: actuators: expected at least 1 entry, found an empty mapping"
+        "a.yaml:3:12: actuators: expected at least 1 item after validation, found an empty mapping"
     ]
 
 

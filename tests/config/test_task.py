@@ -107,7 +107,7 @@ def test_a_term_added_to_a_base_table_comes_last(task, tmp_path):
         ("ball.x=[0.5, 0.2]", "the range [0.5, 0.2] is reversed"),
         ("ball.y=[0.1, 0.1]", "the range [0.1, 0.1] is empty"),
         ("target.distance=[1.0]", "expected a number or [low, high], found a list of 1"),
-        ("target.angle=[a, b]", "expected a number, found the string 'a'"),
+        ("target.angle=[a, b]", "expected a valid number, found the string 'a'"),
     ],
 )
 def test_regions_are_ranges(wrong, region, complaint):
@@ -126,24 +126,33 @@ def test_a_region_may_be_a_point(task):
         ("ball.condim=1", "expected one of: 3, 4, 6, found the number 1"),
         ("ball.mass=0", "expected a number greater than 0, found the number 0"),
         ("ball.friction=[1.0, 0.5]", "expected more entries, found a list of 2"),
-        ("ball.radius=0.1m", "expected a number, found the string '0.1m'"),
-        ("simulation.iterations=2.5", "expected a whole number, found the number 2.5"),
+        ("ball.radius=0.1m", "expected a valid number, found the string '0.1m'"),
+        ("simulation.iterations=2.5", "expected a valid integer, found the number 2.5"),
         ("episode.contact_window=0", "expected a number greater than 0, found the number 0"),
         (
             "evaluation.mirrored=on",
-            "expected true or false, found the string 'on'",
+            "expected a valid boolean, found the string 'on'",
         ),
         ("evaluation.episodes=0", "expected a number greater than 0, found the number 0"),
         ("terminations.target_hit.radius=0", "expected a number greater than 0, found the number 0"),
         (
             "simulation.ls_iterations=2147483648",
-            "expected a number of at most 2147483647, found the number 2147483648",
+            "expected a number less than or equal to 2147483647, found the number 2147483648",
         ),
-        ("ball.priority=2147483648", "expected a number of at most 2147483647, found the number 2147483648"),
-        ("simulation.timestep=1e-7", "expected a number of at least 0.000001, found the number 1e-07"),
-        ("simulation.control_interval=1e9", "expected a number of at most 10, found the number 1000000000.0"),
-        ("ball.radius=1e3", "expected a number of at most 10, found the number 1000.0"),
-        ("ball.mass=1e4", "expected a number of at most 1000, found the number 10000.0"),
+        (
+            "ball.priority=2147483648",
+            "expected a number less than or equal to 2147483647, found the number 2147483648",
+        ),
+        (
+            "simulation.timestep=1e-7",
+            "expected a number greater than or equal to 0.000001, found the number 1e-07",
+        ),
+        (
+            "simulation.control_interval=1e9",
+            "expected a number less than or equal to 10, found the number 1000000000.0",
+        ),
+        ("ball.radius=1e3", "expected a number less than or equal to 10, found the number 1000.0"),
+        ("ball.mass=1e4", "expected a number less than or equal to 1000, found the number 10000.0"),
         ("sampling.target.angle=[0, 1e9]", "expected angles from -2 pi to 2 pi, in radians, found 1e+09"),
         ("sampling.ball.speed=[-0.1, 1]", "expected numbers of at least 0, found -0.1"),
         ("sampling.ball.direction=7", "expected angles from -2 pi to 2 pi, in radians, found 7"),
@@ -169,7 +178,7 @@ def test_a_task_states_how_the_balls_mass_is_spread(wrong):
 
 def test_friction_is_not_negative(wrong):
     override = "ball.friction=[1.0, -0.5, 0.0]"
-    message = "expected a number of at least 0, found the number -0.5"
+    message = "expected a number greater than or equal to 0, found the number -0.5"
     assert wrong(TASK, override) == [f"--set {override}: ball.friction.1: {message}"]
 
 
