@@ -170,7 +170,7 @@ def _request(experiment: LoadedExperiment, condition: Condition, selection: Sele
     return RunRequest(
         task=condition.task.document.file,
         method=condition.method.document.file,
-        overrides=(*condition.overrides, *selection.overrides),
+        overrides=(*condition.settings, *selection.overrides),
         scale=selection.scale,
         device=selection.device,
         threads=selection.threads,

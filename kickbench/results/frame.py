@@ -263,9 +263,11 @@ def _transfer_rows(directory: RunDirectory, own: Row, metrics: Metrics) -> Itera
 def _planned_rows(root: Path, condition: Condition) -> Iterator[Row]:
     """The rows of the planned runs of a condition, which is compiled only if there is a run of it."""
     planned, setting = cache(partial(_planned_specs, condition)), cache(partial(_transfer_setting, condition))
+    iterations = condition.method.spec.algorithm.iterations
+    episodes = condition.task.spec.evaluation.episodes
     for seed in condition.seeds:
         first, *_ = rows = _rows(RunDirectory(run_path(root, condition.name, seed)))
-        own: Row = {"condition": condition.name, "seed": seed, "iterations_planned": condition.iterations}
+        own: Row = {"condition": condition.name, "seed": seed, "iterations_planned": iterations}
         if first["state"] != "finished":
             task, method = condition.task.name, condition.method.name
             yield first | own | {"task": task, "evaluated_on": task, "method": method}
@@ -273,7 +275,7 @@ def _planned_rows(root: Path, condition: Condition) -> Iterator[Row]:
         is_planned = _is_of(first, condition, planned().identity)
         unequal = [] if first["seed"] == seed else [f"its seed is {first['seed']}"]
         is_counted = is_planned and not unequal
-        unequal += size_differences(first, iterations=condition.iterations, episodes=condition.episodes)
+        unequal += size_differences(first, iterations=iterations, episodes=episodes)
         unequal += [] if is_planned else _differences(RunDirectory(first["path"]), planned())
         for row in rows:
             name, found = row["evaluated_on"], row.get("evaluated_setting")
@@ -288,7 +290,7 @@ def _planned_specs(condition: Condition) -> Specs:
     from kickbench.trials.trial import load_trial
 
     task, method = condition.task.document.file, condition.method.document.file
-    return specs_of(load_trial(task, method, condition.overrides))
+    return specs_of(load_trial(task, method, condition.settings))
 
 
 def _transfer_setting(condition: Condition, name: str) -> str:

@@ -52,11 +52,10 @@ class Condition:
         task: The task it is trained on.
         method: The method.
         seeds: Seeds of training; `seed<k>` is the folder of each.
-        iterations: Training iterations of each.
-        episodes: Evaluation episodes a side.
         transfer: Further tasks the policies are evaluated on, by name.
         reported: What was reported of it.
-        settings: What it sets in task and method, and then the sweep, as `key.path=value`.
+        settings: What the experiment, the condition and the sweep set in task and method, in this order, as
+            `key.path=value`; the last one of a key counts.
         init_from: Condition, or folder of the run, whose policy it begins with; None: random networks.
         init_std: Standard deviation of the actions to begin with; None: that policy's.
     """
@@ -65,8 +64,6 @@ class Condition:
     task: LoadedTask[TaskSpec]
     method: LoadedMethod
     seeds: tuple[int, ...]
-    iterations: int
-    episodes: int
     transfer: Mapping[str, LoadedTask[TaskSpec]]
     reported: ReportedFiguresSpec | None
     settings: tuple[str, ...] = ()
@@ -76,16 +73,6 @@ class Condition:
     def is_meant_by(self, name: str) -> bool:
         """Whether a name is its own, or of the condition of the file that it is a point of a sweep of."""
         return name in (self.name, self.name.partition(POINT)[0])
-
-    @property
-    def overrides(self) -> tuple[str, ...]:
-        """What the experiment says beyond the files of its task and method, as `key.path=value`."""
-        own = [*self.settings]
-        if self.iterations != self.method.spec.algorithm.iterations:
-            own.append(f"algorithm.iterations={self.iterations}")
-        if self.episodes != self.task.spec.evaluation.episodes:
-            own.append(f"evaluation.episodes={self.episodes}")
-        return tuple(own)
 
     @property
     def tasks(self) -> dict[str, LoadedTask[TaskSpec]]:
@@ -164,9 +151,15 @@ def _condition(
     transfer: Mapping[str, LoadedTask[TaskSpec]],
 ) -> Condition:
     condition, place = spec.conditions[name], ("conditions", name, "set")
-    if twice := condition.set.keys() & point.keys():
-        raise document.error(place, f"{min(twice)}: the sweep sets it, too")
-    settings = [*_settings(condition.set, document, place), *_settings(point, document, ("sweep",))]
+    sizes = {
+        "algorithm.iterations": condition.iterations or spec.iterations,
+        "evaluation.episodes": spec.evaluation.episodes,
+    }
+    settings = [
+        *(f"{key}={value}" for key, value in sizes.items() if value is not None),
+        *_settings(condition.set, document, place),
+        *_settings(point, document, ("sweep",)),
+    ]
     with _at_the_settings(document, place, condition.set):
         task, method = load_both(condition.task or str(spec.task), condition.method, settings)
     if task.name in transfer:
@@ -175,21 +168,11 @@ def _condition(
     if condition.reported and condition.reported.mirrored and not task.spec.evaluation.mirrored:
         place = ("conditions", name, "reported", "mirrored")
         raise document.error(place, f"the task {task.name} has no mirrored evaluation")
-    said = {
-        "algorithm.iterations": condition.iterations or spec.iterations,
-        "evaluation.episodes": spec.evaluation.episodes,
-    }
-    for key in (*condition.set, *point):
-        if said.get(key) is not None:
-            where = place if key in condition.set else ("sweep",)
-            raise document.error(where, f"the experiment says {key}, too: {said[key]}")
     return Condition(
         name=_at_point(name, point, spec),
         task=task,
         method=method,
         seeds=condition.seeds or spec.seeds,
-        iterations=said["algorithm.iterations"] or method.spec.algorithm.iterations,
-        episodes=said["evaluation.episodes"] or task.spec.evaluation.episodes,
         transfer=transfer,
         reported=condition.reported,
         settings=tuple(settings),
@@ -202,8 +185,6 @@ def _settings(values: Mapping[str, Any], document: Document, place: KeyPath) -> 
     """Values by their keys as `key.path=value`; paths of files are made absolute."""
     fields = TaskSpec.model_fields | MethodSpec.model_fields
     for key, value in values.items():
-        if isinstance(value, Mapping):
-            raise document.error(place, f"{key}: a mapping; give single values, by their whole keys")
         is_file = isinstance(value, Located) and key in fields and names_file(fields[key])
         yield f"{key}={flow_yaml(resolved(value, value.origin).as_posix() if is_file else value)}"
 
@@ -318,31 +299,26 @@ def _missing(
     claim: AnyClaim, operand: Operand, condition: Condition, task: LoadedTask[TaskSpec]
 ) -> Iterator[tuple[KeyPath, str]]:
     """What a claim asks of an operand and its metric, or its task, does not have."""
-    own, metric, side = condition.is_of_own_task(operand), claim.metric, operand.side
-    if metric in OF_A_RUN and side == "mirrored":
-        yield ("side",), f"the metric {metric} is of a run, and has no sides"
-    if metric in OF_A_RUN and not own:
-        yield ("task",), f"the metric {metric} is measured on the task trained on only"
-    mirrored = side == "mirrored" or metric == "pair_agreement"
-    if mirrored and not task.spec.evaluation.mirrored:
+    metric, side, is_mirrored = claim.metric, operand.side, operand.side == "mirrored"
+    key = () if condition.is_of_own_task(operand) else ("task",)
+    if metric in OF_A_RUN and (is_mirrored or key):
+        yield (
+            ("side",) if is_mirrored else key,
+            f"the metric {metric} is of a run: it has no sides and no transfer tasks",
+        )
+    if (is_mirrored or metric == "pair_agreement") and not task.spec.evaluation.mirrored:
         yield ("side",), f"the task {task.name} has no mirrored evaluation"
-    if isinstance(claim, NearReported) and not own:
-        what = f"nothing was reported of the condition {condition.name} on a transfer task"
-        yield ("task",), f"{what}; {claim.kind} needs a figure"
-    elif isinstance(claim, NearReported) and getattr(condition.figures_of(operand), metric, None) is None:
-        yield (), f"no {metric} of {side} was reported of the condition {condition.name}"
+    if isinstance(claim, NearReported) and getattr(condition.figures_of(operand), metric, None) is None:
+        yield key, f"no {metric} of {side} on {task.name} was reported of the condition {condition.name}"
 
 
 def _unknown_terms(claim: AnyClaim, task: LoadedTask[TaskSpec]) -> Iterator[Misfit]:
     """Terminations and rewards that a claim names and a task lacks."""
+    rewards = task.spec.rewards.active(RewardParams)
     terminations = task.spec.terminations.active(TerminationParams)
-    named: list[tuple[KeyPath, str, str, Mapping[str, Any]]] = [
-        (("terminations", index), "termination", term, terminations)
-        for index, term in enumerate(claim.terminations)
-    ]
-    if claim.reward:
-        named.append((("reward",), "reward", claim.reward, task.spec.rewards.active(RewardParams)))
-    for path, kind, term, known in named:
+    named = [(("terminations", index), term, terminations) for index, term in enumerate(claim.terminations)]
+    named += [(("reward",), claim.reward, rewards)] if claim.reward else []
+    for path, term, known in named:
         if term not in known:
-            what = f"the task {task.name} has no {kind} '{term}'; it has: {', '.join(known)}"
+            what = f"the task {task.name} has no '{term}'; it has: {', '.join(known)}"
             yield path, what, did_you_mean(term, known)

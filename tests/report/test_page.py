@@ -213,7 +213,7 @@ def test_a_run_that_the_experiment_does_not_plan_is_named(folder):
 def test_a_mean_says_of_how_many_seeds_it_is(folder):
     experiment = load_experiment(REPORTED)
     arm = experiment.conditions["baseline"]
-    identity = identity_of(load_trial(arm.task.document.file, arm.method.document.file, arm.overrides))
+    identity = identity_of(load_trial(arm.task.document.file, arm.method.document.file, arm.settings))
     for seed in range(3):
         folder.add("baseline", seed, identity=identity if seed else None, curves=None, table=False)
     page, _ = page_of(folder.path, "--experiment", str(REPORTED))

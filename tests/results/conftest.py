@@ -118,7 +118,7 @@ def planned_identity(experiment: LoadedExperiment, name: str) -> Identity:
     """The identity of the runs of a condition."""
     arm = experiment.conditions[name]
     files = arm.task.document.file, arm.method.document.file
-    return identity_of(load_trial(*files, arm.overrides))
+    return identity_of(load_trial(*files, arm.settings))
 
 
 class Make:

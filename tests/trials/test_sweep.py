@@ -33,7 +33,7 @@ def test_every_condition_is_done_at_every_point_of_a_grid(tmp_path):
     ]
     second = experiment.conditions["one,desired_kl=0.02,gamma=0.9"]
     assert second.method.spec.algorithm.desired_kl == 0.02
-    assert second.overrides == ("algorithm.desired_kl=0.02", "algorithm.gamma=0.9")
+    assert second.settings == ("algorithm.desired_kl=0.02", "algorithm.gamma=0.9")
 
 
 def test_a_list_of_points_is_taken_as_it_is(tmp_path):
@@ -70,11 +70,6 @@ def test_the_points_of_a_condition_are_planned_by_its_name(tmp_path):
     [
         ("sweep: {algorithm.gama: [0.9]}", "own.yaml:6:1: algorithm.gama: unknown key 'gama'"),
         ("sweep: {algorithm.gamma: [0.9, 0.9]}", "the value 0.9 is there twice"),
-        (
-            "sweep: {algorithm.iterations: [3]}\niterations: 4",
-            "the experiment says algorithm.iterations, too: 4",
-        ),
-        ("sweep: {algorithm: [{iterations: 9}]}\niterations: 7", "own.yaml:6:1: sweep: algorithm: a mapping"),
         (
             "sweep: {description: [a b, a/b]}",
             "own.yaml:6:1: sweep: two of its points have the name one,description=a_b",
@@ -139,30 +134,34 @@ def test_a_table_calls_the_points_of_a_sweep_by_their_names():
 def test_a_condition_sets_values_of_its_own_at_every_point(tmp_path):
     own = ", set: {algorithm.gamma: 0.9}"
     experiment = load(tmp_path, "sweep: {algorithm.desired_kl: [0.01, 0.02]}", one=own)
-    assert experiment.conditions["one,desired_kl=0.02"].overrides == (
+    assert experiment.conditions["one,desired_kl=0.02"].settings == (
         "algorithm.gamma=0.9",
         "algorithm.desired_kl=0.02",
     )
     assert experiment.conditions["one,desired_kl=0.01"].method.spec.algorithm.gamma == 0.9
-    assert experiment.conditions["two,desired_kl=0.01"].overrides == ("algorithm.desired_kl=0.01",)
+    assert experiment.conditions["two,desired_kl=0.01"].settings == ("algorithm.desired_kl=0.01",)
+
+
+def test_the_condition_wins_over_the_experiment_and_the_sweep_over_both(tmp_path):
+    text = "iterations: 7\nevaluation: {episodes: 40}\nsweep: {algorithm.iterations: [9]}"
+    experiment = load(tmp_path, text, one=", set: {algorithm.iterations: 8, evaluation: {episodes: 50}}")
+    sizes = [
+        (of.method.spec.algorithm.iterations, of.task.spec.evaluation.episodes)
+        for of in experiment.conditions.values()
+    ]
+    assert sizes == [(9, 50), (9, 40)]
 
 
 @pytest.mark.parametrize(
-    ("own", "text", "complaint"),
+    ("own", "complaint"),
     [
-        ("{algorithm.gama: 0.9}", "", "algorithm.gama: unknown key 'gama'"),
-        ("{algorithm: {gamma: 0.9}}", "", "algorithm: a mapping; give single values, by their whole keys"),
-        (
-            "{algorithm.gamma: 0.9}",
-            "sweep: {algorithm.gamma: [0.8]}",
-            "algorithm.gamma: the sweep sets it, too",
-        ),
-        ("{algorithm.iterations: 9}", "iterations: 7", "the experiment says algorithm.iterations, too: 7"),
+        ("{algorithm.gama: 0.9}", "algorithm.gama: unknown key 'gama'"),
+        ("{algorithm: {gama: 0.9}}", "algorithm.gama: unknown key 'gama'"),
     ],
 )
-def test_a_wrong_value_of_a_condition_is_an_error_where_it_stands(tmp_path, own, text, complaint):
+def test_a_wrong_value_of_a_condition_is_an_error_where_it_stands(tmp_path, own, complaint):
     with pytest.raises(SpecError) as error:
-        load(tmp_path, text, one=f", set: {own}")
+        load(tmp_path, "", one=f", set: {own}")
     (problem,) = error.value.problems
     assert complaint in str(problem)
     assert problem.mark is not None
