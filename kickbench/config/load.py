@@ -12,8 +12,8 @@ from kickbench.config.method import MethodSpec, RepresentationSpec
 from kickbench.config.problems import validate
 from kickbench.config.robot import RobotSpec, pairs_apart
 from kickbench.config.task import TaskSpec
-from kickbench.config.yamlio import Document, load_document
-from kickbench.errors import SpecError, did_you_mean
+from kickbench.config.yamlio import Document, load_document, mark_of
+from kickbench.errors import Problem, SpecError, did_you_mean
 
 S = TypeVar("S", bound=Spec)
 T = TypeVar("T", bound=TaskSpec)
@@ -107,5 +107,5 @@ def split_overrides(overrides: Sequence[str]) -> tuple[list[str], list[str]]:
         else:
             hint = did_you_mean(head, (*TaskSpec.model_fields, *MethodSpec.model_fields))
             what = f"neither a task nor a method has a key '{head}'"
-            raise SpecError.of(f"--set {text}", what, hint)
+            raise SpecError([Problem(mark_of(text), (), what, hint)])
     return of_task, of_method

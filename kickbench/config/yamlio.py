@@ -25,9 +25,19 @@ EXTENDS = "extends"
 
 
 class Located(str):
-    """A string that knows its file, since a path in it is relative to that; None: an override."""
+    """A string that knows its file, since a path in it is relative to that; None: an override.
+
+    An override that a file makes has the mark of the key that makes it.
+    """
 
     origin: Path | None = None
+    mark: Mark | None = None
+
+
+def mark_of(override: str) -> Mark:
+    """Where an override stands: in a file, or on the command line."""
+    in_file = override.mark if isinstance(override, Located) else None
+    return in_file or Mark(f"--set {override}", 0, 0)
 
 
 @dataclass(frozen=True)
@@ -106,19 +116,19 @@ class Document:
         Raises:
             SpecError: It is malformed, or there is no such place.
         """
-        name, (left, _, right) = f"--set {text}", text.partition("=")
-        mark = Mark(name, 0, 0)
+        mark, (left, _, right) = mark_of(text), text.partition("=")
         keys = [key.strip() for key in left.split(".")]
         if "=" not in text or not all(keys):
-            raise SpecError.of(name, "expected key.path=value", "for example rewards.fall.weight=-2")
+            hint = "for example rewards.fall.weight=-2"
+            raise SpecError([Problem(mark, (), "expected key.path=value", hint)])
         if keys[0] == EXTENDS:
             what = f"`{EXTENDS}` cannot be set: it is read from files only"
             raise SpecError([Problem(mark, tuple(keys), what)])
         if len(keys) > MAX_DEPTH:
-            raise SpecError.of(name, "nested too deeply")
+            raise SpecError([Problem(mark, (), "nested too deeply")])
         for index in range(len(keys)):
             keys[index] = renamed(tuple(keys[: index + 1]), mark)
-        value, places, problems = parse(right, name, None, tuple(keys))
+        value, places, problems = parse(right, f"--set {text}", None, tuple(keys))
         if problems:
             raise SpecError(problems)
         path = _resolved(self.data, keys, mark)

@@ -9,9 +9,8 @@ import hashlib
 import json
 import os
 import re
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -36,7 +35,7 @@ from kickbench.config.terms import RewardParams, TerminationParams
 from kickbench.config.yamlio import Document, Located
 from kickbench.config.yamltree import flow_yaml
 from kickbench.envs.catalog import model_of_task
-from kickbench.errors import KeyPath, Problem, SpecError, collected, did_you_mean, dotted
+from kickbench.errors import KeyPath, Problem, SpecError, collected, did_you_mean
 from kickbench.trials.trial import load_both
 
 Misfit = tuple[KeyPath, str, str | None]
@@ -150,18 +149,18 @@ def _condition(
     document: Document,
     transfer: Mapping[str, LoadedTask[TaskSpec]],
 ) -> Condition:
-    condition, place = spec.conditions[name], ("conditions", name, "set")
+    condition, place = spec.conditions[name], ("conditions", name)
     sizes = {
         "algorithm.iterations": condition.iterations or spec.iterations,
         "evaluation.episodes": spec.evaluation.episodes,
     }
+    own = {key: value for key, value in sizes.items() if value is not None}
     settings = [
-        *(f"{key}={value}" for key, value in sizes.items() if value is not None),
-        *_settings(condition.set, document, place),
+        *_settings(own, document, (*place, "iterations")),
+        *_settings(condition.set, document, (*place, "set")),
         *_settings(point, document, ("sweep",)),
     ]
-    with _at_the_settings(document, place, condition.set):
-        task, method = load_both(condition.task or str(spec.task), condition.method, settings)
+    task, method = load_both(condition.task or str(spec.task), condition.method, settings)
     if task.name in transfer:
         what = f"the condition {name} is trained on {task.name}, and evaluated on it anyway"
         raise document.error(("evaluation", "transfer"), what)
@@ -182,11 +181,13 @@ def _condition(
 
 
 def _settings(values: Mapping[str, Any], document: Document, place: KeyPath) -> Iterator[str]:
-    """Values by their keys as `key.path=value`; paths of files are made absolute."""
+    """Values by their keys as `key.path=value`, marked with a place; paths of files are made absolute."""
     fields = TaskSpec.model_fields | MethodSpec.model_fields
     for key, value in values.items():
         is_file = isinstance(value, Located) and key in fields and names_file(fields[key])
-        yield f"{key}={flow_yaml(resolved(value, value.origin).as_posix() if is_file else value)}"
+        text = Located(f"{key}={flow_yaml(resolved(value, value.origin).as_posix() if is_file else value)}")
+        text.mark = document.mark(place)
+        yield text
 
 
 def _at_point(name: str, point: Mapping[str, Any], spec: ExperimentSpec) -> str:
@@ -224,21 +225,6 @@ def _initial(
         chain.append(source)
         source = spec.conditions[source].init_from
     return _at_point(chain[1], point, spec)
-
-
-@contextmanager
-def _at_the_settings(document: Document, place: KeyPath, own: Collection[str]) -> Iterator[None]:
-    """Says of a setting that does not fit where it stands: among the condition's own, or in the sweep."""
-    try:
-        yield
-    except SpecError as error:
-        problems = []
-        for problem in error.problems:
-            if problem.mark and problem.mark.is_override:
-                is_own = any(f"{dotted(problem.path)}.".startswith(f"{key}.") for key in own)
-                problem = replace(problem, mark=document.mark(place if is_own else ("sweep",)))
-            problems.append(problem)
-        raise SpecError(problems) from None
 
 
 def _all_claims(spec: ExperimentSpec, document: Document) -> dict[str, AnyClaim]:
