@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from kickbench.config.shipped import FOLDERS, names, root
-from kickbench.config.yamltree import MAX_DEPTH, Place, describe, has, parse, renamed, value_at
+from kickbench.config.yamltree import Place, describe, has, parse, renamed, value_at
 from kickbench.errors import KeyPath, Mark, Problem, SpecError, collected, did_you_mean, dotted, shown
 
 EXTENDS = "extends"
@@ -124,16 +124,15 @@ class Document:
         if keys[0] == EXTENDS:
             what = f"`{EXTENDS}` cannot be set: it is read from files only"
             raise SpecError([Problem(mark, tuple(keys), what)])
-        if len(keys) > MAX_DEPTH:
-            raise SpecError([Problem(mark, (), "nested too deeply")])
         for index in range(len(keys)):
             keys[index] = renamed(tuple(keys[: index + 1]), mark)
-        value, places, problems = parse(right, f"--set {text}", None, tuple(keys))
-        if problems:
-            raise SpecError(problems)
+        parsed = parse(right, f"--set {text}", None, tuple(keys))
+        if parsed.problems:
+            raise SpecError(parsed.problems)
         path = _resolved(self.data, keys, mark)
         above = [path[:end] for end in range(1, len(path)) if path[:end] not in self.places]
-        inside = [(*path, *inner[len(path) :]) for inner in places]
+        inside = [(*path, *inner[len(path) :]) for inner in parsed.places]
+        value = parsed.data
         for key in reversed(path):
             value = {key: value}
         return self.merged(value, dict.fromkeys([*above, path, *inside], Place(mark, mark, None)))
@@ -186,11 +185,12 @@ def _parsed(content: bytes, file: Path) -> tuple[Document, tuple[Problem, ...]]:
     """Parses a file's content once, however many specs are built on it."""
     start = Mark(str(file), 1, 1)
     # Bytes that are not UTF-8 become characters that YAML refuses.
-    data, places, problems = parse(content.decode("utf-8-sig", "surrogateescape"), str(file), file)
+    parsed = parse(content.decode("utf-8-sig", "surrogateescape"), str(file), file)
+    data, problems = parsed.data, parsed.problems
     if not isinstance(data, dict) and not problems:
         found = "the file is empty" if data is None else f"found {describe(data)}"
         problems = [Problem(start, (), f"expected keys at the top of the file; {found}")]
-    places[()] = Place(start, start, file)
+    places = {**parsed.places, (): Place(start, start, file)}
     return Document(file, (file,), data if isinstance(data, dict) else {}, places), tuple(problems)
 
 

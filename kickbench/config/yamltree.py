@@ -22,25 +22,24 @@ from kickbench.errors import KeyPath, Mark, Problem
 
 Scalar = str | int | float | bool | None
 
-_MAX_VALUES = 50_000
-"""Nested aliases grow exponentially; no honest file comes near this many values."""
-
-MAX_DEPTH = 100
-"""Nor near this depth, and Python has a limit of its own."""
-
-_SMALLEST, _GREATEST = 1e-12, 1e12
-"""Magnitudes of numbers other than 0: their squares and products are still numbers in single precision."""
-
 _TAG = "tag:yaml.org,2002:"
-_CORE = {
-    "null": re.compile(r"(~|null|Null|NULL|)\Z"),
-    "bool": re.compile(r"(true|True|TRUE|false|False|FALSE)\Z"),
-    "int": re.compile(r"([-+]?[0-9]{1,19}|0o[0-7]{1,21}|0x[0-9a-fA-F]{1,16})\Z"),
-    "float": re.compile(
-        r"([-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN))\Z"
+_CORE: dict[str, tuple[re.Pattern[str], Callable[[str], Scalar]]] = {
+    "null": (re.compile(r"(~|null|Null|NULL|)\Z"), lambda text: None),
+    "bool": (re.compile(r"(true|True|TRUE|false|False|FALSE)\Z"), lambda text: text.lower() == "true"),
+    "int": (
+        re.compile(r"([-+]?[0-9]{1,19}|0o[0-7]{1,21}|0x[0-9a-fA-F]{1,16})\Z"),
+        # Decimals may have leading zeros, which Python refuses with base 0.
+        lambda text: int(text, 0 if text[:2] in ("0o", "0x") else 10),
+    ),
+    "float": (
+        re.compile(
+            r"([-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN))\Z"
+        ),
+        lambda text: float(text.lower().replace(".inf", "inf").replace(".nan", "nan")),
     ),
 }
-"""The core schema, tested in this order (YAML 1.2.2, 10.3.2). A longer integer is read as a float."""
+"""The core schema, tested in this order (YAML 1.2.2, 10.3.2), and how each kind is read. A longer integer is
+read as a float."""
 
 
 RENAMED: dict[KeyPath, str] = {
@@ -63,20 +62,6 @@ class Place(NamedTuple):
     key: Mark
     value: Mark
     origin: Path | None
-
-
-class Parsed(NamedTuple):
-    """What a text says; parts with a problem are there as far as they make sense.
-
-    Attributes:
-        data: Mappings, lists and scalars; None if the text is not YAML or has no value.
-        places: Where the value at each path was written.
-        problems: What is wrong with the text.
-    """
-
-    data: Any
-    places: dict[KeyPath, Place]
-    problems: list[Problem]
 
 
 def has(data: Any, key: str | int) -> bool:
@@ -123,15 +108,22 @@ def parse(text: str, name: str, origin: Path | None = None, path: KeyPath = ()) 
         origin: Path of its file; None for an override.
         path: Path at which the text's value will stand.
     """
-    builder, data = _Builder(name, origin), None
+    parsed = Parsed(name, origin)
     try:
         if node := _Loader(text).get_single_node():
-            data = builder.build(node, path)
+            parsed.data = parsed.build(node, path)
     except yaml.YAMLError as error:
-        builder.problems[:] = [builder.syntax_problem(error, text, path)]
+        parsed.problems = [parsed.syntax_problem(error, text, path)]
+    except (
+        ValueError,
+        OverflowError,
+    ):  # PyYAML takes escapes beyond the range of Unicode, and half characters
+        parsed.problems = [
+            Problem(parsed.mark(1, 1), path, "not valid YAML: an escape stands for no character")
+        ]
     except RecursionError:
-        builder.problems[:] = [Problem(builder.mark(1, 1), path, "nested too deeply")]
-    return Parsed(data, builder.places, builder.problems)
+        parsed.problems = [Problem(parsed.mark(1, 1), path, "nested too deeply")]
+    return parsed
 
 
 def renamed(path: KeyPath, mark: Mark) -> str:
@@ -147,48 +139,41 @@ class _Loader(yaml.SafeLoader):
     """Composes nodes whose tags follow the core schema; it never constructs an object."""
 
     yaml_implicit_resolvers: ClassVar[dict[str, Any]] = {}
-    # YAML 1.1 and PyYAML take the last three for line breaks: what follows one in a comment would be read.
-    NON_PRINTABLE = re.compile(f"{yaml.SafeLoader.NON_PRINTABLE.pattern}|[\x85\u2028\u2029]")
-
-    def get_single_node(self) -> Node | None:
-        try:
-            return super().get_single_node()
-        except (ValueError, OverflowError):  # PyYAML does not check that an escape is in the range of Unicode
-            what = "the escape stands for no character"
-            raise yaml.MarkedYAMLError(problem=what, problem_mark=self.get_mark()) from None
-
-    def compose_scalar_node(self, anchor: Any) -> ScalarNode:
-        node = super().compose_scalar_node(anchor)
-        node.value.encode()  # fails for half of a pair of UTF-16, which an escape can write
-        return node
 
 
 @dataclass
-class _Builder:
-    """Turns composed nodes into data, and collects where everything is and what is wrong with it."""
+class Parsed:
+    """What a text says, made of composed nodes; parts with a problem are there as far as they make sense.
+
+    Attributes:
+        name: Path of the text's file, or the override that has it.
+        origin: Path of its file; None for an override.
+        data: Mappings, lists and scalars; None if the text is not YAML or has no value.
+        places: Where the value at each path was written.
+        problems: What is wrong with the text.
+    """
 
     name: str
     origin: Path | None
-    problems: list[Problem] = field(default_factory=list)
+    data: Any = None
     places: dict[KeyPath, Place] = field(default_factory=dict)
+    problems: list[Problem] = field(default_factory=list)
 
     def build(self, node: Node, path: KeyPath, key: Mark | None = None) -> Any:
         """The value of the node at a path; `key` marks its key, None for list items and the top."""
         mark, kind = self._mark(node), node.tag.removeprefix(_TAG)
-        if len(self.places) >= _MAX_VALUES or len(path) > MAX_DEPTH:
-            what = f"nested too deeply, or aliases expand to more than {_MAX_VALUES} values"
-            raise yaml.MarkedYAMLError(problem=what, problem_mark=node.start_mark)
         self.places.setdefault(path, Place(key or mark, mark, self.origin))
         if isinstance(node, MappingNode) and kind == "map":
             return self._mapping(node, path)
         if isinstance(node, SequenceNode) and kind == "seq":
             return [self.build(item, (*path, i)) for i, item in enumerate(node.value)]
-        if isinstance(node, ScalarNode) and (
-            kind == "str" or (kind in _CORE and _CORE[kind].match(node.value))
-        ):
-            value = _READ[kind](node.value)
-            if kind in ("int", "float"):
-                self._check_number(value, node.value, path, mark)
+        if isinstance(node, ScalarNode) and kind == "str":
+            node.value.encode()  # fails for half of a pair of UTF-16, which an escape can write
+            return node.value
+        if isinstance(node, ScalarNode) and kind in _CORE and _CORE[kind][0].match(node.value):
+            value = _CORE[kind][1](node.value)
+            if isinstance(value, float) and not math.isfinite(value):
+                self._report(mark, path, f"expected a finite number, found {_short(node.value)}")
             return value
         tag = node.tag.replace(_TAG, "!!")
         self._report(mark, path, f"unknown tag '{tag}'; expected a plain number, string, list or mapping")
@@ -227,13 +212,6 @@ class _Builder:
             self._report(mark, (*path, name), f"a key must be a string, found {found}", hint)
         return name
 
-    def _check_number(self, value: Any, text: str, path: KeyPath, mark: Mark) -> None:
-        if not math.isfinite(value):
-            self._report(mark, path, f"expected a finite number, found {_short(text)}")
-        elif value and not _SMALLEST <= abs(value) <= _GREATEST and not {"seed", "seeds"} & set(path):
-            bounds = f"from {_SMALLEST:g} to {_GREATEST:g} in magnitude"
-            self._report(mark, path, f"expected 0, or a number {bounds}, found {_short(text)}")
-
     def syntax_problem(self, error: yaml.YAMLError, text: str, path: KeyPath) -> Problem:
         """Words what PyYAML cannot read."""
         if isinstance(error, yaml.MarkedYAMLError):
@@ -241,7 +219,7 @@ class _Builder:
             where = self.mark(mark.line + 1, mark.column + 1) if mark else self.mark(1, 1)
             context = f" ({error.context})" if error.context and error.problem else ""
             what = error.problem or error.context or "syntax error"
-            return Problem(where, path, f"not valid YAML: {what}{context}", _syntax_hint(what))
+            return Problem(where, path, f"not valid YAML: {what}{context}")
         position = getattr(error, "position", 0)
         before = text[:position]
         where = self.mark(before.count("\n") + 1, position - before.rfind("\n"))
@@ -256,27 +234,6 @@ class _Builder:
 
     def _report(self, mark: Mark, path: KeyPath, message: str, hint: str | None = None) -> None:
         self.problems.append(Problem(mark, path, message, hint))
-
-
-# Decimals may have leading zeros, which Python refuses with base 0.
-_READ: dict[str, Callable[[str], Scalar]] = {
-    "null": lambda text: None,
-    "bool": lambda text: text.lower() == "true",
-    "int": lambda text: int(text, 0 if text[:2] in ("0o", "0x") else 10),
-    "float": lambda text: float(text.lower().replace(".inf", "inf").replace(".nan", "nan")),
-    "str": str,
-}
-
-
-def _syntax_hint(message: str) -> str | None:
-    hints = {
-        "'\\t'": "indent with spaces, not tabs",
-        "mapping values are not allowed": "a string that contains ': ' needs quotes",
-        "expected <block end>": "is the indentation right?",
-        "expected ',' or": "is a bracket not closed?",
-        "could not find expected ':'": "is a ':' missing, or a quote or bracket not closed?",
-    }
-    return next((hint for words, hint in hints.items() if words in message), None)
 
 
 def dump_yaml(data: Any) -> str:
@@ -315,7 +272,7 @@ def _represent_str(dumper: _Dumper, text: str) -> yaml.ScalarNode:
     return dumper.represent_scalar(_TAG + "str", text, style=None if text.isprintable() else '"')
 
 
-for _kind, _pattern in _CORE.items():
+for _kind, (_pattern, _) in _CORE.items():
     for _user in (_Loader, _Dumper):
         _user.add_implicit_resolver(_TAG + _kind, _pattern, None)
 _Dumper.add_representer(str, _represent_str)

@@ -141,19 +141,9 @@ def test_a_core_tag_needs_a_fitting_value():
     assert problems() == [("a.yaml:1:4", ("a",), message, None)]
 
 
-BEYOND = "not valid YAML: nested too deeply, or aliases expand to more than 50000 values"
-
-
 def test_a_recursive_alias_is_refused():
     write("a: &a\n  b: *a\n")
-    assert problems() == [("a.yaml:1:4", (), BEYOND, None)]
-
-
-def test_aliases_that_grow_without_end_are_refused():
-    lines = ["a0: &a0 [1, 1, 1, 1, 1, 1, 1, 1, 1, 1]"]
-    lines += [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]" for i in range(1, 9)]
-    write("\n".join(lines))
-    assert [found[2] for found in problems()] == [BEYOND]
+    assert problems() == [("a.yaml:1:1", (), "nested too deeply", None)]
 
 
 def test_all_problems_of_a_file_are_told_at_once():
@@ -166,47 +156,34 @@ def test_all_problems_of_a_file_are_told_at_once():
 
 
 @pytest.mark.parametrize(
-    ("text", "mark", "message", "hint"),
+    ("text", "mark", "message"),
     [
-        (
-            "a:\n\tb: 1\n",
-            "a.yaml:2:1",
-            "found character '\\t' that cannot start any token",
-            "spaces, not tabs",
-        ),
-        ("a: b: c\n", "a.yaml:1:5", "mapping values are not allowed here", "needs quotes"),
-        ("a: [1\nb: 2\n", "a.yaml:2:2", "expected ',' or ']'", "is a bracket not closed?"),
-        ("a: *x\n", "a.yaml:1:4", "found undefined alias 'x'", None),
-        ("a: 1\n---\nb: 2\n", "a.yaml:2:1", "but found another document", None),
-        ('a: "b\\U00110000"\n', "a.yaml:1:8", "the escape stands for no character", None),
-        ('a: "b\\Uffffffff"\n', "a.yaml:1:8", "the escape stands for no character", None),
-        ("a: 1\nb: \0\n", "a.yaml:2:4", "the character '\\x00' is not allowed", None),
-        ("# one\n# two\x85b: 1\na: 1\n", "a.yaml:2:6", "the character '\\x85' is not allowed", None),
-        ("# one\u2028b: 1\n", "a.yaml:1:6", "the character '\\u2028' is not allowed", None),
-        ("a: b\u2029\n", "a.yaml:1:5", "the character '\\u2029' is not allowed", None),
+        ("a:\n\tb: 1\n", "a.yaml:2:1", "found character '\\t' that cannot start any token"),
+        ("a: b: c\n", "a.yaml:1:5", "mapping values are not allowed here"),
+        ("a: [1\nb: 2\n", "a.yaml:2:2", "expected ',' or ']'"),
+        ("a: *x\n", "a.yaml:1:4", "found undefined alias 'x'"),
+        ("a: 1\n---\nb: 2\n", "a.yaml:2:1", "but found another document"),
+        ('a: "b\\U00110000"\n', "a.yaml:1:1", "an escape stands for no character"),
+        ('a: "b\\Uffffffff"\n', "a.yaml:1:1", "an escape stands for no character"),
+        ("a: 1\nb: \0\n", "a.yaml:2:4", "the character '\\x00' is not allowed"),
     ],
 )
-def test_a_syntax_error_has_its_place(text, mark, message, hint):
+def test_a_syntax_error_has_its_place(text, mark, message):
     write(text)
-    [(found_mark, path, found_message, found_hint)] = problems()
+    [(found_mark, path, found_message, _)] = problems()
     assert (found_mark, path) == (mark, ())
     assert message in found_message
-    assert (hint or "") in (found_hint or "")
 
 
 def test_a_text_nested_too_deeply_is_refused():
     write("a: " + "[" * 1000)
     assert problems() == [("a.yaml:1:1", (), "nested too deeply", None)]
-    write("a: " + "[" * 101 + "]" * 101)
-    assert problems() == [("a.yaml:1:104", (), BEYOND, None)]
 
 
-@pytest.mark.parametrize("text", ['extends: "\\ud800"', 'a: ["x\\ud83d\\ude00"]', 'a: {"\\udfff": 1}'])
+@pytest.mark.parametrize("text", ['extends: "\\ud800"', 'a: ["x\\ud83d\\ude00"]'])
 def test_half_a_character_is_refused(text):
     write(text)
-    [(mark, _, message, _)] = problems()
-    assert mark.startswith("a.yaml:1:")
-    assert message == "not valid YAML: the escape stands for no character"
+    assert problems() == [("a.yaml:1:1", (), "not valid YAML: an escape stands for no character", None)]
 
 
 @pytest.mark.parametrize("text", ["", "# only a comment\n", "---\n"])
@@ -423,12 +400,12 @@ def test_an_impossible_override_says_why(override, path, message):
     assert problems("a.yaml", override) == [(f"--set {override}", path, message, None)]
 
 
-@pytest.mark.parametrize("key", ["l." + "9" * 5000, ".".join(["a"] * 2000)], ids=["index", "depth"])
-def test_an_override_beyond_all_measure_is_refused(key):
+def test_an_index_beyond_all_measure_is_refused():
     write("a: {b: 1}\nl: [1, 2]\n")
+    key = "l." + "9" * 5000
     [(mark, _, message, _)] = problems("a.yaml", f"{key}=1")
     assert mark == f"--set {key}=1"
-    assert message.startswith("'l' is a list of 2;") or message == "nested too deeply"
+    assert message.startswith("'l' is a list of 2;")
 
 
 def test_an_override_with_a_syntax_error_names_itself():

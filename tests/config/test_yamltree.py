@@ -8,9 +8,9 @@ from kickbench.config.yamltree import describe, parse
 
 
 def value(text: str):
-    data, _, problems = parse(f"x: {text}\n", "a.yaml", Path("a.yaml"))
-    assert not problems
-    return data["x"]
+    parsed = parse(f"x: {text}\n", "a.yaml", Path("a.yaml"))
+    assert not parsed.problems
+    return parsed.data["x"]
 
 
 @pytest.mark.parametrize(
