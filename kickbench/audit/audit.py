@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -46,7 +45,6 @@ def audit(
         SpecError: A specification is wrong.
         KickbenchError: The run does not go with the task.
     """
-    started = time.perf_counter()
     compiled = read_task(task, overrides)
     trained = load_run(run) if run else None
     policy = trained.policy_for(compiled) if trained else None
@@ -64,8 +62,6 @@ def audit(
         robot=shown(compiled.robot.document.file),
         table=shown(representations.document.file),
         states=recording.states,
-        coverage=recording.coverage,
-        seconds=round(time.perf_counter() - started, 1),
         rows=tuple(rows),
         but_for=partial.excluded,
     )
@@ -76,9 +72,13 @@ def _load_table(
 ) -> tuple[Loaded[RepresentationSpec], LoadedMethod | None]:
     """The table, and the method that names it."""
     own = RunDirectory(run).representations_spec if run else find("standard", "representations")
-    document = load_document(table or own)
-    kind = kind_of(document)
-    if kind not in ("method", "representations"):
-        raise document.error((), f"expected a method or a representation table, found a {kind} file")
-    method = load_method(table or own) if kind == "method" else None
-    return method.representations if method else load(RepresentationSpec, table or own), method
+    file = table or own
+    document = load_document(file)
+    match kind_of(document):
+        case "method":
+            method = load_method(file)
+            return method.representations, method
+        case "representations":
+            return load(RepresentationSpec, file), None
+        case kind:
+            raise document.error((), f"expected a method or a representation table, found a {kind} file")

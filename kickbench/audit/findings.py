@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
-from typing import Any, Literal, NamedTuple
+from dataclasses import dataclass
+from typing import Any, Literal
 
 from pydantic_core import to_jsonable_python
 
@@ -15,12 +15,6 @@ Verdict = Literal["ok", "FAIL", "unequal", "never excited", "partly excited", "m
 the declaration, but every state left the quantity at zero, so nothing proves it; `partly excited`: the same
 for some components; `measured`: nothing was declared."""
 
-
-def verdict_of(*, wrong: bool, excited: bool = True) -> Verdict:
-    """The verdict on a quantity that must transform as declared."""
-    return "FAIL" if wrong else "ok" if excited else "never excited"
-
-
 CHECKS = {
     "tables": "1 tables: joints against geometry",
     "dynamics": "2 dynamics: step(mirror(x), mirror(u)) against mirror(step(x, u))",
@@ -29,27 +23,10 @@ CHECKS = {
     "model": "5 model: geometry, masses, limits and gains against their mirror images",
     "policy": "6 policy: pi(rho o) against rho pi(o)",
 }
-
-
-class Question(NamedTuple):
-    """A question that an audit answers.
-
-    Attributes:
-        heading: In words.
-        bit: What it adds to the exit code when its answer is no. 2 is that of wrong specifications.
-        no: That answer.
-    """
-
-    heading: str
-    bit: int
-    no: str
-
-
-QUESTIONS = {
-    "table": Question("Is the table right? (on the robot and its mirror image)", 1, "WRONG"),
-    "robot": Question("Is the robot symmetric?", 4, "unequal"),
-    "policy": Question("Is the policy equivariant?", 8, "NOT EQUIVARIANT"),
-}
+_NO = {"table": (1, "WRONG"), "robot": (4, "unequal"), "policy": (8, "NOT EQUIVARIANT")}
+"""Is the table right, the robot symmetric, the policy equivariant? What a no adds to the exit code, in which
+2 is that of wrong specifications, and how it is said."""
+_HEADER = ("", "error", "tolerance", "excited", "verdict", "")
 
 
 @dataclass(frozen=True)
@@ -84,15 +61,14 @@ class Row:
 
     @property
     def question(self) -> str:
-        """The question that the row helps to answer."""
+        """What the row helps to judge: table, robot or policy."""
         return {"model": "robot", "policy": "policy"}.get(self.check, "table")
 
-    @property
-    def cells(self) -> tuple[str, ...]:
-        """The line in a table."""
+    def cells(self, width: int) -> tuple[str, ...]:
+        """The line in a table whose details are so wide."""
         error = "-" if self.error is None else f"{self.error:.2g} {self.unit}".rstrip()
         tolerance = "-" if self.tolerance is None else f"{self.tolerance:.1g}"
-        return self.name, error, tolerance, self.excited, self.verdict, self.detail
+        return self.name, error, tolerance, self.excited, self.verdict, self.detail.ljust(width)
 
 
 @dataclass(frozen=True)
@@ -104,8 +80,6 @@ class Report:
         robot: Path of the robot file.
         table: Path of the representation table.
         states: States audited.
-        coverage: What happened in them: "kicks" -> number of states, ...
-        seconds: How long it took.
         rows: One a field, term, joint, ...
         but_for: Observation fields and joints that the method excludes from the symmetry.
     """
@@ -114,75 +88,48 @@ class Report:
     robot: str
     table: str
     states: int
-    coverage: dict[str, int] = field(default_factory=dict)
-    seconds: float = 0.0
     rows: tuple[Row, ...] = ()
     but_for: tuple[str, ...] = ()
-
-    def failures(self, question: str) -> list[Row]:
-        """Rows that say no to a question, in order."""
-        return [row for row in self.rows if row.failed and row.question == question]
 
     @property
     def exit_code(self) -> int:
         """The sum of the bits of all questions whose answer is no."""
-        return sum(question.bit for name, question in QUESTIONS.items() if self.failures(name))
+        return sum(_NO[question][0] for question in {row.question for row in self.rows if row.failed})
 
     @property
     def verdicts(self) -> dict[str, str]:
-        """The answer to every question that was asked, in one line each."""
-        rows = {name: [row for row in self.rows if row.question == name] for name in QUESTIONS}
-        unproven = ", ".join(row.name for row in rows["table"] if row.verdict.endswith("excited"))
-        yes = {
-            "table": f"right; not proven, never or partly excited: {unproven}" if unproven else "right",
-            "robot": "symmetric",
-        }
-        for action in rows["policy"]:
-            claimed = "not claimed" if action.verdict == "measured" else "equivariant"
-            rest = f" but for: {', '.join(self.but_for)}" if self.but_for else ""
-            yes["policy"] = f"{claimed}{rest}; measured: {action.error:.2g} of {action.excited}"
-        failed = {name: self.failures(name) for name in QUESTIONS if rows[name]}
-        return {n: f"{QUESTIONS[n].no}: {_first(no)}" if no else yes[n] for n, no in failed.items()}
+        """The answer to every question that was asked, in one line each; the table's is the last."""
+        asked = {name: [row for row in self.rows if row.question == name] for name in reversed(_NO)}
+        return {name: self._verdict(name, rows) for name, rows in asked.items() if rows}
 
-    @property
-    def conclusion(self) -> str:
-        """One line: the first wrong entry of the table, whatever the robot is like, or all verdicts."""
-        wrong = self.failures("table")
-        return _first(wrong) if wrong else "; ".join(f"{q}: {text}" for q, text in self.verdicts.items())
+    def _verdict(self, question: str, rows: Sequence[Row]) -> str:
+        if failed := [row for row in rows if row.failed]:
+            more = f" (and {len(failed) - 1} more)" if len(failed) > 1 else ""
+            return f"{_NO[question][1]}: {failed[0].name}: {failed[0].detail or 'beyond tolerance'}{more}"
+        if question == "policy":
+            claimed = "not claimed" if rows[0].verdict == "measured" else "equivariant"
+            rest = f" but for: {', '.join(self.but_for)}" if self.but_for else ""
+            return f"{claimed}{rest}; measured: {rows[0].error:.2g} of {rows[0].excited}"
+        unproven = ", ".join(row.name for row in rows if row.verdict.endswith("excited"))
+        right = "right" if question == "table" else "symmetric"
+        return f"{right}; not proven, never or partly excited: {unproven}" if unproven else right
 
     def as_json(self) -> dict[str, Any]:
         """The report as plain data; infinities become null."""
         head = to_jsonable_python(self, inf_nan_mode="null")
-        rows, answers = head.pop("rows"), ("verdicts", "exit_code", "conclusion")
-        return {**head, "passed": not self.exit_code, **{k: getattr(self, k) for k in answers}, "rows": rows}
+        found = {"verdicts": self.verdicts, "exit_code": self.exit_code, "rows": head.pop("rows")}
+        return {**head, "passed": not self.exit_code, **found}
 
     def lines(self) -> Iterator[str]:
         """The report for people."""
         yield f"audit of {self.task}: robot {self.robot}, table {self.table}"
-        happened = ", ".join(f"{count} {what}" for what, count in self.coverage.items())
         if self.but_for:
             excluded = ", ".join(self.but_for)
             yield f"the method's symmetry: equivariant but for: {excluded} (zero in check 6)"
-        yield f"{self.states} states in {self.seconds:.0f} s: {happened}"
-        for question, verdict in self.verdicts.items():
-            yield f"\n{QUESTIONS[question].heading}"
-            for check, title in CHECKS.items():
-                cells = [row.cells for row in self.rows if row.check == check and row.question == question]
-                if cells:
-                    width = max(len(detail) for *_, detail in cells)
-                    cells = [(*others, detail.ljust(width)) for *others, detail in cells]
-                    header = ("", _ERROR.get(check, "worst error"), "tolerance", "excited", "verdict", "")
-                    yield "\n" + render_block(title, header, [cells], None)
-            yield f"\n{question}: {verdict}"
-        yield f"\n{self.conclusion}"
-
-
-def _first(failures: Sequence[Row]) -> str:
-    """The first of the rows that fail, in plain words, and how many others do."""
-    first, others = failures[0], len(failures) - 1
-    more = f" (and {others} more)" if others else ""
-    return f"{first.name}: {first.detail or 'beyond tolerance'}{more}"
-
-
-_ERROR = {"dynamics": "99 % below"}
-"""What the column of errors has, where it is not the worst error."""
+        yield f"{self.states} states"
+        for check, title in CHECKS.items():
+            if rows := [row for row in self.rows if row.check == check]:
+                width = max(len(row.detail) for row in rows)
+                yield "\n" + render_block(title, _HEADER, [[row.cells(width) for row in rows]], None)
+        yield ""
+        yield from (f"{question}: {verdict}" for question, verdict in self.verdicts.items())

@@ -19,7 +19,8 @@ _TOLERANCE = 1e-4
 """Of float32 numbers, relative to a channel's largest."""
 _SLACK = 0.03
 """Share of states in which a channel may differ: MuJoCo's contacts do not mirror to the last digit."""
-_MOTION = 1e-4
+_MOTION, _ODD = 1e-4, 0.2
+"""Relative velocity error of a step that mirrors, and share of steps that may not."""
 Arrays = dict[str, np.ndarray]
 """Observations by group, [N, width] each."""
 
@@ -45,28 +46,23 @@ class View:
 
     def judge(self, given: np.ndarray) -> Iterator[str]:
         """What is wrong with a mirror's images [N, d], a line a channel."""
-        off = np.abs(given - self.image)
         tolerance = _TOLERANCE * np.maximum(1e-2, np.abs(self.source).max(axis=0, initial=0.0))
-        wrong = ~(off <= tolerance) & ~np.isnan(self.image)
+        wrong = ~(np.abs(given - self.image) <= tolerance) & ~np.isnan(self.image)
         for i in np.flatnonzero(wrong.mean(axis=0) > _SLACK):
             rows = wrong[:, i]
             where = "" if rows.all() else f" in {rows.sum()} of {_STATES} rows"
-            yield (
-                f"{self.names[i]}: the mirror gives {self._words(given[rows, i], rows)}{where}; "
-                f"right: {self._words(self.image[:, i], slice(None))}"
-            )
+            found, right = self._words(given[rows, i], rows), self._words(self.image[:, i])
+            yield f"{self.names[i]}: the mirror gives {found}{where}; right: {right}"
 
-    def _words(self, y: np.ndarray, rows: Any) -> str:
+    def _words(self, y: np.ndarray, rows: Any = slice(None)) -> str:
         """A channel's values by the channel that they are read from: "-policy[3] + 0.03"."""
         if np.ptp(y) < 1e-9:
             return f"{y[0]:.3g} in every state"
-        found = _affine(self.source[rows], y) if len(y) > 3 else None
-        if found is None:
+        if len(y) <= 3 or (found := _affine(self.source[rows], y)) is None:
             return "no multiple of one channel"
         column, factor, offset = found
-        size = "" if abs(factor) == 1.0 else f"{abs(factor):.4g} x "
-        shift = f" {'-' if offset < 0 else '+'} {abs(offset):.3g}" if abs(offset) > 2e-4 else ""
-        return f"{'-' if factor < 0 else ''}{size}{self.names[column]}{shift}"
+        size = "-" if factor == -1.0 else "" if factor == 1.0 else f"{factor:.4g} x "
+        return f"{size}{self.names[column]}" + (f" {offset:+.3g}" if abs(offset) > 2e-4 else "")
 
 
 @dataclass(frozen=True)
@@ -121,38 +117,33 @@ def check_mirror(
     Raises:
         KickbenchError: The model cannot be read, or the functions do not have these forms.
     """
-    twins, notes = read_twins(Path(model)), []
+    twins, notes = read_twins(Path(model)), list[str]()
     actions = np.random.default_rng(0).normal(size=(_STATES, twins.model.nu)).astype(np.float32)
     views = {"actions": _acted(twins, actions, notes)}
     if observe is not None:
         views |= _observed(twins, observe, group, views["actions"], period, notes)
     given = _call(mirror, env, {name: view.source for name, view in views.items()})
-    findings = _shape_faults(views, given)
-    if not findings:
+    if not (findings := _shape_faults(views, given)):
         copies = range(_STATES, len(given["actions"]), _STATES)
         images = [{name: given[name][k : k + _STATES] for name in views} for k in copies]
+        wrong = [[line for name, view in views.items() for line in view.judge(im[name])] for im in images]
         # Of several images, that which is most nearly the reflection.
-        findings, image = min(
-            (([line for n, view in views.items() for line in view.judge(part[n])], part) for part in images),
-            key=lambda found: len(found[0]),
-        )
-        findings = findings or _motion(twins, actions, image["actions"])
+        best = min(range(len(images)), key=lambda k: len(wrong[k]))
+        findings = wrong[best] or _motion(twins, actions, images[best]["actions"])
     return MirrorReport(tuple(findings), tuple(notes), sum(int(view.known.sum()) for view in views.values()))
 
 
 def _acted(twins: Twins, actions: np.ndarray, notes: list[str]) -> View:
     """How actions mirror: the images of the controls, through the default targets and scales."""
-    matches = twins.derivation.actuators
-    places = {match.name: i for i, match in enumerate(matches)}
-    images = np.full(actions.shape, np.nan)
+    matches, images = twins.derivation.actuators, np.full(actions.shape, np.nan)
+    names = [match.name for match in matches]
+    notes += [f"action {match.name}: {match.reason}" for match in matches if match.partner is None]
     for i, match in enumerate(matches):
-        if match.partner is None:
-            notes.append(f"action {match.name}: {match.reason}")
-            continue
-        j = places[match.partner]
-        control = match.sign * (twins.default[j] + twins.scale[j] * actions[:, j])
-        images[:, i] = (control - twins.default[i]) / twins.scale[i]
-    return View(list(places), actions, images)
+        if match.partner is not None:
+            j = names.index(match.partner)
+            control = match.sign * (twins.default[j] + twins.scale[j] * actions[:, j])
+            images[:, i] = (control - twins.default[i]) / twins.scale[i]
+    return View(names, actions, images)
 
 
 def _observed(
@@ -164,8 +155,7 @@ def _observed(
     notes: list[str],
 ) -> dict[str, View]:
     """Observations of physical states and of their mirror images."""
-    rows: list[tuple[Arrays, ...]] = []
-    states: list[np.ndarray] = []
+    rows, states, found = list[tuple[Arrays, ...]](), list[np.ndarray](), dict[str, View]()
 
     def vectors(model: Any, data: Any) -> Arrays:
         seen = observe(model, data)
@@ -173,27 +163,28 @@ def _observed(
         return {name: np.array(vector, dtype=np.float32).ravel() for name, vector in groups.items()}
 
     try:
-        for original, image in twins.states(
-            actions.source, np.nan_to_num(actions.image), (period or 0.0) / 2.0
-        ):
+        pairs = twins.states(actions.source, np.nan_to_num(actions.image), (period or 0.0) / 2.0)
+        for original, image in pairs:
             states.append(np.concatenate([original.qpos, original.qvel]))
             seen = vectors(twins.model, original)
             original.time += 0.37
             rows.append((seen, vectors(twins.image, image), vectors(twins.model, original)))
     except (TypeError, ValueError, LookupError, AttributeError) as error:
         raise KickbenchError(f"observe: {type(error).__name__}: {error}") from None
-    found, labels = {}, twins.labels
     for name in rows[0][0]:
         source, image, later = (np.stack([row[k][name] for row in rows]) for k in range(3))
-        channels = [f"{name}[{i}]" for i in range(source.shape[1])]
-        for i, channel in enumerate(channels):
-            if period is None and (source[:, i] != later[:, i]).any():
-                notes.append(f"{channel}: it depends on data.time; --period says how long a gait takes")
-                image[:, i] = np.nan
-            elif (same := _affine(np.stack(states), source[:, i])) and same[1] == 1.0:
-                channels[i] = f"{channel} ({labels[same[0]]})"
-        found[name] = View(channels, source, image)
+        names = [_channel(f"{name}[{i}]", column, states, twins) for i, column in enumerate(source.T)]
+        clocks = np.flatnonzero((source != later).any(axis=0) & (period is None)).tolist()
+        notes += [f"{names[i]}: it depends on data.time; --period says how long a gait takes" for i in clocks]
+        image[:, clocks] = np.nan
+        found[name] = View(names, source, image)
     return found
+
+
+def _channel(name: str, values: np.ndarray, states: list[np.ndarray], twins: Twins) -> str:
+    """The name of an observation's channel, with the coordinate that it is but for an offset."""
+    same = _affine(np.stack(states), values)
+    return f"{name} ({twins.labels[same[0]]})" if same and same[1] == 1.0 else name
 
 
 # The mirror, and what comes back of it
@@ -202,7 +193,7 @@ def _observed(
 def _call(mirror: Callable[..., Any], env: Any, batch: Arrays) -> Arrays:
     """Calls a mirror as rsl_rl does, with a TensorDict or, where it takes none, with a tensor."""
     tensors = {name: torch.from_numpy(array.copy()) for name, array in batch.items()}
-    actions, reasons = tensors.pop("actions"), []
+    actions, reasons = tensors.pop("actions"), list[str]()
     options: list[Any] = [TensorDict(tensors, batch_size=[_STATES])] if tensors else [None]
     for obs in (*options, *(tensors.values() if len(tensors) == 1 else ())):
         try:
@@ -210,8 +201,8 @@ def _call(mirror: Callable[..., Any], env: Any, batch: Arrays) -> Arrays:
             found = {} if seen is None else seen
             if isinstance(seen, torch.Tensor):
                 found = {next(iter(tensors)): seen}
-            arrays = [*found.items(), ("actions", acted)]
-            return {name: array.detach().double().numpy() for name, array in arrays}
+            arrays = {**found, "actions": acted}
+            return {name: array.detach().double().numpy() for name, array in arrays.items()}
         except Exception as error:  # it may raise anything
             reasons.append(" ".join(f"{type(error).__name__}: {error}".split())[:200])
     hint = "" if tensors else "; without observations it gets obs=None: --observe says what they are"
@@ -227,9 +218,7 @@ def _shape_faults(views: Mapping[str, View], given: Arrays) -> list[str]:
         if shape != (rows, width) or rows % _STATES or rows < 2 * _STATES:
             return [f"{name}: expected shape ({2 * _STATES}, {width}), found {shape}"]
         if not np.array_equal(given[name][:_STATES], view.source):
-            return [
-                f"{name}: the first {_STATES} rows are not the originals, which come first, in their order"
-            ]
+            return [f"{name}: expected the {_STATES} originals first, in their order"]
     return []
 
 
@@ -237,11 +226,9 @@ def _motion(twins: Twins, actions: np.ndarray, images: np.ndarray) -> list[str]:
     """Steps states under actions, and their images under the mirror's."""
     if twins.derivation.unclear:
         return []
-    errors = np.array([twins.motion_error(*pair) for pair in twins.states(actions, images, 0.0)])
-    off = errors > _MOTION
-    if off.mean() <= 0.2:
-        return []
-    return [f"dynamics: {off.sum()} of {_STATES} states move otherwise under mirrored actions"]
+    off = [twins.motion_error(*pair) > _MOTION for pair in twins.states(actions, images, 0.0)]
+    what = f"dynamics: {sum(off)} of {_STATES} states move otherwise under mirrored actions"
+    return [what] if np.mean(off) > _ODD else []
 
 
 def _affine(source: np.ndarray, y: np.ndarray) -> tuple[int, float, float] | None:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from kickbench.audit.findings import Row
 from kickbench.config.terms import RandomizationParams
@@ -20,8 +22,9 @@ Comparison = tuple[float, str]
 """Relative difference of a quantity from that of the mirror image, and the difference in words."""
 _TOLERANCE = 1e-5
 """Relative; model files round to six or seven digits."""
-_POSITIONS = ("jnt_range", "qpos0", "qpos_spring")
-"""Figures in rad or m."""
+_GEOMETRY = {"body": "centre inertia", "joint": "axis anchor", "geom": "place extent", "site": "place"}
+"""What is compared of a part's geometry, as it is given in the frame of the robot's first body."""
+_LENGTHS = {"place": "place", "centre": "centre of mass", "anchor": "anchor"}
 
 
 def derive_scene(task: CompiledTask) -> Derivation:
@@ -31,7 +34,19 @@ def derive_scene(task: CompiledTask) -> Derivation:
 
 def model_rows(task: CompiledTask, derivation: Derivation) -> Iterator[Row]:
     """Rows of bodies, joints, actuators, soles, contact exclusions and randomisation."""
-    yield from _Comparer(task, derivation).rows()
+    comparer, shown = _Comparer(task, derivation), {"actuator": "servo ", "site": "site "}
+    for kind, (parts, matches) in derivation.groups.items():
+        places = {match.name: place for place, match in enumerate(matches)}
+        for index, match in enumerate(matches):
+            is_second = match.partner is not None and places[match.partner] < index
+            is_sole = kind != "site" or match.name.startswith("kickbench_")
+            if kind != "geom" and is_sole and not is_second and getattr(parts[index], "kind", "") != "free":
+                names = [match.name] if match.partner in (None, match.name) else [match.name, match.partner]
+                name = shown.get(kind, "") + ", ".join(names).replace("kickbench_", "")
+                yield _row(name, comparer.differences(kind, index, match))
+    yield comparer.exclusions()
+    for what in derivation.parts.left_out:
+        yield Row("model", what, "not compared", detail="the audit does not know how they mirror")
     yield from _randomization_rows(task)
 
 
@@ -51,83 +66,65 @@ class _Comparer:
     """Compares every part of a robot with what stands in its place in the mirror image of the model."""
 
     def __init__(self, task: CompiledTask, derivation: Derivation) -> None:
-        self.model, self.layout, self.derivation = task.scene.model, task.scene.layout, derivation
-        self.image = mirror_image(self.model, derivation)
-        self.here, self.there = derivation.parts, read_parts(self.image, ROBOT)
+        self.model, self.layout, self.here = task.scene.model, task.scene.layout, derivation.groups
+        self.image, self.size = mirror_image(self.model, derivation), derivation.parts.size
+        self.there = replace(derivation, parts=read_parts(self.image, ROBOT)).groups
 
-    def rows(self) -> Iterator[Row]:
-        found, here = self.derivation, self.here
-        for place, match in _speakers(found.bodies):
-            yield _row(_orbit(match), match, self._body(place, match))
-        for place, match in _speakers(found.joints):
-            if here.joints[place].kind != "free":
-                yield _row(_orbit(match), match, self._joint(place))
-        for place, match in _speakers(found.actuators):
-            yield _row(f"servo {_orbit(match)}", match, self._servo(place, match))
-        for place, match in _speakers(found.sites):
-            if match.name.startswith("kickbench_"):
-                apart = self._apart("place", here.sites[place].place - self.there.sites[place].place, match)
-                yield _row(f"site {_orbit(match)}".replace("kickbench_", ""), match, [apart])
-        yield self._exclusions()
-        for what in here.left_out:
-            yield Row("model", what, "not compared", detail="the audit does not know how they mirror")
-
-    def _body(self, place: int, match: Match) -> Iterator[Comparison]:
-        mine, theirs = self.here.bodies[place], self.there.bodies[place]
-        if not mine.mass:  # where the frame of a body with mass lies is a matter of drawing
-            yield self._apart("place", mine.place - theirs.place, match)
-        yield from self._figures("body", mine.row)
-        yield self._apart("centre of mass", mine.centre - theirs.centre, match)
-        yield _share("inertia", mine.inertia, theirs.inertia)
-        for index, shape in enumerate(self.here.shapes):
-            if shape.body == mine.body and shape.touches:
-                yield from ((error, f"{shape.name}: {words}") for error, words in self._shape(index))
-
-    def _shape(self, place: int) -> Iterator[Comparison]:
-        mine, theirs = self.here.shapes[place], self.there.shapes[place]
-        match = self.derivation.shapes[place]
+    def differences(self, kind: str, index: int, match: Match) -> Iterator[Comparison]:
+        """What a part and its image differ in; of a body, its shapes too."""
         if match.partner is None:
-            yield np.inf, "it has no mirror image"
+            yield np.inf, match.reason
             return
-        yield self._apart("place", mine.place - theirs.place, match)
-        yield _share("extent", mine.extent, theirs.extent)
-        yield from self._figures("geom", mine.row)
+        mine, theirs = (groups[kind][0][index] for groups in (self.here, self.there))
+        names = _GEOMETRY.get(kind, "").split()
+        # Where the frame of a body with mass lies is a matter of drawing.
+        if kind == "body" and not mine.mass:
+            names.append("place")
+        for name in names:
+            yield self._geometry(name, mine, theirs, match)
+        yield from self._figures(kind, mine.row)
+        if kind == "actuator":
+            yield from self._action(index, match)
+        elif kind == "body":
+            yield from self._shapes(mine.body)
 
-    def _joint(self, place: int) -> Iterator[Comparison]:
-        mine, theirs = self.here.joints[place], self.there.joints[place]
-        yield _share("axis", mine.axis, theirs.axis)
-        if mine.kind == "hinge":  # the anchor of a slide has no effect, nor that of a hinge along its axis
-            apart = mine.anchor - theirs.anchor
-            across = float(np.linalg.norm(apart - (apart @ mine.axis) * mine.axis))
-            yield across / self.here.size, f"anchor {1000 * across:.3g} mm"
-        factor, unit = (180.0 / math.pi, "degrees") if mine.kind == "hinge" else (1.0, "m")
-        yield from self._figures("jnt", mine.row, factor, unit)
-        yield from self._figures("qpos", self.model.jnt_qposadr[mine.row], factor, unit)
-        yield from self._figures("dof", self.model.jnt_dofadr[mine.row])
+    def _figures(self, kind: str, row: int) -> Iterator[Comparison]:
+        """What the arrays of the two models say of a part."""
+        model, rows = self.model, {kind: row}
+        if kind == "joint":
+            rows = {"jnt": row, "qpos": model.jnt_qposadr[row], "dof": model.jnt_dofadr[row]}
+        for prefix, place in rows.items():
+            for name in FIGURES.get(prefix, "").split():
+                values = (getattr(of, name)[place] for of in (model, self.image))
+                yield _against(name.partition("_")[2] or name, *values, least=float(prefix == "qpos"))
 
-    def _servo(self, place: int, match: Match) -> Iterator[Comparison]:
-        """The actuator, and what the robot file says of its action."""
-        yield from self._figures("actuator", place)
-        partner = place if match.partner is None else self.layout.actuator_names.index(match.partner)
+    def _geometry(self, name: str, mine: Any, theirs: Any, match: Match) -> Comparison:
+        apart = getattr(mine, name) - getattr(theirs, name)
+        if name == "anchor":  # that of a slide has no effect, nor that of a hinge along its axis
+            apart = (apart - (apart @ mine.axis) * mine.axis) * (mine.kind == "hinge")
+        error = float(np.abs(apart).max())
+        if name not in _LENGTHS:
+            share = error / max(*(np.abs(getattr(part, name)).max() for part in (mine, theirs)), 1e-12)
+            return share, f"{name} {100 * share:.2g} %"
+        if match.partner == match.name and name != "anchor":
+            return error / self.size, f"{_LENGTHS[name]} {500 * error:.3g} mm off the mirror plane"
+        return error / self.size, f"{_LENGTHS[name]} {1000 * error:.3g} mm"
+
+    def _shapes(self, body: int) -> Iterator[Comparison]:
+        for index, (shape, match) in enumerate(zip(*self.here["geom"], strict=True)):
+            if shape.body == body and shape.touches:
+                found = self.differences("geom", index, match)
+                yield from ((error, f"{shape.name}: {words}") for error, words in found)
+
+    def _action(self, place: int, match: Match) -> Iterator[Comparison]:
+        """What the robot file says of a servo's action."""
+        partner = self.layout.actuator_names.index(match.partner)
         target, scale = self.layout.default_target, self.layout.action_scale
         yield _against("default target", target[place], match.sign * target[partner], 1.0)
         yield _against("action scale", scale[place], scale[partner])
 
-    def _figures(self, kind: str, row: int, factor: float = 1.0, unit: str = "") -> Iterator[Comparison]:
-        """What the model's arrays say of a part and of its image; angles and lengths in the given unit."""
-        for name in FIGURES[kind].split():
-            mine, theirs = (np.ravel(getattr(model, name)[row]) for model in (self.model, self.image))
-            words, least = name.partition("_")[2] or name, float(kind == "qpos")
-            in_unit = (factor, unit) if name in _POSITIONS else (1.0, "")
-            yield _against(words, mine, theirs, least, *in_unit)
-
-    def _apart(self, name: str, apart: np.ndarray, match: Match) -> Comparison:
-        error = float(np.abs(apart).max())
-        if match.partner == match.name:
-            return error / self.here.size, f"{name} {1000 * error / 2:.3g} mm off the mirror plane"
-        return error / self.here.size, f"{name} {1000 * error:.3g} mm"
-
-    def _exclusions(self) -> Row:
+    def exclusions(self) -> Row:
+        """Contact exclusions whose mirror image is not among them."""
         odd = set(self.model.exclude_signature.tolist()) - set(self.image.exclude_signature.tolist())
         bodies = [self.model.body(body).name.removeprefix(ROBOT) for body in range(self.model.nbody)]
         names = [f"{bodies[pair >> 16]} and {bodies[pair & 0xFFFF]}" for pair in sorted(odd)]
@@ -136,39 +133,16 @@ class _Comparer:
         return Row("model", "contact exclusions", verdict, float(len(odd)), 0.0, "pairs", detail=detail)
 
 
-def _against(
-    name: str, mine: np.ndarray, theirs: np.ndarray, least: float = 0.0, factor: float = 1.0, unit: str = ""
-) -> Comparison:
-    """The number that differs most and what it would be in the mirror: "range -120 against -110 degrees"."""
-    mine, theirs = np.ravel(mine).astype(float), np.ravel(theirs).astype(float)
-    off, size = np.abs(mine - theirs), max(np.abs(mine).max(), np.abs(theirs).max(), least)
-    place = int(off.argmax())
-    words = f"{name} {factor * mine[place]:.5g} against {factor * theirs[place]:.5g} {unit}".rstrip()
-    return float(off[place] / (size or 1.0)), words
+def _against(name: str, mine: ArrayLike, theirs: ArrayLike, least: float = 0.0) -> Comparison:
+    """The number that differs most and what it would be in the mirror: "range -2.1 against -1.9"."""
+    both = np.array([np.ravel(mine), np.ravel(theirs)], dtype=float)
+    off = np.abs(both[0] - both[1])
+    place, size = int(off.argmax()), max(np.abs(both).max(), least)
+    return float(off[place] / (size or 1.0)), f"{name} {both[0, place]:.5g} against {both[1, place]:.5g}"
 
 
-def _share(name: str, mine: np.ndarray, theirs: np.ndarray) -> Comparison:
-    """The difference of two vectors or tensors relative to their size."""
-    relative = float(np.abs(mine - theirs).max() / max(np.abs(mine).max(), np.abs(theirs).max(), 1e-12))
-    return relative, f"{name} {100 * relative:.2g} %"
-
-
-def _speakers(matches: Sequence[Match]) -> Iterator[tuple[int, Match]]:
-    """Places of the parts in the model's order; of a pair only the first."""
-    places = {match.name: place for place, match in enumerate(matches)}
-    for place, match in enumerate(matches):
-        if match.partner is None or place <= places[match.partner]:
-            yield place, match
-
-
-def _row(name: str, match: Match, compared: Iterable[Comparison]) -> Row:
-    if match.partner is None:
-        return Row("model", name, "unequal", np.inf, _TOLERANCE, detail=match.reason)
+def _row(name: str, compared: Iterable[Comparison]) -> Row:
     ranked = sorted(compared, reverse=True)
     bad = [words for relative, words in ranked if relative > _TOLERANCE]
     detail = "; ".join(bad[:3]) + (f"; {len(bad) - 3} more" if len(bad) > 3 else "")
     return Row("model", name, "unequal" if bad else "ok", ranked[0][0], _TOLERANCE, detail=detail)
-
-
-def _orbit(match: Match) -> str:
-    return match.name if match.partner in (None, match.name) else f"{match.name}, {match.partner}"

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
-from functools import cached_property
-from typing import NamedTuple
+from functools import cached_property, partial
+from itertools import islice
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from kickbench.audit.fit import misfits
-from kickbench.audit.states import VariedActions, VariedInitialStates, vary_episodes
+from kickbench.audit.states import varied_actions, vary_episodes
 from kickbench.envs.compiled_task import CompiledTask
 from kickbench.envs.engines import make_engine
 from kickbench.envs.env import KickEnv
@@ -33,6 +35,7 @@ _KINDS = 24
 """Number of envs that combines every kind of initial state with every kind of action."""
 _LYING = 15
 """Steps for which envs of one kind go on after their episode's end."""
+_MOTION, _TERMS = ("velocity", "contact", "force"), ("observation", "reward", "termination")
 
 
 class Reflection(NamedTuple):
@@ -84,14 +87,13 @@ def mirrored_layout(task: CompiledTask, reflection: Reflection) -> CompiledTask:
     """
     model, layout, actions = task.scene.model, task.scene.layout, reflection.actions.representation
     of_action = list(actions.permutation)
-    joints = [model.joint(ROBOT + name).id for name in layout.joint_names]
     image = replace(
         layout,
         default_qpos=reflection.qpos.representation.mirror(layout.default_qpos),
         default_target=actions.mirror(layout.default_target),
         action_scale=layout.action_scale[of_action],
         servos=Servo(*(values[of_action] for values in layout.servos)),
-        joint_range=joint_ranges(model, joints),
+        joint_range=joint_ranges(model, [model.joint(ROBOT + name).id for name in layout.joint_names]),
     )
     return replace(task, scene=replace(task.scene, layout=image))
 
@@ -101,40 +103,37 @@ class Pairs:
     """A quantity in every state and in every state's mirror image; filled step by step, then read.
 
     Attributes:
+        kind: "observation", "reward" (unweighted) or "termination" of a state; "velocity", "contact" or
+            "force" one step later, the original's already reflected.
         name: What it is.
         unit: Its unit; empty if it has none.
+        read: Reads it from the view of a state, or from a snapshot one step later.
         groups: Observation groups that have it.
-        bound: The term that it is the value of.
+        stated: How its term says that it mirrors.
     """
 
+    kind: str
     name: str
-    unit: str = ""
+    unit: str
+    read: Callable[[Any], Tensor]
     groups: tuple[str, ...] = ()
-    bound: Bound | None = None
+    stated: str = ""
     _rows: list[Tensor] = field(default_factory=list, repr=False)
 
-    def add(self, original: Tensor, image: Tensor, keep: Tensor) -> None:
-        """Adds the rows of the envs in `keep` [B]."""
-        self._rows.append(torch.stack([original[keep], image[keep]]))
+    def add(self, original: Any, image: Any, keep: Tensor) -> None:
+        """Reads it from a state and its image, and adds the rows of the envs in `keep` [B]."""
+        self._rows.append(torch.stack([self.read(subject)[keep] for subject in (original, image)]))
 
     @cached_property
-    def _both(self) -> np.ndarray:
-        return torch.cat(self._rows, dim=1).double().numpy()
-
-    @property
-    def original(self) -> np.ndarray:
-        """Of the states [N, ...], float64."""
-        return self._both[0]
-
-    @property
-    def image(self) -> np.ndarray:
-        """Of their mirror images [N, ...], float64."""
-        return self._both[1]
+    def both(self) -> np.ndarray:
+        """Of the states and of their mirror images [2, N, d], float64."""
+        rows = torch.cat(self._rows, dim=1).double().numpy()
+        return rows[..., None] if rows.ndim == 2 else rows
 
     @cached_property
     def misfit(self) -> np.ndarray:
-        """How badly every signed permutation's entries fit; see `measure.misfits`."""
-        return misfits(self.original, self.image)
+        """How badly every signed permutation's entries fit; see `fit.misfits`."""
+        return misfits(*self.both)
 
 
 @dataclass
@@ -144,42 +143,30 @@ class Recording:
     Attributes:
         task: The task.
         reflection: What states were mirrored with; their images are states of the mirror image of the model.
-        fields: Observation fields.
-        rewards: Reward terms, unweighted.
-        terminations: Termination terms, as 0 and 1.
-        touches: Contact channels one step later: whether anything touched; the original's already reflected.
-        forces: Force channels one step later, summed over their parts [N, 3]; the original's already
-            reflected.
-        velocity: Velocities one step later, the original's [N, nv] and the image's.
-        coverage: What happened: "with ball contact" -> number of states.
+        pairs: What was recorded.
     """
 
     task: CompiledTask
     reflection: Reflection
-    fields: tuple[Pairs, ...]
-    rewards: tuple[Pairs, ...]
-    terminations: tuple[Pairs, ...]
-    touches: tuple[Pairs, ...]
-    forces: tuple[Pairs, ...]
-    velocity: Pairs = field(default_factory=lambda: Pairs("velocity"))
-    coverage: dict[str, int] = field(default_factory=dict)
+    pairs: tuple[Pairs, ...]
 
-    def count(self, what: str, mask: Tensor) -> None:
-        """Counts states in which something happened."""
-        self.coverage[what] = self.coverage.get(what, 0) + int(mask.sum())
+    def of(self, *kinds: str) -> list[Pairs]:
+        """What was recorded of some kinds."""
+        return [pairs for pairs in self.pairs if pairs.kind in kinds]
 
     @property
     def states(self) -> int:
         """Number of states."""
-        return len(self.velocity.original)
+        return self.of("velocity")[0].both.shape[1]
 
     def group(self, name: str) -> Tensor:
         """Exact observations of a group in every state [N, width], float32."""
-        of_group = {pairs.name: pairs for pairs in self.fields if name in pairs.groups}
-        columns = [of_group[f.name].original for f in self.task.groups[name]]
+        of_group = {pairs.name: pairs.both[0] for pairs in self.pairs if name in pairs.groups}
+        columns = [of_group[item.name] for item in self.task.groups[name]]
         return torch.as_tensor(np.concatenate(columns, axis=1), dtype=torch.float32)
 
 
+@torch.inference_mode()
 def record(
     task: CompiledTask,
     derivation: Derivation,
@@ -198,108 +185,95 @@ def record(
         threads: Physics threads.
         policy: Drives half of the envs.
     """
-    with torch.inference_mode(), torch_threads(1):
-        return _Recorder(task, derivation, states, seed, threads).run(states, policy)
+    recording = Recording(task, reflection_of(task, derivation), tuple(_quantities(task)))
+    envs = max(min(_ENVS, states // _STEPS), _KINDS)
+    with torch_threads(1):
+        recorder = _Recorder(recording, derivation, envs, seed, threads)
+        varied = varied_actions(envs, len(task.scene.layout.actuator_names), seed)
+        for actions in islice(varied, -(-states // envs)):
+            if policy is not None:
+                actions[::2] = policy(recorder.env.get_observations())[::2]
+            recorder.step(actions)
+    return recording
 
 
 class _Recorder:
+    """Two environments, of a task and of its mirror image, that show the same instant before every step."""
+
     def __init__(
-        self, task: CompiledTask, derivation: Derivation, states: int, seed: int, threads: int | None
+        self, recording: Recording, derivation: Derivation, envs: int, seed: int, threads: int | None
     ) -> None:
-        self.task, self.reflection = task, reflection_of(task, derivation)
-        twins = [
-            replace(task, scene=replace(task.scene, model=model))
-            for model in twin_models(task.scene.model, derivation)
-        ]
-        twins[1] = mirrored_layout(twins[1], self.reflection)
-        layout = task.scene.layout
-        self.recording = Recording(
-            task,
-            self.reflection,
-            fields=_field_pairs(task),
-            rewards=tuple(Pairs(bound.name, _unit(bound), bound=bound) for bound, _ in task.rewards),
-            terminations=tuple(Pairs(bound.name, bound=bound) for bound in task.terminations),
-            touches=tuple(map(Pairs, layout.contacts)),
-            forces=tuple(Pairs(name, "N") for name in layout.forces),
-        )
-        actions = len(layout.actuator_names)
-        envs = max(min(_ENVS, states // _STEPS), _KINDS)
-        initial = VariedInitialStates(task, seed)
+        self.recording, self.task, self.reflection = recording, recording.task, recording.reflection
+        scene, models = self.task.scene, twin_models(self.task.scene.model, derivation)
+        original, image = (replace(self.task, scene=replace(scene, model=model)) for model in models)
         self.env, self.other = (
-            KickEnv(
-                twin, make_engine(twin, envs, num_threads=threads), seed, noise=False, initial_states=initial
-            )
-            for twin in twins
+            KickEnv(twin, make_engine(twin, envs, num_threads=threads), seed, noise=False)
+            for twin in (original, mirrored_layout(image, self.reflection))
         )
-        self.actions = VariedActions(envs, actions, seed)
         self.draws = torch.Generator().manual_seed(seed)
         # Thrown robots are followed until they lie on the floor.
         self.patience = torch.where(torch.arange(envs) % 4 == 3, _LYING, 0)
         self.over = torch.zeros(envs, dtype=torch.int64)
+        self._begin(torch.ones(envs, dtype=torch.bool))
 
-    def run(self, states: int, policy: Policy | None) -> Recording:
+    def step(self, actions: Tensor) -> None:
+        """One control step of all envs, and new episodes where they have ended."""
         env, other = self.env, self.other
-        self._begin(torch.ones(env.num_envs, dtype=torch.bool))
-        driven = (torch.arange(env.num_envs) % 2 == 0).unsqueeze(1)
-        for _ in range(-(-states // env.num_envs)):
-            actions = self.actions()
-            if policy is not None:
-                actions = torch.where(driven, policy(env.get_observations()), actions)
-            state = env.advance(actions)
-            other.advance(self.reflection.actions(actions))
-            keep = ~(env.engine.failed | other.engine.failed)
-            self._note_motion(keep)
-            # Terms are judged on exactly mirrored states, whatever error the dynamics made.
-            other.restore(self.reflection(env.snapshot()))
-            self._note_terms(state, other.state(), keep)
-            ended = torch.stack([bound(state) for bound in self.task.terminations], dim=1).any(dim=1)
-            self.recording.count("episode ends", ended & keep & (self.over == 0))
-            self.over = torch.where(ended, self.over + 1, 0)
-            self._begin((self.over > self.patience) | ~keep)
-        return self.recording
+        state = env.advance(actions)
+        other.advance(self.reflection.actions(actions))
+        keep = ~(env.engine.failed | other.engine.failed)
+        image = self.reflection(env.snapshot())
+        self._note(_MOTION, image, other.snapshot(), keep)
+        # Terms are judged on exactly mirrored states, whatever error the dynamics made.
+        other.restore(image)
+        self._note(_TERMS, state, other.state(), keep)
+        ended = torch.stack([bound(state) for bound in self.task.terminations], dim=1).any(dim=1)
+        self.over = torch.where(ended, self.over + 1, 0)
+        self._begin((self.over > self.patience) | ~keep)
 
     def _begin(self, mask: Tensor) -> None:
-        """New episodes in the envs in `mask` [B]; both environments show the same instant afterwards."""
         self.env.reset(mask)
         self.over = torch.where(mask, 0, self.over)
         self.env.restore(vary_episodes(self.env, self.env.snapshot(), mask, self.draws))
         self.other.restore(self.reflection(self.env.snapshot()))
 
-    def _note_motion(self, keep: Tensor) -> None:
-        here, there, recording = self.env.snapshot(), self.other.snapshot(), self.recording
-        recording.velocity.add(here.qvel, there.qvel, keep)
-        image = self.reflection(here)
-        for pairs in recording.touches:
-            touched = [(s.touches[pairs.name] > 0).any(dim=1, keepdim=True) for s in (image, there)]
-            pairs.add(touched[0], touched[1], keep)
-        for pairs in recording.forces:
-            pairs.add(image.forces[pairs.name].sum(dim=1), there.forces[pairs.name].sum(dim=1), keep)
-        if "push" in here:
-            recording.count("pushed", (here.push.wait < 0) & keep)
-
-    def _note_terms(self, state: State, image: State, keep: Tensor) -> None:
-        recording = self.recording
-        for pairs in (*recording.fields, *recording.rewards, *recording.terminations):
-            assert pairs.bound is not None
-            clip = getattr(pairs.bound.params, "clip", None)
-            values = [pairs.bound(view) for view in (state, image)]
-            values = values if clip is None else [value.clamp(*clip) for value in values]
-            pairs.add(values[0], values[1], keep)
-        recording.count("with ball contact", state.ball_contact & keep)
-        if "body_floor" in self.task.scene.layout.contacts:
-            recording.count("with the body on the floor", state.body_floor_contact & keep)
+    def _note(self, kinds: tuple[str, ...], original: Any, image: Any, keep: Tensor) -> None:
+        for pairs in self.recording.of(*kinds):
+            pairs.add(original, image, keep)
 
 
-def _field_pairs(task: CompiledTask) -> tuple[Pairs, ...]:
-    """One entry per field; a field that two groups have with different parameters has two."""
-    found: dict[str, Pairs] = {}
-    for group, fields in task.groups.items():
-        for item in fields:
-            key = f"{item.key} {item.params.clip}"
-            known = found.get(key) or Pairs(item.name, _unit(item.bound), (), item.bound)
-            found[key] = replace(known, groups=(*known.groups, group))
-    return tuple(found.values())
+def _quantities(task: CompiledTask) -> Iterator[Pairs]:
+    """Everything to record; a field that two groups have with different parameters comes twice."""
+    fields: dict[str, Pairs] = {}
+    for group, items in task.groups.items():
+        for item in items:
+            fresh = _term_pairs("observation", item.bound)
+            known = fields.setdefault(f"{item.key} {item.params.clip}", fresh)
+            known.groups = (*known.groups, group)
+    yield from fields.values()
+    yield from (_term_pairs("reward", bound) for bound, _ in task.rewards)
+    yield from (_term_pairs("termination", bound) for bound in task.terminations)
+    yield Pairs("velocity", "velocity", "", lambda snapshot: snapshot.qvel)
+    for name in task.scene.layout.contacts:
+        yield Pairs("contact", name, "", partial(_touched, name=name))
+    for name in task.scene.layout.forces:
+        yield Pairs("force", name, "N", partial(_force, name=name))
 
 
-def _unit(bound: Bound) -> str:
-    return "" if bound.term.units in ("1", "true/false") else bound.term.units
+def _term_pairs(kind: str, bound: Bound) -> Pairs:
+    unit = "" if bound.term.units in ("1", "true/false") else bound.term.units
+    stated = str(bound.term.representation)
+    return Pairs(kind, bound.name, unit, partial(_value, bound=bound), stated=stated)
+
+
+def _value(state: State, bound: Bound) -> Tensor:
+    value, clip = bound(state), getattr(bound.params, "clip", None)
+    return value if clip is None else value.clamp(*clip)
+
+
+def _touched(snapshot: Tensors, name: str) -> Tensor:
+    return (snapshot.touches[name] > 0).any(dim=1)
+
+
+def _force(snapshot: Tensors, name: str) -> Tensor:
+    return snapshot.forces[name].sum(dim=1)

@@ -6,17 +6,24 @@ valid on a machine whose speed drifts, absolute figures are not.
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import Literal
 
+import pandas as pd
 from pydantic import Field, NonNegativeInt, PositiveFloat, PositiveInt
-from rich.console import Console
-from rich.table import Table
 
 from kickbench.results.atomic import Record
 from kickbench.results.provenance import Provenance
 from kickbench.sim.engine import EngineLoad
 
-_MIB = 2**20
+_COLUMNS = {
+    "what": str,
+    "method": str,
+    "steps_per_second": "{:,.0f}".format,
+    "seconds": "{:.4f}".format,
+    "ratio": "{:.2f}".format,
+    "steps_per_cpu_second": "{:,.0f}".format,
+}
 
 
 class Timing(Record):
@@ -57,27 +64,11 @@ class BenchReport(Record):
 
 def print_report(report: BenchReport) -> None:
     """Prints a report as tables."""
-    console, origin = Console(highlight=False), report.provenance
-    where = f"{origin.device}, {origin.num_threads} threads"
-    console.print(f"{report.task} on {where}, {report.rounds} rounds", soft_wrap=True)
+    origin = report.provenance
+    print(f"{report.task} on {origin.device}, {origin.num_threads} threads, {report.rounds} rounds")
     for size in report.sizes:
-        console.print(f"\n{size.num_envs:,} envs: {', '.join(_remarks(size))}", soft_wrap=True)
-        table = Table(box=None, pad_edge=False)
-        table.add_column("", no_wrap=True)
-        for title in ("steps/s", "ms", "ratio", "steps/CPU s"):
-            table.add_column(title, justify="right", no_wrap=True)
-        for timing in size.timings:
-            name = f"{timing.what}, {timing.method}" if timing.method else timing.what
-            cpu = f"{timing.steps_per_cpu_second:,.0f}" if timing.steps_per_cpu_second else ""
-            rate, milliseconds = f"{timing.steps_per_second:,.0f}", f"{1e3 * timing.seconds:,.1f}"
-            table.add_row(name, rate, milliseconds, f"{timing.ratio:.2f}", cpu)
-        console.print(table)
-
-
-def _remarks(size: SizeFigures) -> list[str]:
-    remarks = [f"{name} {value / _MIB:,.0f} MiB" for name, value in size.memory.items()]
-    if (room := size.room) is not None:
-        remarks.append(f"contacts an env at most {room.contacts:.1f} of {room.contact_room}")
-        remarks.append(f"constraints at most {room.constraints} of {room.constraint_room}")
-        remarks.append(f"overflow in {room.short_share:.2%} of the control steps")
-    return remarks
+        remarks = [f"{name} {value / 2**20:,.0f} MiB" for name, value in size.memory.items()]
+        remarks += [f"{name} {value:.4g}" for name, value in asdict(size.room).items()] if size.room else []
+        print(f"\n{size.num_envs:,} envs: {', '.join(remarks)}")
+        table = pd.DataFrame([timing.model_dump() for timing in size.timings]).fillna({"method": ""})
+        print(table.to_string(index=False, columns=list(_COLUMNS), formatters=_COLUMNS, na_rep=""))

@@ -8,9 +8,9 @@ from __future__ import annotations
 import resource
 import sys
 import time
-from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from math import nan
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -36,13 +36,14 @@ from kickbench.trials.trial import Trial
 _STEPS_PER_ROUND = 10
 _WARM_STEPS = 60
 """Control steps before the first round: the envs are then at different places of their episodes."""
+_ORDER = ["physics alone", "environment", "rollout", "update", "iteration"]
 _EXPLORATION = 0.6
 """Standard deviation of the random actions of the environment's step."""
 _ROWS = 40
 """Rows of a profile."""
 
 
-class Iterations:
+class Iterations(Progress):
     """A training that advances by one iteration per call, and saves nothing."""
 
     def __init__(self, trial: Trial, device: str, threads: int, *, graph: bool = True) -> None:
@@ -55,25 +56,21 @@ class Iterations:
             graph: Whether steps are recorded as CUDA graphs, on devices that have them.
         """
         torch.manual_seed(0)
-        self.trial = trial
-        num_envs = trial.method.spec.algorithm.num_envs
-        env = KickEnv(trial.task, make_engine(trial.task, num_envs, device, num_threads=threads), 0)
+        algorithm, own = trial.method.spec.algorithm, update_threads(trial.method.spec, threads)
+        self.steps = algorithm.num_envs * algorithm.steps_per_env
+        env = KickEnv(trial.task, make_engine(trial.task, algorithm.num_envs, device, num_threads=threads), 0)
         history = RunHistory(trial.task.name, trial.method.name, 0, num_threads=threads)
-        self._last, own = _LastRecord(), update_threads(trial.method.spec, threads)
-        self.trainer = Trainer(trial, env, self._last, _Unkept(Path()), history, own, graph=graph)
+        self.trainer = Trainer(trial, env, self, _Unkept(Path()), history, own, graph=graph)
 
     def __call__(self) -> Record:
         """Makes the next iteration."""
         if self.trainer.train(self.trainer.iteration + 1).interrupted:
             raise KeyboardInterrupt
-        return self._last.record
-
-
-class _LastRecord(Progress):
-    record: Record
+        return self._record
 
     def update(self, record: Record) -> None:
-        self.record = record
+        """Keeps the iteration's figures."""
+        self._record = record
 
 
 class _Unkept(Checkpoints):
@@ -81,45 +78,23 @@ class _Unkept(Checkpoints):
         """Keeps nothing."""
 
 
-class Stopwatch:
-    """Seconds of variants that are timed in turn, once per round."""
+def timings(rows: Sequence[Mapping[str, Any]]) -> tuple[Timing, ...]:
+    """The medians over the rounds, with the ratios to physics alone or to the first method.
 
-    def __init__(self, device: torch.device) -> None:
-        """Takes the device of the work; a GPU is synchronised before the clock is read."""
-        self._device, self.seconds = device, defaultdict[str, list[float]](list)
-
-    def time(self, name: str, call: Callable[[], object]) -> None:
-        """Calls a function and records how long it took."""
-        start = self._now()
-        call()
-        self.seconds[name].append(self._now() - start)
-
-    def median(self, name: str) -> float:
-        """Median seconds of a round."""
-        return float(pd.Series(self.seconds[name]).median())
-
-    def ratio(self, name: str, reference: str) -> float:
-        """Median over rounds of the seconds of one variant over those of another."""
-        return float((pd.Series(self.seconds[name]) / pd.Series(self.seconds[reference])).median())
-
-    def timing(self, what: Any, method: str | None, steps: int, reference: str) -> Timing:
-        """What has been measured of something, as a ratio to a reference."""
-        name = f"{what} {method}" if method else what
-        cpu = self.median(f"cpu {method}") if what == "iteration" else None
-        return Timing(
-            what=what,
-            method=method,
-            steps=steps,
-            seconds=self.median(name),
-            steps_per_second=steps / self.median(name),
-            ratio=self.ratio(name, reference),
-            steps_per_cpu_second=steps / cpu if cpu else None,
-        )
-
-    def _now(self) -> float:
-        if self._device.type == "cuda":
-            torch.cuda.synchronize(self._device)
-        return time.perf_counter()
+    Args:
+        rows: What was timed, in turn: `what`, `method` ("": none), `steps`, `seconds` and `cpu` seconds.
+    """
+    table = pd.DataFrame(rows)
+    turn = table.groupby(["what", "method"]).cumcount()
+    compared = table["what"].replace("environment", "physics alone")
+    reference = table.groupby([compared, turn])["seconds"].transform("first")
+    table["ratio"] = table["seconds"] / reference
+    found = table.groupby(["what", "method"], sort=False).median().reset_index()
+    found = found.sort_values("what", key=lambda what: what.map(_ORDER.index), kind="stable")
+    found["steps_per_second"] = found["steps"] / found["seconds"]
+    found["steps_per_cpu_second"] = found["steps"] / found.pop("cpu")
+    plain = found.astype(object).where(found.notna() & (found != ""), None)
+    return tuple(map(Timing.model_validate, plain.to_dict("records")))
 
 
 def measure(chosen: Sequence[Mapping[str, Trial]], device: str, threads: int, rounds: int) -> BenchReport:
@@ -146,68 +121,68 @@ def measure_size(trials: Mapping[str, Trial], device: str, threads: int, rounds:
     if device.startswith("cuda"):
         torch.cuda.reset_peak_memory_stats(device)
     with torch_threads(1):
-        stage = _Stage(next(iter(trials.values())), device, threads)
-        methods = {name: Iterations(trial, device, threads) for name, trial in trials.items()}
-        for method in methods.values():
-            method()  # not counted: memory is allocated, kernels are chosen
-        for _ in tracked(range(rounds), f"{stage.env.num_envs:,} envs", "rounds", rounds):
-            stage.round()
-            for name, method in methods.items():
-                _note_iteration(stage.watch, name, method)
+        bench = _Bench(trials, device, threads)
+        for _ in tracked(range(rounds), f"{bench.env.num_envs:,} envs", "rounds", rounds):
+            bench.round()
     return SizeFigures(
-        num_envs=stage.env.num_envs,
-        timings=tuple(_timings(stage, methods)),
-        room=stage.env.engine.take_load(),
+        num_envs=bench.env.num_envs,
+        timings=timings(bench.rows),
+        room=bench.env.engine.take_load(),
         memory=_memory(torch.device(device)),
     )
 
 
-def _note_iteration(watch: Stopwatch, name: str, method: Iterations) -> None:
-    before, record = time.process_time(), method()
-    collect, update = record["collect_seconds"], record["update_seconds"]
-    watch.seconds[f"cpu {name}"].append(time.process_time() - before)
-    watch.seconds[f"rollout {name}"].append(collect)
-    watch.seconds[f"update {name}"].append(update)
-    watch.seconds[f"iteration {name}"].append(collect + update)
+class _Bench:
+    """An environment under random actions, physics alone beside it, and trainings."""
 
-
-def _timings(stage: _Stage, methods: Mapping[str, Iterations]) -> Iterator[Timing]:
-    for what in ("physics alone", "environment"):
-        yield stage.watch.timing(what, None, _STEPS_PER_ROUND * stage.env.num_envs, "physics alone")
-    first = next(iter(methods))
-    for what in ("rollout", "update", "iteration"):
-        for name, method in methods.items():
-            samples = stage.env.num_envs * method.trial.method.spec.algorithm.steps_per_env
-            yield stage.watch.timing(what, name, samples, f"{what} {first}")
-
-
-class _Stage:
-    """An environment under random actions, and physics alone beside it."""
-
-    def __init__(self, trial: Trial, device: str, threads: int) -> None:
-        num_envs = trial.method.spec.algorithm.num_envs
-        engine = make_engine(trial.task, num_envs, device, num_threads=threads)
-        self.env = KickEnv(trial.task, engine, seed=0)
-        self.watch = Stopwatch(self.env.device)
+    def __init__(self, trials: Mapping[str, Trial], device: str, threads: int) -> None:
+        first, self.rows = next(iter(trials.values())), list[dict[str, Any]]()
+        num_envs = first.method.spec.algorithm.num_envs
+        self.env = KickEnv(first.task, make_engine(first.task, num_envs, device, num_threads=threads), seed=0)
         self._generator = torch.Generator(self.env.device).manual_seed(0)
-        self._physics = physics_alone(self.env, threads)
-        self._steps = fastest_steps(self.env)
+        self._physics, self._steps = physics_alone(self.env, threads), fastest_steps(self.env)
         actions = self._actions(_WARM_STEPS)
         self._physics(actions)
         for action in actions:
             self._steps.step(action)
+        self._methods = {name: Iterations(trial, device, threads) for name, trial in trials.items()}
+        for method in self._methods.values():
+            method()  # not counted: memory is allocated, kernels are chosen
 
     def round(self) -> None:
-        """Times some control steps of both, from the same states."""
-        actions = self._actions(_STEPS_PER_ROUND)
+        """Times some control steps from the same states, and an iteration of every method."""
+        actions, steps = self._actions(_STEPS_PER_ROUND), _STEPS_PER_ROUND * self.env.num_envs
         physics = self._physics(actions)
-        self.watch.time("physics alone", physics)
-        self.watch.time("environment", lambda: [self._steps.step(action) for action in actions])
+        self._add("physics alone", "", steps, self._seconds(physics))
+        seconds = self._seconds(lambda: [self._steps.step(action) for action in actions])
+        self._add("environment", "", steps, seconds)
+        for name, method in self._methods.items():
+            before, record = time.process_time(), method()
+            cpu, collect, update = (
+                time.process_time() - before,
+                record["collect_seconds"],
+                record["update_seconds"],
+            )
+            self._add("rollout", name, method.steps, collect)
+            self._add("update", name, method.steps, update)
+            self._add("iteration", name, method.steps, collect + update, cpu)
+
+    def _add(self, what: str, method: str, steps: int, seconds: float, cpu: float = nan) -> None:
+        self.rows.append({"what": what, "method": method, "steps": steps, "seconds": seconds, "cpu": cpu})
+
+    def _seconds(self, call: Callable[[], object]) -> float:
+        start = self._now()
+        call()
+        return self._now() - start
+
+    def _now(self) -> float:
+        if self.env.device.type == "cuda":
+            torch.cuda.synchronize(self.env.device)
+        return time.perf_counter()
 
     def _actions(self, count: int) -> list[Tensor]:
-        shape = (self.env.num_envs, self.env.num_actions)
-        draws = (torch.randn(shape, generator=self._generator, device=self.env.device) for _ in range(count))
-        return [_EXPLORATION * draw for draw in draws]
+        shape = (count, self.env.num_envs, self.env.num_actions)
+        return list(_EXPLORATION * torch.randn(shape, generator=self._generator, device=self.env.device))
 
 
 def _memory(device: torch.device) -> dict[str, int]:
@@ -226,32 +201,14 @@ def profile_iteration(trial: Trial, device: str, threads: int) -> str:
     The iteration runs without CUDA graphs, whose parts the profiler cannot see.
     """
     method = Iterations(trial, device, threads, graph=False)
+    env, ppo = method.trainer.env, method.trainer.ppo
+    parts = [(env, "step"), (env.engine, "step"), (ppo, "act"), (ppo, "update"), (torch.autograd, "backward")]
     activities = [ProfilerActivity.CPU, *([ProfilerActivity.CUDA] if device.startswith("cuda") else [])]
-    with torch_threads(1):
+    with torch_threads(1), ExitStack() as stack:
         method()
-        with _parts(method.trainer), profile(activities=activities) as profiler:
-            method()
+        for owner, name in parts:
+            call = getattr(owner, name)
+            stack.enter_context(patch.object(owner, name, record_function(call.__qualname__)(call)))
+        profiler = stack.enter_context(profile(activities=activities))
+        method()
     return profiler.key_averages().table("cpu_time_total", row_limit=_ROWS, max_name_column_width=32)
-
-
-@contextmanager
-def _parts(trainer: Trainer) -> Iterator[None]:
-    """Within the block, calls of the parts of an iteration are named for the profiler."""
-    env, ppo = trainer.env, trainer.ppo
-    parts = (
-        (env, "step", "state", "_apply", "_reward", "_conclude", "_reset", "_observe"),
-        (env.engine, "step"),
-        (ppo, "act", "process_env_step", "compute_returns", "update"),
-        (ppo.actor, "update_normalization"),
-        (ppo.critic, "update_normalization"),
-        (torch.autograd, "backward"),
-        (torch.nn.utils, "clip_grad_norm_"),
-        (ppo.optimizer, "step"),
-        (ppo.symmetry, "augment_batch"),
-    )
-    with ExitStack() as stack:
-        for owner, *names in parts:
-            for name in names if owner else ():
-                method = getattr(owner, name)
-                stack.enter_context(patch.object(owner, name, record_function(method.__qualname__)(method)))
-        yield

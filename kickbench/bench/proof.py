@@ -6,10 +6,10 @@ import re
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import torch
 from pydantic import Field
@@ -26,6 +26,8 @@ _QPOS, _QVEL = 5e-5, 5e-3
 """How far a control step may end from the CPU engine's, in 99 % of them: m and rad, m/s and rad/s. The GPU
 computes in single precision, so that a contact may begin a substep later."""
 _STEPS = 20
+Outcome = dict[str, Any]
+"""Fields of a `Check`, without its name."""
 
 
 class Check(Record):
@@ -83,15 +85,13 @@ def prove(trials: dict[str, Trial], device: str, threads: int, rounds: int) -> t
     started, card = time.monotonic(), device_name(device)
     file = folder() / f"{re.sub(r'[^a-z0-9]+', '-', card.lower()).strip('-')}.json"
     check_writable(file)
-    parts: dict[str, Callable[[], Check]] = {
+    parts: dict[str, Callable[[], Outcome]] = {
         "tests": run_tests,
         "parity": partial(compare_engines, next(iter(trials.values())), device),
-        "bench": lambda: Check(
-            name="bench", passed=True, sizes=(measure_size(trials, device, threads, rounds),)
-        ),
+        "bench": lambda: {"passed": True, "sizes": (measure_size(trials, device, threads, rounds),)},
         "training": partial(train_once, device, threads),
     }
-    checks = tuple(_tried(parts))
+    checks = tuple(_tried(name, part) for name, part in parts.items())
     origin = collect_provenance(
         seed=0, env_steps=0, started=started, num_threads=threads, device=device, argv=sys.argv
     )
@@ -100,32 +100,30 @@ def prove(trials: dict[str, Trial], device: str, threads: int, rounds: int) -> t
     return proof, file
 
 
-def _tried(parts: dict[str, Callable[[], Check]]) -> Iterator[Check]:
-    for name, part in parts.items():
-        try:
-            check = part()
-        except Exception as error:  # whatever a driver raises is what the file is to say
-            text = " ".join(str(error).split()) or type(error).__name__
-            check = Check.model_validate({"name": name, "passed": False, "remark": text})
-        verdict = {True: "passed", False: "FAILED", None: "not tried"}[check.passed]
-        figures = ", ".join(f"{key} {value:.3g}" for key, value in check.figures.items())
-        print(": ".join(filter(None, (f"{name:8}  {verdict}", check.remark, figures))), flush=True)
-        yield check
+def _tried(name: str, part: Callable[[], Outcome]) -> Check:
+    try:
+        found = part()
+    except Exception as error:  # whatever a driver raises is what the file is to say
+        found = {"passed": False, "remark": " ".join(str(error).split()) or type(error).__name__}
+    check = Check.model_validate({"name": name, **found})
+    verdict = {True: "passed", False: "FAILED", None: "not tried"}[check.passed]
+    figures = ", ".join(f"{key} {value:.3g}" for key, value in check.figures.items())
+    print(": ".join(filter(None, (f"{name:8}  {verdict}", check.remark, figures))), flush=True)
+    return check
 
 
-def run_tests() -> Check:
+def run_tests() -> Outcome:
     """The tests that need a GPU, where the tests are."""
     tests = root() / "tests"
     if not tests.is_dir():
-        return Check(name="tests", passed=None, remark="this installation has no tests; use a checkout")
+        return {"passed": None, "remark": "this installation has no tests; use a checkout"}
     command = [sys.executable, "-m", "pytest", "-q", "-m", "cuda", str(tests)]
     done = subprocess.run(command, cwd=root(), capture_output=True, text=True, check=False)
-    last = (done.stdout.strip() or done.stderr.strip()).splitlines()[-1:]
-    passed = done.returncode == 0 and "passed" in "".join(last)
-    return Check(name="tests", passed=passed, remark="".join(last).strip("= "))
+    last = "".join((done.stdout.strip() or done.stderr.strip()).splitlines()[-1:])
+    return {"passed": done.returncode == 0 and "passed" in last, "remark": last.strip("= ")}
 
 
-def compare_engines(trial: Trial, device: str) -> Check:
+def compare_engines(trial: Trial, device: str) -> Outcome:
     """Control steps of mujoco_warp beside MuJoCo's, each from the very state that mujoco_warp has reached."""
     states, targets = rehearsal(trial.task)
     engine, reference = (
@@ -143,15 +141,14 @@ def compare_engines(trial: Trial, device: str) -> Check:
     found = torch.cat(differences)
     usual, most = found.quantile(0.99, dim=0).tolist(), found.amax(dim=0).tolist()
     figures = {"qpos 99 %": usual[0], "qvel 99 %": usual[1], "qpos most": most[0], "qvel most": most[1]}
-    return Check(name="parity", passed=usual[0] < _QPOS and usual[1] < _QVEL, figures=figures)
+    return {"passed": usual[0] < _QPOS and usual[1] < _QVEL, "figures": figures}
 
 
-def train_once(device: str, threads: int) -> Check:
+def train_once(device: str, threads: int) -> Outcome:
     """An iteration with the thesis' hyperparameters (Table B.1), after one that is not counted."""
     task = find("k1_general_fast", "task")
     training = Iterations(load_trial(task, find_method("equivariant", task)), device, threads)
     training()
     record = training()
     names = ("steps_per_second", "collect_seconds", "update_seconds", "resets_nonfinite", "load/short_share")
-    figures = {name: float(record[name]) for name in names if name in record}
-    return Check(name="training", passed=True, figures=figures)
+    return {"passed": True, "figures": {name: float(record[name]) for name in names if name in record}}

@@ -255,12 +255,12 @@ def test_the_wrong_channel_is_named_with_what_would_be_right(robots):
     found = check_mirror(hand.path, symmetric.mirror, hand.observe, period=PERIOD)
     left, right = "policy[15] (Left_Knee_Pitch position)", "policy[21] (Right_Knee_Pitch position)"
     assert found.findings == (
-        "Left_Knee_Pitch: the mirror gives Right_Knee_Pitch; right: Right_Knee_Pitch + 0.12",
-        "Right_Knee_Pitch: the mirror gives Left_Knee_Pitch; right: Left_Knee_Pitch - 0.12",
-        f"{left}: the mirror gives {right}; right: {right} + 0.03",
-        f"{right}: the mirror gives {left}; right: {left} - 0.03",
-        "policy[59]: the mirror gives policy[65]; right: policy[65] + 0.12",
-        "policy[65]: the mirror gives policy[59]; right: policy[59] - 0.12",
+        "Left_Knee_Pitch: the mirror gives Right_Knee_Pitch; right: Right_Knee_Pitch +0.12",
+        "Right_Knee_Pitch: the mirror gives Left_Knee_Pitch; right: Left_Knee_Pitch -0.12",
+        f"{left}: the mirror gives {right}; right: {right} +0.03",
+        f"{right}: the mirror gives {left}; right: {left} -0.03",
+        "policy[59]: the mirror gives policy[65]; right: policy[65] +0.12",
+        "policy[65]: the mirror gives policy[59]; right: policy[59] -0.12",
     )
     factor = hand.obs.factor.copy()
     factor[2 + 11] *= -1

@@ -31,10 +31,10 @@ def trials(experiment):
 
 
 def test_all_is_tried_and_written_whatever_fails(monkeypatch, elsewhere, trials, capsys):
-    def fail(device: str, threads: int) -> proof.Check:
+    def fail(device: str, threads: int) -> proof.Outcome:
         raise RuntimeError("CUDA error:\n no kernel image")
 
-    passed = proof.Check(name="tests", passed=True, remark="12 passed in 3 s")
+    passed = {"passed": True, "remark": "12 passed in 3 s"}
     monkeypatch.setattr(proof, "run_tests", lambda: passed)
     monkeypatch.setattr(proof, "make_warp_engine", make_engine)
     monkeypatch.setattr(proof, "train_once", fail)
@@ -61,8 +61,8 @@ def test_engines_that_differ_fail_the_parity(monkeypatch, trials):
 
     monkeypatch.setattr(proof, "make_warp_engine", heavier)
     check = proof.compare_engines(trials["baseline"], "cpu")
-    assert check.passed is False
-    assert check.figures["qvel 99 %"] > 0.05
+    assert check["passed"] is False
+    assert check["figures"]["qvel 99 %"] > 0.05
 
 
 def test_an_iteration_has_the_hyperparameters_of_table_b1(monkeypatch):
@@ -79,19 +79,19 @@ def test_an_iteration_has_the_hyperparameters_of_table_b1(monkeypatch):
     monkeypatch.setattr(proof, "Iterations", Few)
     check = proof.train_once("cpu", 1)
     assert made == [4096, "iteration", "iteration"]
-    assert check.figures == {"steps_per_second": 5.0, "collect_seconds": 1.0}
+    assert check["figures"] == {"steps_per_second": 5.0, "collect_seconds": 1.0}
 
 
 def test_tests_that_are_skipped_or_missing_are_not_passed(monkeypatch, tmp_path):
     monkeypatch.setattr(proof, "root", lambda: tmp_path)
-    assert proof.run_tests().passed is None
+    assert proof.run_tests()["passed"] is None
     (tmp_path / "tests").mkdir()
     file, marked = tmp_path / "tests/test_it.py", "import pytest\n@pytest.mark.cuda\n{}def test_it(): pass\n"
     (tmp_path / "pytest.ini").write_text("[pytest]\nmarkers = cuda\n")
     file.write_text(marked.format(""))
-    assert proof.run_tests().passed
+    assert proof.run_tests()["passed"]
     file.write_text(marked.format("@pytest.mark.skip\n"))
-    assert not proof.run_tests().passed
+    assert not proof.run_tests()["passed"]
 
 
 def test_without_a_gpu_one_line_says_so_and_nothing_is_written(monkeypatch, elsewhere, capsys):
