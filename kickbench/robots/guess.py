@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 # pyright: reportAttributeAccessIssue=false
 import mujoco
@@ -37,8 +36,7 @@ _SAG = 0.05
 """Angle by which a leg joint gives way under the robot's weight, rad."""
 
 
-@dataclass(frozen=True)
-class Stepping:
+class Stepping(NamedTuple):
     """A way to step the physics, and the largest gains that it steps safely.
 
     Attributes:
@@ -54,7 +52,7 @@ class Stepping:
     damping: float
 
 
-STEPPINGS = (
+_STEPPINGS = (
     Stepping(0.005, "euler", 0.5, 0.5),
     Stepping(0.005, "implicitfast", 1.0, np.inf),
     Stepping(0.002, "implicitfast", 1.0, np.inf),
@@ -62,18 +60,30 @@ STEPPINGS = (
 """From the fastest on; a single joint becomes unstable at 2 kd dt / I + kp dt^2 / I = 4 (euler)."""
 
 
-@dataclass(frozen=True)
-class Gains:
+class Gains(NamedTuple):
     """Gains by joint, and how the physics is to be stepped with them."""
 
-    kp: Mapping[str, float]
-    kd: Mapping[str, float]
+    kp: dict[str, float]
+    kd: dict[str, float]
     stepping: Stepping
     stands: bool
 
 
 class Candidate:
-    """A robot whose MJCF is all that is known of it."""
+    """A robot whose MJCF is all that is known of it.
+
+    Attributes:
+        model: Compiled model.
+        derivation: What its geometry says about its reflection.
+        mass: Its mass, kg.
+        joints: Position of every joint but the free one, in the model's order, rad or m.
+        moved: Joints whose position in the keyframe or the reference pose is outside their range.
+        height: Height of the base's joint with the lowest geom on the floor, m.
+        data: The pose, on the floor.
+        centre: Height of the centre of mass above the floor, m.
+        supports: Bodies that stand on the floor.
+        drives: Joint -> its actuator, the MJCF's first of each; without any, all joints.
+    """
 
     def __init__(self, file: Path) -> None:
         """Reads and compiles an MJCF.
@@ -81,104 +91,78 @@ class Candidate:
         Raises:
             KickbenchError: MuJoCo cannot read it, or no robot file can be written for it; says why.
         """
-        self.model: mujoco.MjModel = compile_robot(file)
+        model: mujoco.MjModel = compile_robot(file)
+        self.model, self._hinges = model, [j for j in range(model.njnt) if j != base_joint(model)]
+        if reason := self._obstacle():
+            raise KickbenchError(f"{file}: {reason}")
+        self._names = [model.joint(j).name for j in self._hinges]
+        self.derivation: Derivation = derive(read_parts(model))
+        self.mass = float(model.body_mass[1:].sum())
+        self.joints, self.moved = self._pose()
+        lying = posed(model, (0.0, 0.0, 0.0), self.joints)
+        self.height = -min(lowest_point(model, lying, geom) for geom in touching_geoms(model))
+        self.data = posed(model, (0.0, 0.0, self.height), self.joints)
+        self.centre = float(self.data.subtree_com[0, 2])
+        self.supports = supports(model, self.data)
+        drives = {model.joint(j).name: model.actuator(a).name for j, a in _driving(model).items()}
+        self.drives = {joint: name or joint for joint, name in (drives or dict.fromkeys(self._names)).items()}
+
+    def _obstacle(self) -> str | None:
         if base_joint(self.model) is None:
-            what = "the model has no free joint: a robot that kicks stands on its own feet"
-            raise KickbenchError(f"{file}: {what}")
-        if not self.hinges:
-            what = "the model has no hinge or slide joint: there is nothing to drive"
-            raise KickbenchError(f"{file}: {what}")
+            return "the model has no free joint: a robot that kicks stands on its own feet"
+        if not self._hinges:
+            return "the model has no hinge or slide joint: there is nothing to drive"
         if not touching_geoms(self.model):
-            what = "no geom of the model collides (contype and conaffinity are 0): it has no feet"
-            raise KickbenchError(f"{file}: {what}")
-        self.derivation: Derivation = derive(read_parts(self.model))
+            return "no geom of the model collides (contype and conaffinity are 0): it has no feet"
+        return None
 
     # Pose
 
-    @cached_property
-    def hinges(self) -> list[int]:
-        """Joints other than the free one, in the model's order."""
-        return [j for j in range(self.model.njnt) if j != base_joint(self.model)]
+    def _pose(self) -> tuple[dict[str, float], list[str]]:
+        """Joints and those that were moved into their range; see `Candidate`."""
+        model, hinges = self.model, self._hinges
+        given = (model.key_qpos[0] if model.nkey else model.qpos0)[model.jnt_qposadr[hinges]].round(6)
+        limited = model.jnt_limited[hinges, None].astype(bool)
+        low, high = np.where(limited, model.jnt_range[hinges], (-np.inf, np.inf)).T
+        pose = np.clip(given, low, high)
+        moved = [self._names[i] for i in np.flatnonzero(pose != given)]
+        pose = pose if model.nkey else self._balanced(pose, low, high)
+        return dict(zip(self._names, pose.tolist(), strict=True)), moved
 
-    @cached_property
-    def _reference(self) -> dict[int, float]:
-        """Position of every joint in the keyframe or the reference pose."""
-        qpos = self.model.key_qpos[0] if self.model.nkey else self.model.qpos0
-        return {j: round(float(qpos[self.model.jnt_qposadr[j]]), 6) for j in self.hinges}
-
-    def _clipped(self, joint: int, value: float) -> float:
-        low, high = self.model.jnt_range[joint] if self.model.jnt_limited[joint] else (-np.inf, np.inf)
-        return float(np.clip(value, low, high))
-
-    @cached_property
-    def moved(self) -> list[str]:
-        """Joints whose position in the keyframe or the reference pose is outside their range."""
-        free = self._reference.items()
-        return [self.model.joint(j).name for j, value in free if self._clipped(j, value) != value]
-
-    @cached_property
-    def joints(self) -> dict[str, float]:
-        """Position of every joint."""
-        pose = {j: self._clipped(j, value) for j, value in self._reference.items()}
-        pose = pose if self.model.nkey else self._balanced(pose)
-        return {self.model.joint(j).name: value for j, value in pose.items()}
-
-    def _balanced(self, pose: dict[int, float]) -> dict[int, float]:
+    def _balanced(self, pose: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
         """Turns hips against ankles, which keeps soles level, if the centre of mass is not over them."""
         ahead, room, _ = self._leaning(pose)
-        if abs(ahead) < room:
-            return pose
-        for _ in range(3):
+        for _ in range(3 if abs(ahead) >= room else 0):
             ahead, _, turns = self._leaning(pose)
-            tried = self._leaning({j: value + _TURN * turns.get(j, 0.0) for j, value in pose.items()})[0]
+            tried, *_ = self._leaning(pose + _TURN * turns)
             if abs(ahead - tried) > 1e-6:
-                angle = _TURN * ahead / (ahead - tried)
-                pose = {j: self._clipped(j, q + angle * turns.get(j, 0.0)) for j, q in pose.items()}
+                pose = np.clip(pose + _TURN * ahead / (ahead - tried) * turns, low, high)
         return pose
 
-    def _leaning(self, pose: Mapping[int, float]) -> tuple[float, float, dict[int, float]]:
+    def _leaning(self, pose: np.ndarray) -> tuple[float, float, np.ndarray]:
         """How far the centre of mass is ahead of the soles, a quarter of their length, m; what to turn."""
-        model, ends, turns = self.model, list[float](), dict[int, float]()
-        data = posed(model, (0.0, 0.0, 0.0), {model.joint(j).name: value for j, value in pose.items()})
+        model, ends, turns = self.model, list[float](), np.zeros(len(pose))
+        data = posed(model, (0.0, 0.0, 0.0), dict(zip(self._names, pose, strict=True)))
         for body in supports(model, data):
             ends += [corner[0] for corner in _sole_box(model, data, body)]
-            pitch = {j: data.xaxis[j, 1] for j in self._chain(body) if abs(data.xaxis[j, 1]) > 0.9}
-            if len(pitch) > 1:
-                lowest, *_, highest = pitch
-                turns |= {lowest: -np.sign(pitch[lowest]), highest: np.sign(pitch[highest])}
+            pitching = [j for j in self._chain(body) if abs(data.xaxis[j, 1]) > 0.9]
+            for joint, way in zip(pitching[:: max(1, len(pitching) - 1)], (-1.0, 1.0), strict=False):
+                if len(pitching) > 1:
+                    turns[self._hinges.index(joint)] = way * np.sign(data.xaxis[joint, 1])
         ahead = float(model.body_mass[1:] @ data.xipos[1:, 0] / self.mass - (min(ends) + max(ends)) / 2.0)
         return ahead, (max(ends) - min(ends)) / 4.0, turns
 
-    @cached_property
-    def height(self) -> float:
-        """Height of the base's joint with the lowest geom on the floor, m."""
-        data = posed(self.model, (0.0, 0.0, 0.0), self.joints)
-        return -min(lowest_point(self.model, data, geom) for geom in touching_geoms(self.model))
-
-    @cached_property
-    def data(self) -> mujoco.MjData:
-        """The pose, on the floor."""
-        return posed(self.model, (0.0, 0.0, self.height), self.joints)
-
     # Feet
 
-    @cached_property
-    def supports(self) -> list[int]:
-        """Bodies that stand on the floor."""
-        return supports(self.model, self.data)
-
-    @cached_property
+    @property
     def feet(self) -> dict[str, int]:
         """Feet by place: the first and last left-right pair of the bodies that stand on the floor."""
         images = {match.name: match.partner for match in self.derivation.bodies}
-        pairs = []
-        for body in self.supports:
-            partner = images.get(self.model.body(body).name)
-            if partner is not None and self.data.xipos[body, 1] > 0.0:
-                other = self.model.body(partner).id
-                if other in self.supports and other != body:
-                    pairs.append((body, int(other)))
-        pairs.sort(key=lambda pair: self.data.xipos[pair[0], 0], reverse=True)
+        names, ahead = {self.model.body(body).name: body for body in self.supports}, self.data.xipos[:, 0]
+        lefts = [body for body in self.supports if self.data.xipos[body, 1] > 0.0]
+        found = [(body, names.get(images.get(self.model.body(body).name))) for body in lefts]
+        pairs = [(body, other) for body, other in found if other not in (None, body)]
+        pairs.sort(key=lambda pair: ahead[pair[0]], reverse=True)
         places = ("front_left", "front_right", "hind_left", "hind_right") if len(pairs) > 1 else SIDES
         first_and_last = (*pairs[:1], *pairs[1:][-1:])
         return dict(zip(places, [body for pair in first_and_last for body in pair], strict=False))
@@ -189,74 +173,51 @@ class Candidate:
         place = np.array([*(low + high)[:2] / 2.0, low[2]])
         return self.data.xmat[body].reshape(3, 3).T @ (place - self.data.xpos[body])
 
-    # Drives and gains
+    # Gains
 
-    @cached_property
-    def drives(self) -> dict[str, str]:
-        """Actuators of the joints that they drive, the MJCF's first of each; without any, all joints."""
-        model = self.model
-        names = {model.joint(j).name: model.actuator(a).name for j, a in _driving(model).items()}
-        names = names or {model.joint(j).name: "" for j in self.hinges}
-        return {joint: name or joint for joint, name in names.items()}
-
-    @cached_property
-    def mass(self) -> float:
-        """Mass, kg."""
-        return float(self.model.body_mass[1:].sum())
-
-    @cached_property
-    def centre(self) -> float:
-        """Height of the centre of mass above the floor, m."""
-        return float(self.data.subtree_com[0, 2])
-
-    @cached_property
-    def needed(self) -> dict[str, float]:
+    def _needed(self) -> dict[str, float]:
         """Least stiffness of the leg joints: the robot neither tips over them nor sags through, N m/rad."""
-        model, data, share = self.model, self.data, GRAVITY * self.mass / max(1, len(self.supports))
-        needed = dict[str, float]()
+        data, share, needed = self.data, GRAVITY * self.mass / max(1, len(self.supports)), dict[str, float]()
         for body in self.supports:
             sole = data.xpos[body] + data.xmat[body].reshape(3, 3) @ self.sole(body)
             for joint in self._chain(body):
                 load = np.cross(data.xaxis[joint], sole - data.xanchor[joint])[2] * share
+                name = self.model.joint(joint).name
                 least = max(_TIPPING * share * self.centre, abs(load) / _SAG)
-                name = model.joint(joint).name
                 needed[name] = max(least, needed.get(name, 0.0))
         return needed
 
     def _chain(self, body: int) -> Iterator[int]:
         """Hinges between the root and a body."""
         while body:
-            first = self.model.body_jntadr[body]
-            yield from (j for j in range(first, first + self.model.body_jntnum[body]) if j in self.hinges)
+            yield from (j for j in self._hinges if self.model.jnt_bodyid[j] == body)
             body = int(self.model.body_parentid[body])
 
-    @cached_property
     def gains(self) -> Gains:
         """Stable gains, for the fastest stepping with which the legs are stiff enough."""
-        return next((g for g in self._options() if g.stands), None) or list(self._options())[-1]
-
-    def _options(self) -> Iterator[Gains]:
-        model = self.model
-        dofs = {name: int(model.joint(name).dofadr[0]) for name in self.drives}
-        apparent, own = apparent_inertia(model, self.data), _own_inertia(model, self.data)
+        needed, names = self._needed(), list(self.drives)
+        dofs = [int(self.model.joint(name).dofadr[0]) for name in names]
+        diagonal = self.model.M_rowadr + self.model.M_rownnz - 1
+        own, apparent = self.data.M[diagonal][dofs], apparent_inertia(self.model, self.data)[dofs]
+        legs = np.isin(names, list(needed))
         sway = _SWAYING**2 * self.mass * self.centre**2 / max(1, len(self.supports))
-        for stepping in STEPPINGS:
-            dt, kp, kd, strong = stepping.timestep, dict[str, float](), dict[str, float](), True
-            for name, dof in dofs.items():
-                stiffness = self.needed[name] if name in self.needed else _FREQUENCY**2 * own[dof]
-                inertia = max(_DAMPING**2 * own[dof], sway if name in self.needed else 0.0)
-                damping = 2.0 * np.sqrt(stiffness * inertia)
-                kd[name] = min(damping, stepping.damping * apparent[dof] / dt)
-                # Damping that is implicit makes stiffer servos stable.
-                calming = kd[name] * dt if stepping.integrator == "implicitfast" else 0.0
-                kp[name] = min(stiffness, stepping.stiffness * (apparent[dof] + calming) / dt**2)
-                got = min(kp[name] / stiffness, kd[name] / damping)
-                strong &= name not in self.needed or got >= _ENOUGH
-            yield Gains(self._equal_sides(kp), self._equal_sides(kd), stepping, strong)
+        stiffness = np.array([needed.get(name, 0.0) for name in names])
+        stiffness = np.where(legs, stiffness, _FREQUENCY**2 * own)
+        damping = 2.0 * np.sqrt(stiffness * np.maximum(_DAMPING**2 * own, sway * legs))
+        for stepping in _STEPPINGS:
+            dt = stepping.timestep
+            kd = np.minimum(damping, stepping.damping * apparent / dt)
+            # Damping that is implicit makes stiffer servos stable.
+            calming = kd * dt * (stepping.integrator == "implicitfast")
+            kp = np.minimum(stiffness, stepping.stiffness * (apparent + calming) / dt**2)
+            stands = bool((np.minimum(kp / stiffness, kd / damping)[legs] >= _ENOUGH).all())
+            if stands:
+                break
+        return Gains(*(self._equal_sides(names, gains) for gains in (kp, kd)), stepping, stands)
 
-    def _equal_sides(self, values: Mapping[str, float]) -> dict[str, float]:
+    def _equal_sides(self, names: list[str], gains: np.ndarray) -> dict[str, float]:
         """The lesser of left and right, with two digits."""
-        images = self.derivation.image
+        images, values = self.derivation.image, dict(zip(names, gains.tolist(), strict=True))
         return {n: two_digits(min(v, values.get(images.get(n, (n, 1))[0], v))) for n, v in values.items()}
 
 
@@ -320,12 +281,6 @@ def _driving(model: mujoco.MjModel) -> dict[int, int]:
     for a in drives.tolist():
         first.setdefault(int(model.actuator_trnid[a, 0]), a)
     return first
-
-
-def _own_inertia(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
-    full = np.zeros((model.nv, model.nv))
-    mujoco.mj_fullM(model, data, full)
-    return np.diag(full)
 
 
 def two_digits(value: float) -> float:

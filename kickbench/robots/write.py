@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from kickbench.config.yamltree import flow_yaml
-from kickbench.robots.guess import Candidate, efforts_of, motors_of, two_digits
+from kickbench.robots.guess import Candidate, Gains, efforts_of, motors_of, two_digits
 from kickbench.symmetry.derive import symmetry_block
 
 _SCALE = 0.25
@@ -27,13 +27,14 @@ def robot_file(model: Path, out: Path) -> str:
         KickbenchError: No robot file can be written for the model; says why.
     """
     robot = Candidate(model)
-    parts = (_head(robot, model, out), _initial(robot), _actuators(robot), _feet(robot))
+    gains = robot.gains()
+    parts = (_head(robot, gains, model, out), _initial(robot), _actuators(robot, gains), _feet(robot))
     blocks = *map("\n".join, parts), symmetry_block(robot.derivation, model.name)
     return "\n\n".join(blocks) + "\n"
 
 
-def _head(robot: Candidate, model: Path, out: Path) -> Iterator[str]:
-    gains, root = robot.gains, robot.model.body(1).name
+def _head(robot: Candidate, gains: Gains, model: Path, out: Path) -> Iterator[str]:
+    root = robot.model.body(1).name
     stepping = f"{{timestep: {gains.stepping.timestep:g}, integrator: {gains.stepping.integrator}}}"
     yield f"# {model.name}: {robot.mass:.4g} kg, centre of mass {robot.centre:.2f} m above the floor."
     yield "# Written by `kickbench robot init`; GUESS marks what the MJCF does not say."
@@ -59,7 +60,7 @@ def _initial(robot: Candidate) -> Iterator[str]:
         yield f"    {flow_yaml(name) + ':':{width + 1}} {float(f'{value:.6g}')!r}{moved}"
 
 
-def _actuators(robot: Candidate) -> Iterator[str]:
+def _actuators(robot: Candidate, gains: Gains) -> Iterator[str]:
     of = "The MJCF's actuators" if robot.model.nu else "GUESS: every joint, as the MJCF has no actuators"
     yield f"# {of}, in the order of the action vector:"
     yield "# tau = kp (u - q) - kd dq, u = default + scale * action."
@@ -72,11 +73,11 @@ def _actuators(robot: Candidate) -> Iterator[str]:
     wide, width = (1 + max(len(flow_yaml(n)) for n in names) for names in (drives.values(), drives))
     for joint, name in drives.items():
         head = f"  {flow_yaml(name) + ':':{wide}} {{kind: position, joint: {flow_yaml(joint) + ',':{width}}"
-        yield f"{head} {_servo(robot, joint, efforts.get(joint))}"
+        yield f"{head} {_servo(robot, gains, joint, efforts.get(joint))}"
 
 
-def _servo(robot: Candidate, joint: str, effort: float | None) -> str:
-    kp, kd, notes = robot.gains.kp[joint], robot.gains.kd[joint], list[str]()
+def _servo(robot: Candidate, gains: Gains, joint: str, effort: float | None) -> str:
+    kp, kd, notes = gains.kp[joint], gains.kd[joint], list[str]()
     if effort is None:
         effort, notes = two_digits(max(kp / 2.0, 1e-3)), ["GUESS: effort, N m: what kp asks for at 0.5 rad"]
     if joint in motors_of(robot.model):

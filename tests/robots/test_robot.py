@@ -102,7 +102,6 @@ def test_check_fails_a_robot_whose_ankles_are_too_weak_to_stand(biped, capsys):
     facts = {fact["name"]: fact for fact in json.loads(out)["facts"]}
     assert code == 1
     assert not json.loads(out)["passed"]
-    assert facts["least stiff foot joint"]["verdict"] == "warn"
     assert facts["stands, 2 ms, euler"]["verdict"] == "FAIL"
 
 
@@ -206,13 +205,11 @@ def test_without_joints_no_robot_file_is_written_and_there_are_no_facts_of_joint
     )
     head = "model: puck.xml\nbase: puck\ninitial: {position: [0.0, 0.0, 0.1]}\nsymmetry: {}\nactuators:\n"
     Path("robot.yaml").write_text(head + "\n".join(drives))
-    for module in ("stand", "facts"):
-        monkeypatch.setattr(f"kickbench.robots.{module}.SECONDS", 0.2)
+    monkeypatch.setattr("kickbench.robots.facts.SECONDS", 0.2)
     code, out = run(capsys, "kickbench robot check robot.yaml")
     assert code == 0, out
     assert "stands, 2 ms, euler" in out
     assert "time step" not in out
-    assert "fastest joint" not in out
 
 
 @pytest.mark.parametrize("task", ["mini_goal", "mini_obstacles", "quadruped_home_field"])
