@@ -39,11 +39,6 @@ class View:
     source: np.ndarray
     image: np.ndarray
 
-    @property
-    def known(self) -> np.ndarray:
-        """Channels that are compared [d] bool."""
-        return np.logical_not(np.isnan(self.image).all(axis=0))
-
     def judge(self, given: np.ndarray) -> Iterator[str]:
         """What is wrong with a mirror's images [N, d], a line a channel."""
         tolerance = _TOLERANCE * np.maximum(1e-2, np.abs(self.source).max(axis=0, initial=0.0))
@@ -130,7 +125,8 @@ def check_mirror(
         # Of several images, that which is most nearly the reflection.
         best = min(range(len(images)), key=lambda k: len(wrong[k]))
         findings = wrong[best] or _motion(twins, actions, images[best]["actions"])
-    return MirrorReport(tuple(findings), tuple(notes), sum(int(view.known.sum()) for view in views.values()))
+    checked = sum(int((~np.isnan(view.image)).any(axis=0).sum()) for view in views.values())
+    return MirrorReport(tuple(findings), tuple(notes), checked)
 
 
 def _acted(twins: Twins, actions: np.ndarray, notes: list[str]) -> View:

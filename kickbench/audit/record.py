@@ -35,7 +35,6 @@ _KINDS = 24
 """Number of envs that combines every kind of initial state with every kind of action."""
 _LYING = 15
 """Steps for which envs of one kind go on after their episode's end."""
-_MOTION, _TERMS = ("velocity", "contact", "force"), ("observation", "reward", "termination")
 
 
 class Reflection(NamedTuple):
@@ -223,10 +222,14 @@ class _Recorder:
         other.advance(self.reflection.actions(actions))
         keep = ~(env.engine.failed | other.engine.failed)
         image = self.reflection(env.snapshot())
-        self._note(_MOTION, image, other.snapshot(), keep)
+        there = other.snapshot()
+        for pairs in self.recording.of("velocity", "contact", "force"):
+            pairs.add(image, there, keep)
         # Terms are judged on exactly mirrored states, whatever error the dynamics made.
         other.restore(image)
-        self._note(_TERMS, state, other.state(), keep)
+        mirrored = other.state()
+        for pairs in self.recording.of("observation", "reward", "termination"):
+            pairs.add(state, mirrored, keep)
         ended = torch.stack([bound(state) for bound in self.task.terminations], dim=1).any(dim=1)
         self.over = torch.where(ended, self.over + 1, 0)
         self._begin((self.over > self.patience) | ~keep)
@@ -236,10 +239,6 @@ class _Recorder:
         self.over = torch.where(mask, 0, self.over)
         self.env.restore(vary_episodes(self.env, self.env.snapshot(), mask, self.draws))
         self.other.restore(self.reflection(self.env.snapshot()))
-
-    def _note(self, kinds: tuple[str, ...], original: Any, image: Any, keep: Tensor) -> None:
-        for pairs in self.recording.of(*kinds):
-            pairs.add(original, image, keep)
 
 
 def _quantities(task: CompiledTask) -> Iterator[Pairs]:

@@ -36,36 +36,22 @@ _SAG = 0.05
 """Angle by which a leg joint gives way under the robot's weight, rad."""
 
 
-class Stepping(NamedTuple):
-    """A way to step the physics, and the largest gains that it steps safely.
-
-    Attributes:
-        timestep: Physics time step dt, s.
-        integrator: MuJoCo's integrator.
-        stiffness: Largest kp dt^2 / I.
-        damping: Largest kd dt / I.
-    """
-
-    timestep: float
-    integrator: str
-    stiffness: float
-    damping: float
-
-
 _STEPPINGS = (
-    Stepping(0.005, "euler", 0.5, 0.5),
-    Stepping(0.005, "implicitfast", 1.0, np.inf),
-    Stepping(0.002, "implicitfast", 1.0, np.inf),
+    (0.005, "euler", 0.5, 0.5),
+    (0.005, "implicitfast", 1.0, np.inf),
+    (0.002, "implicitfast", 1.0, np.inf),
 )
-"""From the fastest on; a single joint becomes unstable at 2 kd dt / I + kp dt^2 / I = 4 (euler)."""
+"""Time steps dt, s, and integrators, from the fastest on, with the largest kp dt^2 / I and kd dt / I that are
+safe; a single joint becomes unstable at 2 kd dt / I + kp dt^2 / I = 4 (euler)."""
 
 
 class Gains(NamedTuple):
-    """Gains by joint, and how the physics is to be stepped with them."""
+    """Gains by joint; the time step, s, and integrator that they need; whether they carry the robot."""
 
     kp: dict[str, float]
     kd: dict[str, float]
-    stepping: Stepping
+    timestep: float
+    integrator: str
     stands: bool
 
 
@@ -204,16 +190,15 @@ class Candidate:
         stiffness = np.array([needed.get(name, 0.0) for name in names])
         stiffness = np.where(legs, stiffness, _FREQUENCY**2 * own)
         damping = 2.0 * np.sqrt(stiffness * np.maximum(_DAMPING**2 * own, sway * legs))
-        for stepping in _STEPPINGS:
-            dt = stepping.timestep
-            kd = np.minimum(damping, stepping.damping * apparent / dt)
+        for dt, integrator, stiffest, most_damped in _STEPPINGS:
+            kd = np.minimum(damping, most_damped * apparent / dt)
             # Damping that is implicit makes stiffer servos stable.
-            calming = kd * dt * (stepping.integrator == "implicitfast")
-            kp = np.minimum(stiffness, stepping.stiffness * (apparent + calming) / dt**2)
+            calming = kd * dt * (integrator == "implicitfast")
+            kp = np.minimum(stiffness, stiffest * (apparent + calming) / dt**2)
             stands = bool((np.minimum(kp / stiffness, kd / damping)[legs] >= _ENOUGH).all())
             if stands:
                 break
-        return Gains(*(self._equal_sides(names, gains) for gains in (kp, kd)), stepping, stands)
+        return Gains(*(self._equal_sides(names, gains) for gains in (kp, kd)), dt, integrator, stands)
 
     def _equal_sides(self, names: list[str], gains: np.ndarray) -> dict[str, float]:
         """The lesser of left and right, with two digits."""

@@ -35,7 +35,7 @@ def robot_file(model: Path, out: Path) -> str:
 
 def _head(robot: Candidate, gains: Gains, model: Path, out: Path) -> Iterator[str]:
     root = robot.model.body(1).name
-    stepping = f"{{timestep: {gains.stepping.timestep:g}, integrator: {gains.stepping.integrator}}}"
+    stepping = f"{{timestep: {gains.timestep:g}, integrator: {gains.integrator}}}"
     yield f"# {model.name}: {robot.mass:.4g} kg, centre of mass {robot.centre:.2f} m above the floor."
     yield "# Written by `kickbench robot init`; GUESS marks what the MJCF does not say."
     yield f"# The gains are stable with this in the task: simulation: {stepping}"
