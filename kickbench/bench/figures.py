@@ -30,14 +30,17 @@ class Timing(Record):
     """How long something takes, the median over the rounds."""
 
     what: Literal["physics alone", "environment", "rollout", "update", "iteration"]
-    method: str | None = Field(description="method that trains; null: random actions")
-    steps: PositiveInt = Field(description="steps that it makes, or learns from")
-    seconds: PositiveFloat = Field(description="wall-clock time [s]")
-    steps_per_second: PositiveFloat = Field(description="[1/s]")
-    ratio: PositiveFloat = Field(description="its time over that of physics alone, or of the first method")
-    steps_per_cpu_second: PositiveFloat | None = Field(
-        default=None, description="steps per second of CPU time, all threads together [1/s]; of iterations"
-    )
+    method: str | None
+    """Method that trains; null: random actions."""
+    steps: PositiveInt
+    """Steps that it makes, or learns from."""
+    seconds: PositiveFloat
+    """Wall-clock time [s]."""
+    steps_per_second: PositiveFloat
+    ratio: PositiveFloat
+    """Its time over that of physics alone, or of the first method."""
+    steps_per_cpu_second: PositiveFloat | None = None
+    """Steps per second of CPU time, all threads together [1/s]; of iterations."""
 
 
 class SizeFigures(Record):
@@ -45,10 +48,10 @@ class SizeFigures(Record):
 
     num_envs: PositiveInt
     timings: tuple[Timing, ...]
-    room: EngineLoad | None = Field(description="use of the engine's room; null if it has no limit")
-    memory: dict[str, NonNegativeInt] = Field(
-        description="bytes: peak of the process so far; on a GPU peak of torch, and in use by all processes"
-    )
+    room: EngineLoad | None
+    """Use of the engine's room; null if it has no limit."""
+    memory: dict[str, NonNegativeInt]
+    """Bytes: peak of the process so far; on a GPU peak of torch, and in use by all processes."""
 
 
 class BenchReport(Record):
@@ -56,8 +59,10 @@ class BenchReport(Record):
 
     schema_version: Literal[3] = 3
     task: str
-    device: str = Field(description="torch device")
-    rounds: PositiveInt = Field(description="counted rounds, in each of which everything has its turn")
+    device: str
+    """Torch device."""
+    rounds: PositiveInt
+    """Counted rounds, in each of which everything has its turn."""
     sizes: tuple[SizeFigures, ...] = Field(min_length=1)
     provenance: Provenance
 

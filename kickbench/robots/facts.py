@@ -182,7 +182,8 @@ def _efforts(robot: RobotSpec, limits: Mapping[str, float]) -> Fact:
     known = {str(servo.joint): servo.effort for servo in robot.actuators.values() if servo.joint in limits}
     above = [joint for joint, effort in known.items() if effort > 1.001 * limits[joint]]
     words = "; ".join(f"{joint} {known[joint]:g}, the MJCF's {limits[joint]:g}" for joint in above[:2])
-    return Fact("efforts", f"{len(above)} above the MJCF's", "warn" if above else "ok", words)
+    verdict: Verdict = "warn" if above else "ok" if known else ""
+    return Fact("efforts", f"{len(above)} of {len(known)} above limit", verdict, words)
 
 
 def _steps(joints: Iterable[Stepped], simulation: SimulationSpec) -> Iterator[Fact]:
