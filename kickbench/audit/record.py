@@ -217,7 +217,7 @@ class _Recorder:
             task,
             self.reflection,
             fields=_field_pairs(task),
-            rewards=tuple(Pairs(bound.name, _unit(bound), bound=bound) for bound, _ in task.rewards),
+            rewards=tuple(Pairs(bound.name, _unit(bound), bound=bound) for bound in task.rewards),
             terminations=tuple(Pairs(bound.name, bound=bound) for bound in task.terminations),
             touches=tuple(map(Pairs, layout.contacts)),
             forces=tuple(Pairs(name, "N") for name in layout.forces),
@@ -296,7 +296,7 @@ def _field_pairs(task: CompiledTask) -> tuple[Pairs, ...]:
     for group, fields in task.groups.items():
         for item in fields:
             key = f"{item.key} {item.params.clip}"
-            known = found.get(key) or Pairs(item.name, _unit(item.bound), (), item.bound)
+            known = found.get(key) or Pairs(item.name, _unit(item), (), item)
             found[key] = replace(known, groups=(*known.groups, group))
     return tuple(found.values())
 

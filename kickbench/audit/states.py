@@ -9,7 +9,6 @@ of every joint.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -38,12 +37,12 @@ class VariedInitialStates:
     def __call__(self, mask: Tensor) -> InitialStates:
         """An initial state for every env; env i gets kind i mod 4."""
         initial = self._sampler.sample(len(mask))
-        qpos, qvel = initial.qpos.clone(), initial.qvel.clone()
+        qpos, qvel = initial.qpos, initial.qvel
         kind = torch.arange(len(mask)) % 4
         self._roll_ball(qpos, qvel, kind == 1)
         self._pose(qpos, qvel, (kind == 2) | (kind == 3))
         self._throw(qpos, qvel, kind == 3)
-        return replace(initial, qpos=qpos, qvel=qvel)
+        return initial
 
     def _roll_ball(self, qpos: Tensor, qvel: Tensor, mask: Tensor) -> None:
         """The ball rolls towards one of the robot's low parts, which in the default pose are its feet."""

@@ -29,13 +29,8 @@ def spec_at(spec: TaskSpec, levels: Mapping[str, float]) -> TaskSpec:
     for key, ramp in spec.curriculum.ramps.items() if spec.curriculum else ():
         if (level := levels[key]) < 1.0:
             path = key.split(".")
-            spec = _put(spec, path, _between(ramp.first, value_at(spec, path), level))
+            spec = _put(spec, path, _between(ramp.first, reduce(getattr, path, spec), level))
     return spec
-
-
-def value_at(model: Any, path: list[str]) -> Any:
-    """The value that keys lead to."""
-    return reduce(getattr, path, model)
 
 
 def _between(first: tuple[float, float], own: Any, level: float) -> Any:

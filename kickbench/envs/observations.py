@@ -205,9 +205,9 @@ class Observer:
 
 def _value(field: Field, state: State) -> Tensor:
     """The exact value of a field [B, size]."""
-    value = field.bound(state)
+    value = field(state)
     if value.shape[1] != field.size:
-        what = f"it returns {value.shape[1]}, and '{field.representation}' has {field.size}"
+        what = f"it returns {value.shape[1]}, and '{field.term.representation}' has {field.size}"
         raise KickbenchError(f"observation {field.name}: wrong number of columns: {what}")
     return value
 

@@ -33,15 +33,6 @@ class EpisodeState(Tensors):
         scored: In tasks with a goal: the ball has crossed the line between the posts [B] bool.
     """
 
-    step: Tensor
-    contact_count: Tensor
-    target: Tensor
-    action: Tensor
-    previous_action: Tensor
-    air_time: Tensor
-    ball: Tensor
-    scored: Tensor
-
     @staticmethod
     def zeros(
         num_envs: int, num_actions: int, num_feet: int, device: torch.device, *, has_goal: bool = False

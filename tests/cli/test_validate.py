@@ -251,7 +251,7 @@ MALFORMED = {
         [K1],
         (K1, "    x: [0.15, 1.0]                 # m\n    y: [-0.5, 0.5]", "    x: 0.0\n    y: [-0.1, 0.1]"),
         (K1, "  ¦ball:                            # 3.1"),
-        "sampling.ball: the ball would overlap the robot everywhere in this region "
+        "sampling.ball: the ball would overlap the robot in 100 % of this region "
         "(at least 10 % of it must be clear of the robot in its default pose)",
     ),
     "region with little room": Case(
@@ -473,11 +473,11 @@ def test_every_term_that_needs_a_sensor_that_the_scene_lacks_is_reported(edit, f
     why = "which the scene lacks (the robot robot.yaml names no `feet`)"
     assert fails("validate", TASK) == [
         f"{place_of(TASK, '¦foot_position:')}: observations.critic.foot_position: "
-        f"'foot_position' needs the sensors foot_frame, {why}",
+        f"'foot_position' needs foot_frame, {why}",
         f"{place_of(TASK, '¦foot_ball_contact:')}: observations.critic.foot_ball_contact: "
-        f"'foot_ball_contact' needs the sensors foot_ball, {why}",
+        f"'foot_ball_contact' needs foot_ball, {why}",
         f"{place_of(TASK, '{¦foot_friction:')}: randomization.foot_friction: "
-        f"'foot_friction' needs the sensors foot_ball, {why}",
+        f"'foot_friction' needs foot_ball, {why}",
     ]
 
 

@@ -106,23 +106,23 @@ def test_soles_are_seen_from_the_base_left_first(term):
     assert term("foot_position", quat=LEFT_TURN, **state) == near(0.1, 0, -0.5, -0.1, -0.2, -0.4)
 
 
-@pytest.mark.parametrize("name", catalog().observations)
+@pytest.mark.parametrize("name", catalog()["observation"])
 def test_every_field_is_as_long_as_its_term_says(name, term, mini, sensing):
     own = own_representations(mini.robot.spec, sensing.layout)
-    assert len(term(name)) == field_size(catalog().observations[name], own)
+    assert len(term(name)) == field_size(catalog()["observation"][name], own)
 
 
 @pytest.mark.parametrize("run", ["k1_lite/baseline/seed0", "mini_home_field/baseline/seed0"])
 def test_terms_state_what_the_tables_of_recorded_runs_say(run):
     table = yaml.safe_load((MEASURED / run / "specs/representations.yaml").read_text())["fields"]
-    terms = catalog().observations
+    terms = catalog()["observation"]
     # These robots have two feet, which swap.
     assert {name: str(terms[name].representation).replace("feet", "regular") for name in table} == table
 
 
-@pytest.mark.parametrize("name", catalog().observations)
+@pytest.mark.parametrize("name", catalog()["observation"])
 def test_every_field_is_float32(name, world):
-    found = catalog().observations[name]
+    found = catalog()["observation"][name]
     assert found.function(world(), found.params()).dtype == torch.float32
 
 
