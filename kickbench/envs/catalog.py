@@ -109,7 +109,9 @@ def _table(name: str, base: type[S], terms: Mapping[str, Term]) -> type[S]:
 def _narrowed(name: str, base: type[S], **fields: tuple[Any, Any]) -> type[S]:
     """A model whose fields, given by type and default, accept less, described as in its base."""
     described = {key: base.model_fields[key].description for key in fields}
-    made = {key: (kind, Field(default, description=described[key])) for key, (kind, default) in fields.items()}
+    made = {
+        key: (kind, Field(default, description=described[key])) for key, (kind, default) in fields.items()
+    }
     return _model(name, base, made)
 
 

@@ -16,7 +16,7 @@ from __future__ import annotations
 import ast
 import runpy
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -42,11 +42,7 @@ _TYPES: dict[str, Any] = {
 }
 """Types of parameters, as they are written."""
 
-_MARKERS: dict[Kind, Callable[..., Any]] = {
-    "reward": reward,
-    "observation": observation,
-    "termination": termination,
-}
+_MARKERS: dict[Kind, Any] = {"reward": reward, "observation": observation, "termination": termination}
 
 
 class OwnFunction:

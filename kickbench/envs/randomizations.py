@@ -1,7 +1,7 @@
 """Randomisation (thesis 3.1), and what that of the robot's hardware changes in the physics.
 
-One of initial states changes them in place: `(states, params, sampler)`. One of another stage makes the process that acts
-during the episode: `(setting, params) -> process`.
+One of initial states changes them in place: `(states, params, sampler)`. One of another stage makes the
+process that acts during the episode: `(setting, params) -> process`.
 """
 
 from __future__ import annotations

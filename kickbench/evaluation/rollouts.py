@@ -171,7 +171,9 @@ def run_episodes(
     """
     ended: list[dict[str, np.ndarray]] = []
     with torch.inference_mode(), torch_threads(1):
-        running = _Evaluation(task, initial_states, seed, min(num_envs, len(initial_states.qpos)), num_threads)
+        running = _Evaluation(
+            task, initial_states, seed, min(num_envs, len(initial_states.qpos)), num_threads
+        )
         while (running.schedule.running >= 0).any():
             running.shrink()
             actions = policy(running.observations)

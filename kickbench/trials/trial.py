@@ -158,7 +158,9 @@ def _partial(symmetry: Symmetry, task: CompiledTask, method: LoadedMethod) -> Sy
         return representation.excluding(range(representation.dim) if field in exclude else named)
 
     groups = {
-        group: FieldTable(tuple((f.name, without(table[f.name], f.term.representation, f.name)) for f in fields))
+        group: FieldTable(
+            tuple((f.name, without(table[f.name], f.term.representation, f.name)) for f in fields)
+        )
         for group, fields in task.groups.items()
         if (table := symmetry.groups[group])
     }

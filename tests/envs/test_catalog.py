@@ -17,7 +17,10 @@ MODULES = {
 }
 
 
-@pytest.fixture(params=[term for table in catalog().values() for term in table.values()], ids=lambda term: f"{term.kind}-{term.name}")
+@pytest.fixture(
+    params=[term for table in catalog().values() for term in table.values()],
+    ids=lambda term: f"{term.kind}-{term.name}",
+)
 def term(request):
     return request.param
 

@@ -117,7 +117,11 @@ def test_the_posts_stand_where_the_target_is_and_are_not_moved_by_a_ball(shots, 
     ("override", "place", "complaint"),
     [
         ("sampling.target.width=-1", "sampling.target.width", "expected a number greater than 0"),
-        ("sampling.target.width=null", "terminations.goal", "needs goal, which the scene lacks (add sampling.target.width, in m)"),
+        (
+            "sampling.target.width=null",
+            "terminations.goal",
+            "needs goal, which the scene lacks (add sampling.target.width, in m)",
+        ),
         ("sampling.target.distance=2", "sampling.target", "expected distance and angle, or x and y"),
         ("sampling.target.y=null", "sampling.target", "expected distance and angle, or x and y"),
         ("field={x: [-1, 9], y: [-0.9, 0.9]}", "sampling.target", "may lie off the field: y from -1 to 1 m"),
@@ -130,5 +134,7 @@ def test_a_goal_that_cannot_be_is_an_error_at_its_place(experiment, override, pl
 
 
 def test_a_ramp_of_what_a_task_does_not_give_is_an_error(experiment):
-    with pytest.raises(SpecError, match=r"sampling\.target\.distance.*expected distance and angle, or x and y"):
+    with pytest.raises(
+        SpecError, match=r"sampling\.target\.distance.*expected distance and angle, or x and y"
+    ):
         experiment("mini_goal", "baseline", "curriculum={sampling.target.distance: {from: 1, over: 0.5}}")

@@ -151,8 +151,16 @@ def test_the_audit_proves_observations_and_termination_of_obstacles():
         ("obstacles.radius=-0.1", "obstacles.radius", "expected a number greater than 0"),
         ("obstacles.raduis=0.1", "obstacles.raduis", "did you mean 'radius'?"),
         ("obstacles.observed=4", "obstacles", "observed is 4, and there are 3 obstacles"),
-        ("obstacles=null", "terminations.obstacle_touched", "needs obstacle, which the scene lacks (add `obstacles`)"),
-        ("obstacles=null", "observations.actor.obstacles", "needs obstacle, which the scene lacks (add `obstacles`)"),
+        (
+            "obstacles=null",
+            "terminations.obstacle_touched",
+            "needs obstacle, which the scene lacks (add `obstacles`)",
+        ),
+        (
+            "obstacles=null",
+            "observations.actor.obstacles",
+            "needs obstacle, which the scene lacks (add `obstacles`)",
+        ),
         (
             "terminations.obstacle_touched.by=foot",
             "terminations.obstacle_touched.by",

@@ -74,7 +74,9 @@ def test_an_env_computes_them(task):
     compiled = load_trial(task, METHOD).task
     env = KickEnv(compiled, make_engine(compiled, 3), seed=0)
     assert not task.with_name("imported").exists()
-    bound = next(bound for bound in compiled.rewards if bound.name == "ball_height" and bound.params.weight == 2.0)
+    bound = next(
+        bound for bound in compiled.rewards if bound.name == "ball_height" and bound.params.weight == 2.0
+    )
     assert bound(env.state()) == pytest.approx([compiled.spec.ball.radius] * 3, abs=1e-3)
     assert task.with_name("imported").exists()
 
