@@ -203,7 +203,6 @@ def _task_problems(task: LoadedTask[Any]) -> Iterator[Problem]:
             yield document.problem(path, "no term is on")
         for item in bounds:
             yield from _term_problems(task, (*path, item.name), item)
-    yield from _field_problems(task)
     endings = bound["terminations",]
     if endings and not any(item.term.truncates for item in endings):
         what = "no time limit is on: an episode might never end"
@@ -230,23 +229,6 @@ def _term_problems(task: LoadedTask[Any], path: KeyPath, bound: Bound) -> Iterat
         if group in hints or group not in available_groups(task.robot.spec):
             what = f"'{bound.name}' needs {group}, which the scene lacks"
             yield document.problem(path, what, hints.get(group, f"{robot} names no `feet`"))
-
-
-def _field_problems(task: LoadedTask[Any]) -> Iterator[Problem]:
-    """Sampling regions that leave the field, where the task has one."""
-    field, obstacles, sampling = task.spec.field, task.spec.obstacles, task.spec.sampling
-    if field is None:
-        return
-    regions = {("sampling", "ball"): (sampling.ball.x, sampling.ball.y)}
-    regions["sampling", "target"] = sampling.target.extent()
-    if obstacles is not None:
-        regions["obstacles",] = obstacles.x, obstacles.y
-    for path, extent in regions.items():
-        for axis, (low, high), (least, most) in zip("xy", extent, (field.x, field.y), strict=True):
-            if low < least - 1e-9 or high > most + 1e-9:
-                place = path if path[-1] == "target" else (*path, axis)
-                what = f"the {path[-1]} may lie off the field: {axis} from {low:g} to {high:g} m"
-                yield task.document.problem(place, what, f"the field's {axis} is [{least:g}, {most:g}]")
 
 
 def _scene_problems(task: LoadedTask[Any], layout: SceneLayout) -> Iterator[Problem]:

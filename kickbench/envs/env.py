@@ -12,7 +12,7 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from kickbench.envs.compiled_task import CompiledTask, read_task
-from kickbench.envs.disturbances import Draws, Setting, make_samplers
+from kickbench.envs.disturbances import Draws, Setting
 from kickbench.envs.engines import make_engine as make_engine
 from kickbench.envs.episode import EpisodeRecord, Outcome, Totals
 from kickbench.envs.initial_states import InitialStatePool, InitialStates, InitialStateSampler
@@ -84,9 +84,8 @@ class KickEnv(VecEnv):
         self._setting = Setting(
             time.timestep, time.decimation, self._default_target, self.num_envs, self._draws
         )
-        self._samplers = make_samplers(task.groups["actor"], self._setting)
-        signs, shared = task.scene.layout.joint_signs, {"noise": noise, "samplers": self._samplers}
-        self._observer = Observer(task.groups, self.device, joint_signs=signs, **shared)
+        signs = task.scene.layout.joint_signs
+        self._observer = Observer(task.groups, self._setting, noise=noise, joint_signs=signs)
         made = {bound.term.stage: bound(self._setting) for bound in task.processes}
         self._processes = {stage: process for stage, process in made.items() if pushes or stage != "push"}
         self.tensors = self._make_tensors()
@@ -117,13 +116,14 @@ class KickEnv(VecEnv):
     def _make_tensors(self) -> Tensors:
         task, envs, feet = self.task, self.num_envs, len(self.task.scene.layout.feet)
         widths = {name: task.width(name) for name in task.groups}
+        samplers = self._observer.samplers.values()
         return Tensors(
             episode=EpisodeState.zeros(envs, self.num_actions, feet, self.device, has_goal=self._has_goal),
             record=EpisodeRecord.empty(envs, len(task.rewards), self.device),
             totals=Totals.zeros(len(task.terminations), self._weights()),
             by_side=Tensors(),
             observations=Tensors({n: torch.zeros(envs, w, device=self.device) for n, w in widths.items()}),
-            perception=Tensors({sampler.name: sampler.memory for sampler in self._samplers.values()}),
+            perception=Tensors({sampler.name: sampler.memory for sampler in samplers}),
             **{stage: process.memory for stage, process in self._processes.items()},
         )
 
@@ -301,7 +301,7 @@ class KickEnv(VecEnv):
             self.episode.ball = torch.where(mask.unsqueeze(1), ball, self.episode.ball)
         self.record.reset(mask)
         self.record.kick_step.masked_fill_(mask, -1)
-        for process in (*self._processes.values(), *self._samplers.values()):
+        for process in (*self._processes.values(), *self._observer.samplers.values()):
             process.reset(mask)
         self._observe()
 
@@ -309,7 +309,7 @@ class KickEnv(VecEnv):
         """Lets the envs in `mask` [B] differ from the compiled model, and remembers how."""
         if not by_side:
             return
-        self.engine.set_model(mask, self._variation(by_side))
+        self.engine.set_model(mask, [*self._variation(by_side)])
         present = self.tensors.by_side
         for name, values in by_side.items():
             if name in present:
@@ -339,7 +339,6 @@ class KickEnv(VecEnv):
         Only for environments that sample their initial states from the task's regions.
         """
         source = self._initial_states
-        assert source is self.sampler or isinstance(source, InitialStatePool), "no state that could be kept"
         return {
             "engine": self.engine.state_dict(),
             "initial_states": source.state_dict() if isinstance(source, InitialStatePool) else {},

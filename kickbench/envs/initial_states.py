@@ -202,7 +202,7 @@ class InitialStateSampler:
         low_x, high_x, low_y, high_y = self._footprint.unbind(dim=1)
         apart_x = (low_x - radius > region.x[1]) | (high_x + radius < region.x[0])
         apart_y = (low_y - radius > region.y[1]) | (high_y + radius < region.y[0])
-        if bool((apart_x | apart_y).all()):
+        if (apart_x | apart_y).all():
             return 1
         return _enough(free_share(region, self._footprint.numpy(force=True), radius))
 

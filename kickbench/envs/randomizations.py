@@ -166,11 +166,8 @@ class ModelVariation:
         self._effort, self._velocity_limit = real(servos.effort), real(servos.velocity_limit)
         self._torque = real(servos.torque)
 
-    def __call__(self, by_side: Mapping[str, Tensor]) -> tuple[ModelField, ...]:
+    def __call__(self, by_side: Mapping[str, Tensor]) -> Iterator[ModelField]:
         """The fields that follow from values by side, each [N, 2 or 3]."""
-        return tuple(self._fields(by_side))
-
-    def _fields(self, by_side: Mapping[str, Tensor]) -> Iterator[ModelField]:
         if "foot_friction" in by_side:
             friction = by_side["foot_friction"][:, self._foot_of_geom]
             yield ModelField("geom_friction", self._foot_geoms, friction, column=0)

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from functools import cached_property
+from typing import TYPE_CHECKING, TypeAlias
 
 import torch
-from torch import Tensor
 
 from kickbench.config.task import EpisodeSpec
 from kickbench.envs.tensors import Tensors
 from kickbench.sim.engine import Engine
 from kickbench.sim.layout import SceneLayout
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 
 class EpisodeState(Tensors):
@@ -54,7 +57,7 @@ def length(vectors: Tensor) -> Tensor:
     return torch.linalg.vector_norm(vectors, dim=1)
 
 
-Columns = slice | Tensor
+Columns: TypeAlias = "slice | Tensor"
 """Some columns of a table: consecutive ones as a slice, which costs no gather."""
 
 

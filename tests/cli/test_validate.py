@@ -54,7 +54,7 @@ MALFORMED = {
         [HOME],
         (HOME, "sampling:", "samplings:"),
         (HOME, "¦samplings:"),
-        "samplings: unknown key 'samplings'; expected one of: description, robot, terms, ball, floor, field, "
+        "samplings: unknown key 'samplings'; expected one of: description, robot, terms, ball, floor, "
         "obstacles, simulation, episode, sampling, observations, rewards, terminations, randomization, evaluation, "
         "curriculum (did you mean 'sampling'?)",
     ),
@@ -271,24 +271,6 @@ MALFORMED = {
         (K1, "delay: [0.010, 0.040]", "delay: [0.0105, 0.0115]"),
         (K1, "{¦delay: [0.0105"),
         "randomization.action_delay.delay: no multiple of the time step of 0.002 s lies between 0.0105 and 0.0115 s",
-    ),
-    "target off the field": Case(
-        [K1],
-        (K1, "\nepisode: ", "\nfield: {x: [-1.0, 8.0], y: [-6.0, 6.0]}\nepisode: "),
-        (K1, "  ¦target:                          # 4.2.1"),
-        "sampling.target: the target may lie off the field: x from 1.35076 to 8.5 m (the field's x is [-1, 8])",
-    ),
-    "ball off the field": Case(
-        [HOME],
-        (HOME, "\nsampling:", "\nfield: {x: [0.3, 9.0], y: [-9.0, 9.0]}\nsampling:"),
-        (TASK, "¦x: [0.25, 0.55]"),
-        "sampling.ball.x: the ball may lie off the field: x from 0.25 to 0.55 m (the field's x is [0.3, 9])",
-    ),
-    "field turned inside out": Case(
-        [HOME],
-        (HOME, "\nsampling:", "\nfield: {x: [9.0, 0.0], y: [-9.0, 9.0]}\nsampling:"),
-        (HOME, "x: ¦[9.0, 0.0]"),
-        "field.x: the range [9.0, 0.0] is reversed: low must be less than high",
     ),
     "factor of hardware that is not positive": Case(
         [K1],

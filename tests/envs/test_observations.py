@@ -18,6 +18,7 @@ from torch import Tensor
 from kickbench.config.terms import ObservationParams
 from kickbench.envs.catalog import catalog
 from kickbench.envs.compiled_task import own_representations
+from kickbench.envs.disturbances import Setting
 from kickbench.envs.observations import Disturbance, Observer
 from kickbench.envs.state import StateIndex
 from kickbench.envs.term import field_size
@@ -141,6 +142,9 @@ class FakeField:
     params: ObservationParams
     name: str = "made_up"
 
+    def __call__(self, state: Any) -> Tensor:
+        return self.bound(state)
+
 
 @pytest.fixture
 def field():
@@ -159,8 +163,9 @@ def field():
 
 
 def observe(groups: dict[str, list[FakeField]], seed: int = 0) -> dict[str, Tensor]:
-    options = {"noise": True, "samplers": {}, "joint_signs": np.zeros((2, 0))}
-    return Observer(groups, CPU, **options)(None, torch.Generator().manual_seed(seed))  # type: ignore[arg-type]
+    draws = torch.Generator().manual_seed(seed)
+    setting = Setting(0.005, 4, torch.zeros(1), WORLDS, draws)
+    return Observer(groups, setting, noise=True, joint_signs=np.zeros((2, 0)))(None, draws)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(

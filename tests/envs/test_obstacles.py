@@ -166,7 +166,6 @@ def test_the_audit_proves_observations_and_termination_of_obstacles():
             "terminations.obstacle_touched.by",
             "expected one of: robot, ball",
         ),
-        ("field={x: [-9, 9], y: [-2, 0.6]}", "obstacles.y", "the obstacles may lie off the field"),
     ],
 )
 def test_obstacles_that_cannot_be_are_errors_at_their_place(experiment, override, place, complaint):

@@ -174,7 +174,7 @@ def test_every_term_agrees(name):
     engine.reset(everywhere(), *starting_states(task, kick=True))
     terms = {bound.name: bound for bound in task.rewards}
     terms |= {bound.name: bound for bound in task.terminations}
-    terms |= {field.name: field.bound for fields in task.groups.values() for field in fields}
+    terms |= {field.name: field for fields in task.groups.values() for field in fields}
     moved = set()
     for step in range(20):
         targets = random_targets(task, step, NOISE[name])
