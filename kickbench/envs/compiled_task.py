@@ -109,10 +109,7 @@ def compile_task(task: LoadedTask[Any]) -> CompiledTask:
     _check(task, lambda stage: _scene_problems(stage, scene.layout))
     own = own_representations(robot, scene.layout)
     groups = {group: _fields(bound["observations", group], own) for group in ("actor", "critic")}
-    terminations = bound["terminations",]
-    return CompiledTask(
-        task.name, spec, task.robot, scene, groups, terminations=terminations, **_growing(bound)
-    )
+    return CompiledTask(task.name, spec, task.robot, scene, groups, **_terms(bound))
 
 
 def own_representations(robot: RobotSpec, layout: SceneLayout) -> dict[str, Representation]:
@@ -134,7 +131,7 @@ def grown(task: CompiledTask, levels: Mapping[str, float]) -> CompiledTask:
         levels: Level of every ramp by its key, in [0, 1].
     """
     spec = spec_at(task.spec, levels)
-    return replace(task, spec=spec, **_growing(_bound(spec)))
+    return replace(task, spec=spec, **_terms(_bound(spec)))
 
 
 def _bound(spec: TaskSpec) -> dict[tuple[str, ...], tuple[Bound, ...]]:
@@ -147,11 +144,12 @@ def _bound(spec: TaskSpec) -> dict[tuple[str, ...], tuple[Bound, ...]]:
     return bound
 
 
-def _growing(bound: Mapping[tuple[str, ...], tuple[Bound, ...]]) -> dict[str, Any]:
-    """The parts of a compiled task whose parameters may grow with a curriculum."""
+def _terms(bound: Mapping[tuple[str, ...], tuple[Bound, ...]]) -> dict[str, tuple[Bound, ...]]:
+    """The terms of a compiled task, but for observations."""
     randomizations = bound["randomization",]
     return {
         "rewards": bound["rewards",],
+        "terminations": bound["terminations",],
         "randomizers": tuple(b for b in randomizations if b.term.stage == "initial"),
         "processes": tuple(b for b in randomizations if b.term.stage != "initial"),
     }

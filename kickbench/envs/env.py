@@ -312,10 +312,8 @@ class KickEnv(VecEnv):
         self.engine.set_model(mask, [*self._variation(by_side)])
         present = self.tensors.by_side
         for name, values in by_side.items():
-            if name in present:
-                present[name].copy_(torch.where(mask.unsqueeze(1), values, present[name]))
-            else:
-                present[name] = values.clone()
+            known = present.setdefault(name, values.clone())
+            known.copy_(torch.where(mask.unsqueeze(1), values, known))
 
     def _observe(self) -> None:
         self.tensors.observations.copy_(self._seen(self.state(), self._draws))
