@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
+from operator import neg
 from typing import TYPE_CHECKING, Any, Self
 
 import torch
@@ -152,7 +153,7 @@ _IMAGES: dict[str, Callable[[Tensor], Tensor]] = {
     "episode.air_time": sides_swapped,
     "record.kick_foot": _feet_swapped,
     "push.force": across,
-    "push.side": torch.neg,
+    "push.side": neg,
 }
 """How the tensors of a snapshot mirror whose law is the same for every robot."""
 
