@@ -9,7 +9,8 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, reduce
+from functools import cached_property
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -139,12 +140,12 @@ def _bound(spec: TaskSpec) -> dict[tuple[str, ...], tuple[Bound, ...]]:
     terms = catalog(spec.terms)
     bound: dict[tuple[str, ...], tuple[Bound, ...]] = {}
     for path, kind in _TABLES.items():
-        active = reduce(getattr, path, spec).active(TermParams)
+        active = attrgetter(dotted(path))(spec).active(TermParams)
         bound[path] = tuple(Bound(terms[kind][name], params) for name, params in active.items())
     return bound
 
 
-def _terms(bound: Mapping[tuple[str, ...], tuple[Bound, ...]]) -> dict[str, tuple[Bound, ...]]:
+def _terms(bound: Mapping[tuple[str, ...], tuple[Bound, ...]]) -> dict[str, Any]:
     """The terms of a compiled task, but for observations."""
     randomizations = bound["randomization",]
     return {
@@ -173,9 +174,10 @@ def _check(task: LoadedTask[Any], problems: Callable[[LoadedTask[Any]], Iterable
         raise SpecError(found)
     ramps = task.spec.curriculum.ramps if task.spec.curriculum else {}
     for key in ramps:
-        path = key.split(".")[:-1]
-        if reduce(getattr, path, task.spec) is None:
-            raise task.document.error(("curriculum", key), f"the term '{path[-1]}' is off in this task")
+        owner = key.rpartition(".")[0]
+        if attrgetter(owner)(task.spec) is None:
+            what = f"the term '{owner.rpartition('.')[2]}' is off in this task"
+            raise task.document.error(("curriculum", key), what)
     firsts = {key: ramp.first for key, ramp in ramps.items()}
     values = {key: low if low == high else [low, high] for key, (low, high) in firsts.items()}
     try:
@@ -232,7 +234,8 @@ def _term_problems(task: LoadedTask[Any], path: KeyPath, bound: Bound) -> Iterat
 def _scene_problems(task: LoadedTask[Any], layout: SceneLayout) -> Iterator[Problem]:
     """Balls and obstacles without room beside the robot."""
     spec, document, radius = task.spec, task.document, task.spec.ball.radius
-    shares = {("sampling", "ball"): free_share(spec.sampling.ball, layout.footprint, radius)}
+    shares: dict[KeyPath, float] = {}
+    shares["sampling", "ball"] = free_share(spec.sampling.ball, layout.footprint, radius)
     if layout.obstacles is not None:
         shares["obstacles",] = obstacle_share(spec, layout.obstacles.footprint)
     for path, share in shares.items():
@@ -240,7 +243,9 @@ def _scene_problems(task: LoadedTask[Any], layout: SceneLayout) -> Iterator[Prob
             what = f"the {path[-1]} would overlap the robot in {100.0 * (1.0 - share):.0f} % of this region"
             hint = f"at least {100.0 * LEAST_FREE:.0f} % of it must be clear of the robot in its default pose"
             yield document.problem(path, what, hint)
-    for row, (x, y) in enumerate((spec.evaluation.grid and spec.evaluation.grid.ball) or ()):
+    grid = spec.evaluation.grid
+    balls: Sequence[tuple[float, float]] = (grid and grid.ball) or ()
+    for row, (x, y) in enumerate(balls):
         if overlaps(np.array(x), np.array(y), layout.footprint, radius):
             what = f"a ball at [{x:g}, {y:g}] would overlap the robot"
             hint = "a place that is clear of the robot in its default pose"

@@ -255,16 +255,10 @@ class InitialStatePool:
 
         Both are far smaller than the states.
         """
-        return {"size": self._size, "used": self._used, "drawn_from": self._drawn_from.clone()}
+        return {"used": self._used, "drawn_from": self._drawn_from.clone()}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Draws the same states again. The generator is left behind them: set it to where it was afterwards.
-
-        Raises:
-            ValueError: The state is that of a pool of another size.
-        """
-        if state.get("size") != self._size:
-            raise ValueError(f"initial states: expected {self._size} drawn ahead, found {state.get('size')}")
+        """Draws the same states again; the generator is left behind them: set it to where it was then."""
         self._sampler.generator.set_state(state["drawn_from"])
         self._draw()
         self._used = state["used"]

@@ -121,8 +121,9 @@ def _marks(node: ast.FunctionDef) -> Iterator[tuple[Kind, ast.expr]]:
     """The decorators of a function that make it a term."""
     for mark in node.decorator_list:
         called = mark.func if isinstance(mark, ast.Call) else mark
-        name = called.attr if isinstance(called, ast.Attribute) else getattr(called, "id", "")
-        yield from ((kind, mark) for kind in _MARKERS if kind == name)
+        name: Any = called.attr if isinstance(called, ast.Attribute) else getattr(called, "id", "")
+        if name in _MARKERS:
+            yield name, mark
 
 
 def _term(file: Path, node: ast.FunctionDef) -> Term:
