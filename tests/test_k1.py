@@ -118,8 +118,8 @@ def test_every_reward_is_recorded_by_name_weighted_and_raw():
     paid = torch.zeros(16)
     for step in range(8):
         paid += env.step(torch.randn(16, 22, generator=torch.Generator().manual_seed(step)))[1]
-    names = [bound.name for bound, _ in chosen.task.rewards]
-    weights = torch.tensor([weight for _, weight in chosen.task.rewards])
+    names = [bound.name for bound in chosen.task.rewards]
+    weights = torch.tensor([bound.params.weight for bound in chosen.task.rewards])
     assert len(names) == len(set(names)) == 14, "thesis Table 4.1, and illegal contact with weight 0"
     assert env.outcome is not None
     raw_sums = env.outcome.record.by_reward_raw
@@ -148,7 +148,7 @@ def test_starts_are_drawn_as_yaml_says():
     assert friction.mean() == pytest.approx(0.75, rel=0.02)
     correlation = torch.corrcoef(friction.T)[0, 1]
     assert abs(float(correlation)) < 0.03, "each foot has its own"
-    joints = starts.qpos[:, chosen.task.scene.layout.joint_qpos] - starts.qpos[:, starts.joints].mean(0)
+    joints = starts.qpos[:, chosen.task.scene.layout.joint_qpos] - starts.qpos[:, env.sampler.joints].mean(0)
     assert joints.abs().max() <= 0.0405
 
 

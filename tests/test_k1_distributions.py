@@ -97,12 +97,12 @@ def test_noise_of_an_observed_field_over_steps(name):
     env = KickEnv(task, make_engine(task, worlds), 3)
     field = next(field for field in task.groups["actor"] if field.name == name)
     part = slice(field.first, field.first + field.size)
-    exact = field.bound(env.state()).double()
+    exact = field(env.state()).double()
     looks = math.ceil(COUNT / (worlds * field.size))
     seen = torch.stack([observed_again(env)["actor"][:, part].double() for _ in range(looks)])
     noise = (seen - exact).flatten()[:COUNT].numpy()
     half = field.params.noise
-    assert_uniform(f"noise, {name}", noise, -half, half, field.bound.term.units)
+    assert_uniform(f"noise, {name}", noise, -half, half, field.term.units)
 
 
 def test_fields_without_noise_have_none():

@@ -87,7 +87,7 @@ def test_standing_still_beats_a_perfect_kick_under_the_misaligned_reward():
     assert outcome is not None
     assert outcome.done.all(), "every episode runs out of time"
     torch.testing.assert_close(outcome.rewards.sum(dim=1), torch.full((2,), 12.0), rtol=0.02, atol=0.0)
-    weights = {bound.name: weight for bound, weight in task.rewards}
+    weights = {bound.name: bound.params.weight for bound in task.rewards}
     kick = 4.0 * (weights["survival"] + weights["upright"]) + 0.02 * weights["target_distance"]
     assert kick == pytest.approx(11.0)
     assert (outcome.rewards.sum(dim=1) > kick).all()

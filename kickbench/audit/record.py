@@ -246,11 +246,11 @@ def _quantities(task: CompiledTask) -> Iterator[Pairs]:
     fields: dict[str, Pairs] = {}
     for group, items in task.groups.items():
         for item in items:
-            fresh = _term_pairs("observation", item.bound)
+            fresh = _term_pairs("observation", item)
             known = fields.setdefault(f"{item.key} {item.params.clip}", fresh)
             known.groups = (*known.groups, group)
     yield from fields.values()
-    yield from (_term_pairs("reward", bound) for bound, _ in task.rewards)
+    yield from (_term_pairs("reward", bound) for bound in task.rewards)
     yield from (_term_pairs("termination", bound) for bound in task.terminations)
     yield Pairs("velocity", "velocity", "", lambda snapshot: snapshot.qvel)
     for name in task.scene.layout.contacts:

@@ -118,7 +118,7 @@ def terms(
     from kickbench.envs.term import describe_common
 
     last = None
-    for term in catalog(own).all():
+    for term in (term for table in catalog(own).values() for term in table.values()):
         if kind in (None, f"{term.kind}s"):
             if term.kind != last:
                 print(f"{term.kind}s\n{'-' * (len(term.kind) + 1)}")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -84,17 +83,6 @@ VectorPair = Annotated[tuple[float, float], Field(strict=False)]
 """Two numbers."""
 
 
-def _ordered(value: Sequence[float], rule: str = "low must be less than high") -> Sequence[float]:
-    low, high = value
-    if low >= high:
-        raise ValueError(f"the range [{low}, {high}] is {'reversed' if low > high else 'empty'}: {rule}")
-    return value
-
-
-Bounds = Annotated[VectorPair, AfterValidator(_ordered)]
-"""Bounds `[low, high]` with low < high."""
-
-
 def _read_range(value: Any) -> Any:
     if isinstance(value, int | float) and not isinstance(value, bool):
         return (value, value)
@@ -102,7 +90,10 @@ def _read_range(value: Any) -> Any:
         raise PydanticCustomError("range_type", "Input should be a number or [low, high]")
     # Only YAML gives lists. A tuple of equal bounds is a constant that was read before.
     if all(isinstance(bound, int | float) for bound in value) and value != (value[0], value[0]):
-        _ordered(value, "low must be less than high; a constant is one number")
+        low, high = value
+        if low >= high:
+            what = f"the range [{low}, {high}] is {'reversed' if low > high else 'empty'}"
+            raise ValueError(f"{what}: low must be less than high; a constant is one number")
     return value
 
 

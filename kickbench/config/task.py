@@ -8,7 +8,6 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field, create_model, model_validator
 
 from kickbench.config.base import (
-    Bounds,
     FileRef,
     FloatList,
     Fraction,
@@ -192,18 +191,6 @@ class TargetSampling(Spec):
         return (min(x), max(x)), (min(y), max(y))
 
 
-class FieldSpec(Spec):
-    """The playing field, in the robot's start frame.
-
-    It has no walls and no lines: a ball may roll off it. Sampling regions that leave it are errors.
-    """
-
-    x: Bounds
-    """Forward extent, m."""
-    y: Bounds
-    """Lateral extent, m; left is positive."""
-
-
 class SamplingSpec(Spec):
     """Start distribution of an episode."""
 
@@ -370,8 +357,6 @@ class TaskSpec(Spec):
     """Ball."""
     floor: FloorSpec = FloorSpec()
     """Floor."""
-    field: FieldSpec | None = None
-    """Playing field that ball and target must start within; default: as large as the regions ask for."""
     obstacles: ObstaclesSpec | None = None
     """Cylinders in the way; default: none."""
     simulation: SimulationSpec

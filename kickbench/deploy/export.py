@@ -127,7 +127,7 @@ def _default_pose(layout: SceneLayout) -> tuple[float, ...]:
 
 
 def _observation(task: CompiledTask, field: Field) -> parts.Observation:
-    term, layout = field.bound.term, task.scene.layout
+    term, layout = field.term, task.scene.layout
     own = {"joints": layout.joint_names, "actions": layout.actuator_names, "feet": layout.feet}
     own["obstacles"] = tuple(map(str, range(layout.obstacles.observed if layout.obstacles else 0)))
     known = _COMPONENTS | own

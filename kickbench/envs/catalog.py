@@ -6,7 +6,6 @@ The catalogue is read off the four modules of terms: a new term is one function 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from types import ModuleType
@@ -33,29 +32,8 @@ _MODULES: dict[Kind, ModuleType] = {
 }
 
 
-@dataclass(frozen=True, eq=False)
-class Catalog:
-    """All terms by kind and name."""
-
-    observations: Mapping[str, Term]
-    rewards: Mapping[str, Term]
-    terminations: Mapping[str, Term]
-    randomizations: Mapping[str, Term]
-
-    def all(self) -> tuple[Term, ...]:
-        """Every term, kind by kind in the order of definition."""
-        tables = (self.observations, self.rewards, self.terminations, self.randomizations)
-        return tuple(term for table in tables for term in table.values())
-
-    def tables(self, spec: TaskSpec) -> dict[tuple[str, ...], tuple[Mapping[str, Term], TermTable]]:
-        """Every table of terms in a task by its keys: the known terms, and those that the task names."""
-        return {
-            ("observations", "actor"): (self.observations, spec.observations.actor),
-            ("observations", "critic"): (self.observations, spec.observations.critic),
-            ("rewards",): (self.rewards, spec.rewards),
-            ("terminations",): (self.terminations, spec.terminations),
-            ("randomization",): (self.randomizations, spec.randomization),
-        }
+Catalog = Mapping[Kind, Mapping[str, Term]]
+"""All terms by kind and name, in the order of definition."""
 
 
 def catalog(own: str | Path | None = None) -> Catalog:
@@ -67,21 +45,20 @@ def catalog(own: str | Path | None = None) -> Catalog:
     Raises:
         SpecError: A term in the file is not one, or has a name that is taken.
     """
-    return _catalog(read_terms(Path(own)) if own else ())
+    return _merged(read_terms(Path(own)) if own else ())
 
 
-@cache
-def _catalog(own: tuple[Term, ...]) -> Catalog:
-    return Catalog(*(_terms(kind, module, own) for kind, module in _MODULES.items()))
-
-
-def _terms(kind: Kind, module: ModuleType, own: tuple[Term, ...]) -> dict[str, Term]:
-    shipped = [value for value in vars(module).values() if isinstance(value, Term)]
-    found = {term.name: term for term in shipped if term.kind == kind}
+def _merged(own: tuple[Term, ...]) -> Catalog:
+    found: dict[Kind, dict[str, Term]] = {
+        kind: {term.name: term for term in vars(module).values() if isinstance(term, Term)}
+        for kind, module in _MODULES.items()
+    }
     for term in own:
-        if term.kind == kind and term.name in found:
-            raise SpecError.of(str(term.function.file), f"{term.name}: kickbench has a {kind} of this name")
-    return found | {term.name: term for term in own if term.kind == kind}
+        if term.name in found[term.kind]:
+            what = f"{term.name}: kickbench has a {term.kind} of this name"
+            raise SpecError.of(str(term.function.file), what)  # pyright: ignore[reportFunctionMemberAccess]
+        found[term.kind][term.name] = term
+    return found
 
 
 def model_of_task(document: Document) -> type[TaskSpec]:
@@ -93,20 +70,21 @@ def model_of_task(document: Document) -> type[TaskSpec]:
 
 def task_model(own: Path | None = None) -> type[TaskSpec]:
     """The task model whose tables accept exactly the terms that exist, with their parameters."""
-    return _task_model(catalog(own))
+    return _task_model(read_terms(own) if own else ())
 
 
 @cache
-def _task_model(terms: Catalog) -> type[TaskSpec]:
-    group = _table("ObservationTable", TermTable, terms.observations)
+def _task_model(own: tuple[Term, ...]) -> type[TaskSpec]:
+    terms = _merged(own)
+    group = _table("ObservationTable", TermTable, terms["observation"])
     groups = _narrowed("Observations", ObservationSpec, actor=(group, ...), critic=(group, ...))
-    randomization = _table("Randomization", TermTable, terms.randomizations)
+    randomization = _table("Randomization", TermTable, terms["randomization"])
     return _narrowed(
         "Task",
         TaskSpec,
         observations=(groups, ...),
-        rewards=(_table("Rewards", RewardTable, terms.rewards), ...),
-        terminations=(_table("Terminations", TermTable, terms.terminations), ...),
+        rewards=(_table("Rewards", RewardTable, terms["reward"]), ...),
+        terminations=(_table("Terminations", TermTable, terms["termination"]), ...),
         randomization=(randomization, randomization()),
         curriculum=(_curriculum(terms) | None, None),
     )
@@ -115,28 +93,27 @@ def _task_model(terms: Catalog) -> type[TaskSpec]:
 def _curriculum(terms: Catalog) -> type[CurriculumSpec]:
     """The values that a curriculum may move: regions, reward weights, numbers and ranges of randomisation."""
     keys = ["sampling.ball.x", "sampling.ball.y", "sampling.target.distance", "sampling.target.angle"]
-    keys += [f"rewards.{name}.weight" for name in terms.rewards]
-    for name, term in terms.randomizations.items():
+    keys += [f"rewards.{name}.weight" for name in terms["reward"]]
+    for name, term in terms["randomization"].items():
         keys += [f"randomization.{name}.{parameter}" for parameter in term.params.model_fields]
-    return _optional("Curriculum", CurriculumSpec, {key: (RAMP, f"How {key} grows.") for key in keys})
+    fields = {key: (RAMP | None, Field(None, description=f"How {key} grows.")) for key in keys}
+    return _model("Curriculum", CurriculumSpec, fields)
 
 
 def _table(name: str, base: type[S], terms: Mapping[str, Term]) -> type[S]:
-    return _optional(name, base, {key: (term.params, term.summary) for key, term in terms.items()})
-
-
-def _optional(name: str, base: type[S], fields: Mapping[str, tuple[Any, str]]) -> type[S]:
-    """A model with further fields, given by type and description, each of which may be left out."""
-    added: dict[str, Any] = {
-        key: (kind | None, Field(None, description=words)) for key, (kind, words) in fields.items()
-    }
-    return create_model(name, __base__=base, __doc__=base.__doc__, **added)
+    """A table of terms, each of which may be left out."""
+    fields = {key: (term.params | None, Field(None, description=term.summary)) for key, term in terms.items()}
+    return _model(name, base, fields)
 
 
 def _narrowed(name: str, base: type[S], **fields: tuple[Any, Any]) -> type[S]:
     """A model whose fields, given by type and default, accept less, described as in its base."""
-    described: dict[str, Any] = {
-        key: (kind, Field(default, description=base.model_fields[key].description))
-        for key, (kind, default) in fields.items()
+    described = {key: base.model_fields[key].description for key in fields}
+    made = {
+        key: (kind, Field(default, description=described[key])) for key, (kind, default) in fields.items()
     }
-    return create_model(name, __base__=base, __doc__=base.__doc__, **described)
+    return _model(name, base, made)
+
+
+def _model(name: str, base: type[S], fields: dict[str, Any]) -> type[S]:
+    return create_model(name, __base__=base, __doc__=base.__doc__, **fields)

@@ -7,30 +7,39 @@ not fit.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import ValidationError
 
 from kickbench.config.load import Loaded, LoadedTask, load_task
 from kickbench.config.robot import RobotSpec
 from kickbench.config.shipped import find
-from kickbench.config.task import Ramp, TaskSpec
-from kickbench.config.terms import ObservationParams, RewardParams, TermParams
-from kickbench.envs.catalog import Catalog, catalog, model_of_task
-from kickbench.envs.curriculum import spec_at, value_at
+from kickbench.config.task import TaskSpec
+from kickbench.config.terms import TermParams
+from kickbench.envs.catalog import catalog, model_of_task
+from kickbench.envs.curriculum import spec_at
 from kickbench.envs.initial_states import LEAST_FREE, free_share, obstacle_share, overlaps
-from kickbench.envs.term import Bound, Field, Term, field_size
-from kickbench.errors import KeyPath, Problem, SpecError, did_you_mean
+from kickbench.envs.term import Bound, Field, Kind, field_size
+from kickbench.errors import KeyPath, Problem, SpecError, did_you_mean, dotted
 from kickbench.sim.build import Scene, build_scene
 from kickbench.sim.layout import SceneLayout
 from kickbench.sim.sensors import SensorGroup, available_groups
 from kickbench.symmetry.mirror import mirror_actions, mirror_joints
 from kickbench.symmetry.representation import REGULAR, TRIVIAL, Representation, direct_sum
+
+_TABLES: dict[tuple[str, ...], Kind] = {
+    ("observations", "actor"): "observation",
+    ("observations", "critic"): "observation",
+    ("rewards",): "reward",
+    ("terminations",): "termination",
+    ("randomization",): "randomization",
+}
+"""The tables of terms in a task by their keys."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +52,7 @@ class CompiledTask:
         robot: The robot.
         scene: Compiled scene with index maps.
         groups: Observation group -> fields in the order of the vector.
-        rewards: Reward terms with weights, time step not applied.
+        rewards: Reward terms; the time step is not applied to their weights.
         terminations: Termination terms.
         randomizers: Randomisation of initial states.
         processes: Randomisation that acts during episodes.
@@ -55,7 +64,7 @@ class CompiledTask:
     robot: Loaded[RobotSpec]
     scene: Scene
     groups: Mapping[str, tuple[Field, ...]]
-    rewards: tuple[tuple[Bound, float], ...]
+    rewards: tuple[Bound, ...]
     terminations: tuple[Bound, ...]
     randomizers: tuple[Bound, ...]
     processes: tuple[Bound, ...]
@@ -89,24 +98,19 @@ def compile_task(task: LoadedTask[Any]) -> CompiledTask:
     Raises:
         SpecError: A term needs a sensor that the robot's scene lacks, the robot's MJCF lacks a name, ...
     """
-    spec: TaskSpec = task.spec
-    if problems := list(_task_problems(task, catalog(spec.terms))):
-        raise SpecError(problems)
+    spec, robot = task.spec, task.robot.spec
+    _check(task, _task_problems)
     bound = _bound(spec)
     needs: frozenset[SensorGroup] = frozenset(
         group for bounds in bound.values() for item in bounds for group in item.term.needs
     )
     # Which foot kicks is a result of every task, so robots with feet always sense it.
-    needs |= available_groups(task.robot.spec) & {"foot_ball"}
+    needs |= available_groups(robot) & {"foot_ball"}
     scene = build_scene(spec, task.robot, needs)
-    if problems := list(_scene_problems(task, scene.layout)):
-        raise SpecError(problems)
-    own = own_representations(task.robot.spec, scene.layout)
+    _check(task, lambda stage: _scene_problems(stage, scene.layout))
+    own = own_representations(robot, scene.layout)
     groups = {group: _fields(bound["observations", group], own) for group in ("actor", "critic")}
-    terminations = bound["terminations",]
-    return CompiledTask(
-        task.name, spec, task.robot, scene, groups, terminations=terminations, **_growing(bound)
-    )
+    return CompiledTask(task.name, spec, task.robot, scene, groups, **_terms(bound))
 
 
 def own_representations(robot: RobotSpec, layout: SceneLayout) -> dict[str, Representation]:
@@ -128,22 +132,25 @@ def grown(task: CompiledTask, levels: Mapping[str, float]) -> CompiledTask:
         levels: Level of every ramp by its key, in [0, 1].
     """
     spec = spec_at(task.spec, levels)
-    return replace(task, spec=spec, **_growing(_bound(spec)))
+    return replace(task, spec=spec, **_terms(_bound(spec)))
 
 
 def _bound(spec: TaskSpec) -> dict[tuple[str, ...], tuple[Bound, ...]]:
     """The terms that are on, with their parameters, by the keys of their table."""
-    return {
-        path: tuple(Bound(known[name], params) for name, params in table.active(TermParams).items())
-        for path, (known, table) in catalog(spec.terms).tables(spec).items()
-    }
+    terms = catalog(spec.terms)
+    bound: dict[tuple[str, ...], tuple[Bound, ...]] = {}
+    for path, kind in _TABLES.items():
+        active = attrgetter(dotted(path))(spec).active(TermParams)
+        bound[path] = tuple(Bound(terms[kind][name], params) for name, params in active.items())
+    return bound
 
 
-def _growing(bound: Mapping[tuple[str, ...], tuple[Bound, ...]]) -> dict[str, Any]:
-    """The parts of a compiled task whose parameters may grow with a curriculum."""
-    rewards, randomizations = bound["rewards",], bound["randomization",]
+def _terms(bound: Mapping[tuple[str, ...], tuple[Bound, ...]]) -> dict[str, Any]:
+    """The terms of a compiled task, but for observations."""
+    randomizations = bound["randomization",]
     return {
-        "rewards": tuple((b, b.params.weight) for b in rewards if isinstance(b.params, RewardParams)),
+        "rewards": bound["rewards",],
+        "terminations": bound["terminations",],
         "randomizers": tuple(b for b in randomizations if b.term.stage == "initial"),
         "processes": tuple(b for b in randomizations if b.term.stage != "initial"),
     }
@@ -152,181 +159,94 @@ def _growing(bound: Mapping[tuple[str, ...], tuple[Bound, ...]]) -> dict[str, An
 def _fields(bounds: tuple[Bound, ...], own: Mapping[str, Representation]) -> tuple[Field, ...]:
     fields, first = [], 0
     for bound in bounds:
-        assert isinstance(bound.params, ObservationParams)
-        size = field_size(bound.term, own)
-        fields.append(Field(_of_robot(bound, own), bound.params, first, size))
+        term, size = bound.term, field_size(bound.term, own)
+        if isinstance(term.representation, str) and own["feet"] == REGULAR:
+            # As in the tables that runs have kept.
+            term = replace(term, representation=re.sub(r"\bfeet\b", "regular", term.representation))
+        fields.append(Field(term, bound.params, first, size))
         first += size
     return tuple(fields)
 
 
-def _of_robot(bound: Bound, own: Mapping[str, Representation]) -> Bound:
-    """A term whose `feet` are written `regular` where there are two, as in the tables that runs have kept."""
-    stated = bound.term.representation
-    if isinstance(stated, int) or own["feet"] != REGULAR:
-        return bound
-    return replace(bound, term=replace(bound.term, representation=re.sub(r"\bfeet\b", "regular", stated)))
+def _check(task: LoadedTask[Any], problems: Callable[[LoadedTask[Any]], Iterable[Problem]]) -> None:
+    """Raises the problems of a task; if it has none, those with the first values of its curriculum."""
+    if found := [*problems(task)]:
+        raise SpecError(found)
+    ramps = task.spec.curriculum.ramps if task.spec.curriculum else {}
+    for key in ramps:
+        owner = key.rpartition(".")[0]
+        if attrgetter(owner)(task.spec) is None:
+            what = f"the term '{owner.rpartition('.')[2]}' is off in this task"
+            raise task.document.error(("curriculum", key), what)
+    firsts = {key: ramp.first for key, ramp in ramps.items()}
+    values = {key: low if low == high else [low, high] for key, (low, high) in firsts.items()}
+    try:
+        found = [*problems(task.changed(values))] if ramps else []
+    except SpecError as error:
+        found = error.problems
+    if found:
+        raise SpecError(_at_first(task, problem, [*ramps]) for problem in found)
 
 
-def _task_problems(task: LoadedTask[Any], terms: Catalog) -> Iterator[Problem]:
-    """Problems before there is a scene: terms that it could not serve, empty tables, a wrong curriculum."""
-    spec, document = task.spec, task.document
-    for path, (known, table) in terms.tables(spec).items():
-        active = table.active(TermParams)
-        if not active and path != ("randomization",):
-            yield document.problem(path, "no term is on", f"one of: {', '.join(known)}")
-        for name, params in active.items():
-            yield from _term_problems(task, (*path, name), known[name], params)
-    yield from _field_problems(task)
-    yield from _goal_problems(task)
-    yield from _curriculum_problems(task)
-    limits = [name for name, term in terms.terminations.items() if term.truncates]
-    endings = spec.terminations.active(TermParams)
-    if endings and not set(limits) & set(endings):
+def _at_first(task: LoadedTask[Any], problem: Problem, keys: Sequence[str]) -> Problem:
+    """A problem that a task has with the first values of its curriculum, at the ramp that it comes from."""
+    key = next((key for key in keys if dotted(problem.path).startswith(key)), None)
+    path = ("curriculum", key, "from") if key else ("curriculum",)
+    return task.document.problem(path, f"at first, {problem.message}", problem.hint)
+
+
+def _task_problems(task: LoadedTask[Any]) -> Iterator[Problem]:
+    """Problems before there is a scene: terms that it could not serve, empty tables."""
+    document, bound = task.document, _bound(task.spec)
+    for path, bounds in bound.items():
+        if not bounds and path != ("randomization",):
+            yield document.problem(path, "no term is on")
+        for item in bounds:
+            yield from _term_problems(task, (*path, item.name), item)
+    endings = bound["terminations",]
+    if endings and not any(item.term.truncates for item in endings):
         what = "no time limit is on: an episode might never end"
-        yield document.problem(("terminations",), what, f"add {' or '.join(limits)}")
+        yield document.problem(("terminations",), what, "add time_out: {}")
 
 
-def _scene_problems(task: LoadedTask[Any], layout: SceneLayout) -> Iterator[Problem]:
-    """Regions of the ball without room beside the robot, also those of a curriculum's first level."""
-    yield from _region_problems(task, layout)
-    yield from _grid_problems(task, layout)
-    yield from _goal_place_problems(task, layout)
-    if (first := _first(task)) is not None:
-        for problem in (*_field_problems(first), *_region_problems(first, layout)):
-            yield task.document.problem(("curriculum",), f"at first, {problem.message}", problem.hint)
-
-
-def _term_problems(task: LoadedTask[Any], path: KeyPath, term: Term, params: TermParams) -> Iterator[Problem]:
+def _term_problems(task: LoadedTask[Any], path: KeyPath, bound: Bound) -> Iterator[Problem]:
     """Parameters that do not fit the task, joints that it does not observe, sensors that it lacks."""
-    document, robot = task.document, f"the robot {task.robot.document.file.name}"
-    for key, message in params.misfits(task.spec):
+    spec, document, robot = task.spec, task.document, f"the robot {task.robot.document.file.name}"
+    for key, message in bound.params.misfits(spec):
         yield document.problem((*path, key), message)
     for key in ("rate", "dropout", "delay") if path[:2] == ("observations", "critic") else ():
-        if getattr(params, key):
+        if getattr(bound.params, key):
             what = f"the critic sees its fields exactly: no `{key}`"
             yield document.problem((*path, key), what, "only fields of the actor have one")
     observed = task.robot.spec.observed_joints
-    for key, joint in params.named_joints():
+    for key, joint in bound.params.named_joints():
         if joint not in observed:
             hint = did_you_mean(joint, observed) or f"it has: {', '.join(observed)}"
             yield document.problem((*path, *key), f"{robot} observes no joint '{joint}'", hint)
-    if task.spec.obstacles is None and "obstacle" in term.needs:
-        yield document.problem(
-            path, f"'{term.name}' is of obstacles, and the task has none", "add `obstacles`"
-        )
-    if lacking := sorted(term.needs - available_groups(task.robot.spec)):
-        what = f"'{term.name}' needs the sensors {', '.join(lacking)}, which the scene lacks"
-        yield document.problem(path, what, f"{robot} names no `feet`")
+    hints = {} if spec.obstacles else {"obstacle": "add `obstacles`"}
+    hints |= {} if spec.sampling.target.width else {"goal": "add sampling.target.width, in m"}
+    for group in sorted(bound.term.needs):
+        if group in hints or group not in available_groups(task.robot.spec):
+            what = f"'{bound.name}' needs {group}, which the scene lacks"
+            yield document.problem(path, what, hints.get(group, f"{robot} names no `feet`"))
 
 
-def _field_problems(task: LoadedTask[Any]) -> Iterator[Problem]:
-    """Sampling regions that leave the field, where the task has one."""
-    sampling, field, obstacles = task.spec.sampling, task.spec.field, task.spec.obstacles
-    if field is None:
-        return
-    for axis, goal, bounds in zip("xy", sampling.target.extent(), (field.x, field.y), strict=True):
-        regions: list[tuple[str, KeyPath, tuple[float, float]]] = [
-            ("ball", ("sampling", "ball", axis), getattr(sampling.ball, axis)),
-            ("target", ("sampling", "target"), goal),
-        ]
-        if obstacles is not None:
-            regions.append(("obstacles", ("obstacles", axis), getattr(obstacles, axis)))
-        for what, path, (low, high) in regions:
-            if low < bounds[0] - 1e-9 or high > bounds[1] + 1e-9:
-                message = f"the {what} may lie off the field: {axis} from {low:g} to {high:g} m"
-                hint = f"the field's {axis} is [{bounds[0]:g}, {bounds[1]:g}]"
-                yield task.document.problem(path, message, hint)
-
-
-def _region_problems(task: LoadedTask[Any], layout: SceneLayout) -> Iterator[Problem]:
-    share = free_share(task.spec.sampling.ball, layout.footprint, task.spec.ball.radius)
-    yield from _full(task, ("sampling", "ball"), "the ball would overlap the robot", share)
+def _scene_problems(task: LoadedTask[Any], layout: SceneLayout) -> Iterator[Problem]:
+    """Balls and obstacles without room beside the robot."""
+    spec, document, radius = task.spec, task.document, task.spec.ball.radius
+    shares: dict[KeyPath, float] = {}
+    shares["sampling", "ball"] = free_share(spec.sampling.ball, layout.footprint, radius)
     if layout.obstacles is not None:
-        share = obstacle_share(task.spec, layout.obstacles.footprint)
-        yield from _full(task, ("obstacles",), "an obstacle would overlap the robot or the ball", share)
-
-
-def _full(task: LoadedTask[Any], path: KeyPath, what: str, share: float) -> Iterator[Problem]:
-    """A region of which too small a share is free."""
-    if share >= LEAST_FREE:
-        return
-    where = "everywhere in" if share == 0.0 else f"in {100.0 * (1.0 - share):.0f} % of"
-    hint = f"at least {100.0 * LEAST_FREE:.0f} % of it must be clear of the robot in its default pose"
-    yield task.document.problem(path, f"{what} {where} this region", hint)
-
-
-def _grid_problems(task: LoadedTask[Any], layout: SceneLayout) -> Iterator[Problem]:
-    """Ball positions of a grid inside the robot."""
-    grid = task.spec.evaluation.grid
-    places: Sequence[tuple[float, float]] = (grid and grid.ball) or ()
-    for row, (x, y) in enumerate(places):
-        if overlaps(np.array(x), np.array(y), layout.footprint, task.spec.ball.radius):
-            message = f"a ball at [{x:g}, {y:g}] would overlap the robot"
+        shares["obstacles",] = obstacle_share(spec, layout.obstacles.footprint)
+    for path, share in shares.items():
+        if share < LEAST_FREE:
+            what = f"the {path[-1]} would overlap the robot in {100.0 * (1.0 - share):.0f} % of this region"
+            hint = f"at least {100.0 * LEAST_FREE:.0f} % of it must be clear of the robot in its default pose"
+            yield document.problem(path, what, hint)
+    grid = spec.evaluation.grid
+    balls: Sequence[tuple[float, float]] = (grid and grid.ball) or ()
+    for row, (x, y) in enumerate(balls):
+        if overlaps(np.array(x), np.array(y), layout.footprint, radius):
+            what = f"a ball at [{x:g}, {y:g}] would overlap the robot"
             hint = "a place that is clear of the robot in its default pose"
-            yield task.document.problem(("evaluation", "grid", "ball", row), message, hint)
-
-
-def _goal_problems(task: LoadedTask[Any]) -> Iterator[Problem]:
-    """Terms of a goal without one, a goal without its termination, or one that no ball fits in."""
-    spec, document, name = task.spec, task.document, "goal"
-    target, place = spec.sampling.target, ("sampling", "target")
-    used = [key for key in ("rewards", "terminations") if name in getattr(spec, key).active(TermParams)]
-    if target.width is None:
-        for key in used:
-            what = "the target is a point: there is no goal to cross"
-            yield document.problem((key, name), what, "add sampling.target.width, in m")
-        return
-    if "terminations" not in used:
-        what = "a target with a width is a goal, which the termination 'goal' has to end"
-        yield document.problem(("terminations",), what, "add goal: {}")
-    if target.width <= 2.0 * spec.ball.radius:
-        what = f"the ball, {2.0 * spec.ball.radius:g} m wide, does not fit in"
-        yield document.problem((*place, "width"), what)
-
-
-def _goal_place_problems(task: LoadedTask[Any], layout: SceneLayout) -> Iterator[Problem]:
-    """A goal behind the robot or in it, or with a ball that starts behind its line."""
-    target, ball = task.spec.sampling.target, task.spec.sampling.ball
-    if target.width is None or target.x is None:
-        return
-    nearest, limit = target.x[0], max(float(layout.footprint[:, 1].max(initial=0.0)), ball.x[1])
-    if nearest <= limit:
-        message = f"the goal may stand before the ball, or in or behind the robot: x from {nearest:g} m"
-        yield task.document.problem(("sampling", "target", "x"), message, f"expected more than {limit:.3g} m")
-
-
-def _first(task: LoadedTask[Any]) -> LoadedTask[Any] | None:
-    """The task with the first values of its curriculum, if it has one."""
-    curriculum = task.spec.curriculum
-    return curriculum and replace(task, spec=spec_at(task.spec, dict.fromkeys(curriculum.ramps, 0.0)))
-
-
-def _curriculum_problems(task: LoadedTask[Any]) -> Iterator[Problem]:
-    """Ramps of terms that are off, first values that their keys do not take or that do not fit the task."""
-    ramps = task.spec.curriculum.ramps if task.spec.curriculum else {}
-    problems = [problem for key, ramp in ramps.items() if (problem := _ramp_problem(task, key, ramp))]
-    yield from problems
-    first = None if problems else _first(task)
-    if first is None:
-        return
-    for key in ramps:
-        params = value_at(first.spec, key.split(".")[:2])
-        for _, message in params.misfits(first.spec) if isinstance(params, TermParams) else ():
-            yield task.document.problem(("curriculum", key, "from"), message)
-
-
-def _ramp_problem(task: LoadedTask[Any], key: str, ramp: Ramp) -> Problem | None:
-    place, (*path, name) = ("curriculum", key), key.split(".")
-    owner = value_at(task.spec, path)
-    if owner is None:
-        return task.document.problem(place, f"the term '{path[-1]}' is off in this task")
-    if getattr(owner, name) is None:
-        return task.document.problem(place, f"this task has no {key}")
-    is_range = isinstance(getattr(owner, name), tuple)
-    if not is_range and ramp.first[0] != ramp.first[1]:
-        return task.document.problem((*place, "from"), f"expected a number, as {key} is one, found a range")
-    try:
-        type(owner).model_validate({**dict(owner), name: ramp.first if is_range else ramp.first[0]})
-    except ValidationError as error:
-        return task.document.problem((*place, "from"), error.errors()[0]["msg"].removeprefix("Value error, "))
-    return None
+            yield document.problem(("evaluation", "grid", "ball", row), what, hint)

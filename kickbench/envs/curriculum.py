@@ -10,8 +10,8 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import reduce
 from math import isfinite
+from operator import attrgetter
 from typing import Any, TypeVar
 
 from pydantic import BaseModel
@@ -28,14 +28,8 @@ def spec_at(spec: TaskSpec, levels: Mapping[str, float]) -> TaskSpec:
     """The specification with the values of its curriculum at some levels."""
     for key, ramp in spec.curriculum.ramps.items() if spec.curriculum else ():
         if (level := levels[key]) < 1.0:
-            path = key.split(".")
-            spec = _put(spec, path, _between(ramp.first, value_at(spec, path), level))
+            spec = _put(spec, key.split("."), _between(ramp.first, attrgetter(key)(spec), level))
     return spec
-
-
-def value_at(model: Any, path: list[str]) -> Any:
-    """The value that keys lead to."""
-    return reduce(getattr, path, model)
 
 
 def _between(first: tuple[float, float], own: Any, level: float) -> Any:

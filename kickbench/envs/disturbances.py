@@ -32,13 +32,11 @@ class EpisodeDraws:
 
     Attributes:
         streams: Source of the numbers of every env's running episode [B].
-        device: Where the numbers live.
     """
 
     def __init__(self, num_envs: int) -> None:
         """Gives every env a source for the time before its first episode."""
         self.streams = [np.random.default_rng(0) for _ in range(num_envs)]
-        self.device = torch.device("cpu")
 
     def begin(self, env: int, seed: Sequence[int]) -> None:
         """Begins the numbers of a new episode in an env."""
@@ -213,7 +211,7 @@ class PushSchedule:
         self._interval = (low, max(low, high))
         self._steps = max(1, round(params.duration / control_interval))
         self._range, self._generator = params.force, setting.generator
-        envs, device = setting.num_envs, setting.generator.device
+        envs, device = setting.num_envs, setting.default_target.device
         self.memory = Tensors(
             wait=torch.zeros(envs, dtype=torch.int64, device=device),
             force=torch.zeros(envs, 2, device=device),
@@ -324,8 +322,3 @@ class Sampler:
     def _count(self, step: Tensor) -> Tensor:
         """Samples since the first, up to and including a control step [B]."""
         return (step.double() * self._samples_a_step + _ROUNDING).floor()
-
-
-def make_samplers(fields: Sequence[Field], setting: Setting) -> dict[str, Sampler]:
-    """A sampler for each field whose parameters ask for one, by `Field.key`."""
-    return {field.key: Sampler(field, setting) for field in fields if field.params.is_sampled}

@@ -12,7 +12,7 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from kickbench.envs.compiled_task import CompiledTask, read_task
-from kickbench.envs.disturbances import Draws, Setting, make_samplers
+from kickbench.envs.disturbances import Draws, Setting
 from kickbench.envs.engines import make_engine as make_engine
 from kickbench.envs.episode import EpisodeRecord, Outcome, Totals
 from kickbench.envs.initial_states import InitialStatePool, InitialStates, InitialStateSampler
@@ -70,18 +70,22 @@ class KickEnv(VecEnv):
         """
         if task.spec.terms and not task.is_trusted:
             raise KickbenchError(f"{shown(task.spec.terms)}: code of a run; --trust-code lets it be imported")
-        self.task, self.engine = task, engine
+        self.task, self.cfg, self.engine = task, task.spec, engine
         self.num_envs, self.num_actions = engine.num_envs, len(task.scene.layout.actuator_names)
         self.max_episode_length = task.spec.episode.max_steps
         self.device: torch.device = engine.device
-        self.cfg = task.spec
         self.generator = torch.Generator(self.device).manual_seed(seed)
         self._resident = self.device.type != "cpu" if resident is None else resident
         self.sampler = InitialStateSampler(task, self.generator)
         self._initial_states = initial_states or self._make_source()
         self._draws: Draws = draws or self.generator
-        self._noise = noise
         self._prepare_constants()
+        time = task.spec.simulation
+        self._setting = Setting(
+            time.timestep, time.decimation, self._default_target, self.num_envs, self._draws
+        )
+        signs = task.scene.layout.joint_signs
+        self._observer = Observer(task.groups, self._setting, noise=noise, joint_signs=signs)
         made = {bound.term.stage: bound(self._setting) for bound in task.processes}
         self._processes = {stage: process for stage, process in made.items() if pushes or stage != "push"}
         self.tensors = self._make_tensors()
@@ -91,52 +95,43 @@ class KickEnv(VecEnv):
         self.outcome: Outcome | None = None
         self.reset()
 
-    def _make_tensors(self) -> Tensors:
-        task, envs, layout = self.task, self.num_envs, self.task.scene.layout
-        groups = {name: torch.zeros(envs, task.width(name), device=self.device) for name in task.groups}
-        return Tensors(
-            episode=EpisodeState.zeros(
-                envs, self.num_actions, len(layout.feet), self.device, has_goal=self._has_goal
-            ),
-            record=EpisodeRecord.empty(envs, len(task.rewards), self.device),
-            totals=Totals.zeros(len(task.terminations), self._weights),
-            by_side=Tensors(),
-            observations=Tensors(groups),
-            perception=Tensors({sampler.name: sampler.memory for sampler in self._samplers.values()}),
-            **{stage: process.memory for stage, process in self._processes.items()},
-        )
-
-    def _prepare_constants(self) -> None:
-        task, layout = self.task, self.task.scene.layout
-        self._index = StateIndex(layout, self.device)
-        self._default_target = torch.as_tensor(layout.default_target, dtype=torch.float32, device=self.device)
-        self._action_scale = torch.as_tensor(layout.action_scale, dtype=torch.float32, device=self.device)
-        self._weights = self._make_weights()
-        self._everywhere = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
-        concludes = [not bound.term.truncates for bound in task.terminations]
-        self._concludes = torch.tensor(concludes, device=self.device)
-        self._senses_floor = any(name.endswith("_foot_floor") for name in layout.contacts)
-        self._has_feet, self._has_goal = bool(layout.feet), layout.goal_qpos is not None
-        limits = list(task.velocity_limits.values())
-        self._limited = torch.tensor([place for place, _ in limits], dtype=torch.int64, device=self.device)
-        self._velocity_limit = torch.tensor([limit for _, limit in limits], device=self.device)
-        self._variation = ModelVariation(task.scene, self.device)
-        time = task.spec.simulation
-        target, envs = self._default_target, self.num_envs
-        self._setting = Setting(time.timestep, time.decimation, target, envs, self._draws)
-        self._samplers = make_samplers(task.groups["actor"], self._setting)
-        signs = layout.joint_signs
-        self._observer = Observer(
-            task.groups, self.device, noise=self._noise, samplers=self._samplers, joint_signs=signs
-        )
-
     def _make_source(self) -> InitialStateSource:
         return self.sampler if self._resident else InitialStatePool(self.sampler, _POOLED * self.num_envs)
 
-    def _make_weights(self) -> Tensor:
+    def _prepare_constants(self) -> None:
+        task, layout, device = self.task, self.task.scene.layout, self.device
+        self._index = StateIndex(layout, device)
+        self._default_target = torch.as_tensor(layout.default_target, dtype=torch.float32, device=device)
+        self._action_scale = torch.as_tensor(layout.action_scale, dtype=torch.float32, device=device)
+        self._everywhere = torch.ones(self.num_envs, dtype=torch.bool, device=device)
+        concludes = [not bound.term.truncates for bound in task.terminations]
+        self._concludes = torch.tensor(concludes, device=device)
+        self._senses_floor = any(name.endswith("_foot_floor") for name in layout.contacts)
+        self._has_goal = layout.goal_qpos is not None
+        limits = list(task.velocity_limits.values())
+        self._limited = torch.tensor([place for place, _ in limits], dtype=torch.int64, device=device)
+        self._velocity_limit = torch.tensor([limit for _, limit in limits], device=device)
+        self._variation = ModelVariation(task.scene, device)
+
+    def _make_tensors(self) -> Tensors:
+        task, envs, feet = self.task, self.num_envs, len(self.task.scene.layout.feet)
+        widths = {name: task.width(name) for name in task.groups}
+        samplers = self._observer.samplers.values()
+        return Tensors(
+            episode=EpisodeState.zeros(envs, self.num_actions, feet, self.device, has_goal=self._has_goal),
+            record=EpisodeRecord.empty(envs, len(task.rewards), self.device),
+            totals=Totals.zeros(len(task.terminations), self._weights()),
+            by_side=Tensors(),
+            observations=Tensors({n: torch.zeros(envs, w, device=self.device) for n, w in widths.items()}),
+            perception=Tensors({sampler.name: sampler.memory for sampler in samplers}),
+            **{stage: process.memory for stage, process in self._processes.items()},
+        )
+
+    def _weights(self) -> Tensor:
+        """Weights of the rewards [R], with the time step applied where the task says so."""
         spec = self.task.spec
         scale = spec.simulation.control_interval if spec.rewards.scale_by_dt else 1.0
-        return torch.tensor([weight * scale for _, weight in self.task.rewards], device=self.device)
+        return torch.tensor([bound.params.weight * scale for bound in self.task.rewards], device=self.device)
 
     def grow(self, task: CompiledTask) -> None:
         """Goes on with other values of the same task: regions, reward weights, randomisation.
@@ -150,7 +145,7 @@ class KickEnv(VecEnv):
         self.task, self.cfg = task, task.spec
         self.sampler = InitialStateSampler(task, self.generator)
         self._initial_states = self._make_source()
-        self._weights.copy_(self._make_weights())
+        self.totals.weights = self._weights()
         for bound in task.processes:
             made = bound(self._setting)
             if (stage := bound.term.stage) in self._processes:
@@ -264,26 +259,33 @@ class KickEnv(VecEnv):
         if self._has_goal:
             episode.scored |= state.ball_enters_goal
             episode.ball = state.ball_pos[:, :2]
-        self.record.note_touch(state, self.engine.failed, self._has_feet)
+        self.record.note_touch(state, self.engine.failed, bool(self.task.scene.layout.feet))
         if len(self._limited):
             is_beyond = self.engine.qvel[:, self._limited].abs() > self._velocity_limit
             self.totals.speeding += is_beyond.any(dim=1).sum()
 
     def _reward(self, state: State) -> Tensor:
-        raw = torch.stack([bound(state) for bound, _ in self.task.rewards], dim=1)
+        raw = torch.stack([bound(state) for bound in self.task.rewards], dim=1)
         # The numbers of a failed env mean nothing: it earns nothing in its last step.
         raw = torch.where(self.engine.failed.unsqueeze(1), 0.0, raw)
         self.record.by_reward_raw += raw
-        return raw @ self._weights
+        return raw @ self.totals.weights
 
     def _conclude(self, state: State, terminated: Tensor, failed: Tensor, done: Tensor) -> None:
         radius = self.task.spec.evaluation.success_radius
         reached = (state.target_distance < radius) & state.ball_stopped & state.ball_touched
         success = done & ~failed & (self.episode.scored if self._has_goal else reached)
-        record, steps = self.record.clone(), self.episode.step.clone()
-        ball = state.ball_pos[:, :2]
-        distance, weights = state.target_distance, self._weights
-        self.outcome = Outcome(done, failed, terminated, success, ball, distance, steps, record, weights)
+        self.outcome = Outcome(
+            done=done,
+            failed=failed,
+            terminated=terminated,
+            success=success,
+            ball=state.ball_pos[:, :2],
+            distance=state.target_distance,
+            steps=self.episode.step.clone(),
+            record=self.record.clone(),
+            rewards=self.record.by_reward_raw * self.totals.weights,
+        )
         self.totals.add(self.outcome)
 
     def _reset(self, mask: Tensor) -> None:
@@ -298,7 +300,8 @@ class KickEnv(VecEnv):
             ball = states.qpos[:, place : place + 2].float()
             self.episode.ball = torch.where(mask.unsqueeze(1), ball, self.episode.ball)
         self.record.reset(mask)
-        for process in (*self._processes.values(), *self._samplers.values()):
+        self.record.kick_step.masked_fill_(mask, -1)
+        for process in (*self._processes.values(), *self._observer.samplers.values()):
             process.reset(mask)
         self._observe()
 
@@ -306,13 +309,11 @@ class KickEnv(VecEnv):
         """Lets the envs in `mask` [B] differ from the compiled model, and remembers how."""
         if not by_side:
             return
-        self.engine.set_model(mask, self._variation(by_side))
+        self.engine.set_model(mask, [*self._variation(by_side)])
         present = self.tensors.by_side
         for name, values in by_side.items():
-            if name in present:
-                present[name].copy_(torch.where(mask.unsqueeze(1), values, present[name]))
-            else:
-                present[name] = values.clone()
+            known = present.setdefault(name, values.clone())
+            known.copy_(torch.where(mask.unsqueeze(1), values, known))
 
     def _observe(self) -> None:
         self.tensors.observations.copy_(self._seen(self.state(), self._draws))
@@ -336,7 +337,6 @@ class KickEnv(VecEnv):
         Only for environments that sample their initial states from the task's regions.
         """
         source = self._initial_states
-        assert source is self.sampler or isinstance(source, InitialStatePool), "no state that could be kept"
         return {
             "engine": self.engine.state_dict(),
             "initial_states": source.state_dict() if isinstance(source, InitialStatePool) else {},

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import torch
 from torch import Tensor
 
@@ -26,11 +24,6 @@ class EpisodeRecord(Tensors):
         peak_ball_speed: Largest horizontal ball speed since the first touch, or without one so far [B], m/s.
     """
 
-    by_reward_raw: Tensor
-    kick_foot: Tensor
-    kick_step: Tensor
-    peak_ball_speed: Tensor
-
     @staticmethod
     def empty(envs: int, rewards: int, device: torch.device) -> EpisodeRecord:
         """Records of episodes that have not begun."""
@@ -42,11 +35,6 @@ class EpisodeRecord(Tensors):
             peak_ball_speed=torch.zeros(envs, device=device),
         )
 
-    def reset(self, mask: Tensor) -> None:
-        """Starts new records in the envs in `mask` [B]."""
-        super().reset(mask)
-        self.kick_step.masked_fill_(mask, -1)
-
     def note_touch(self, state: State, failed: Tensor, has_feet: bool) -> None:
         """Remembers step and foot of the first touch, and the ball's peak speed.
 
@@ -55,13 +43,11 @@ class EpisodeRecord(Tensors):
             failed: Worlds whose numbers mean nothing [B] bool; no speed is taken from them.
             has_feet: Whether the scene tells which foot touches the ball.
         """
-        first = state.ball_contact & (self.kick_step < 0)
+        first, code = state.ball_contact & (self.kick_step < 0), torch.full_like(self.kick_foot, OTHER)
         if has_feet:
             left, right = state.foot_ball_contact.unflatten(1, (-1, 2)).any(dim=1).unbind(dim=1)
-            code = left + RIGHT * right
-            self.kick_foot = torch.where(first, torch.where(code > 0, code, OTHER), self.kick_foot)
-        else:
-            self.kick_foot = torch.where(first, OTHER, self.kick_foot)
+            code = torch.where(left | right, left + RIGHT * right, code)
+        self.kick_foot = torch.where(first, code, self.kick_foot)
         self.kick_step = torch.where(first, state.episode.step, self.kick_step)
         before = self.peak_ball_speed.masked_fill(first, 0.0)
         peak = torch.maximum(before, state.ball_ground_speed)
@@ -80,20 +66,15 @@ class Totals(Tensors):
         weights: Weight of each reward term [R].
     """
 
-    steps: Tensor
-    speeding: Tensor
-    endings: Tensor
-    by_reward_raw: Tensor
-    weights: Tensor
-
     @staticmethod
     def zeros(terminations: int, weights: Tensor) -> Totals:
         """Nothing counted yet."""
-        endings = torch.zeros(3 + terminations, device=weights.device)
-        steps, speeding = torch.zeros((), device=weights.device), torch.zeros((), device=weights.device)
-        by_reward = torch.zeros_like(weights)
         return Totals(
-            steps=steps, speeding=speeding, endings=endings, by_reward_raw=by_reward, weights=weights
+            steps=weights.new_zeros(()),
+            speeding=weights.new_zeros(()),
+            endings=weights.new_zeros(3 + terminations),
+            by_reward_raw=torch.zeros_like(weights),
+            weights=weights,
         )
 
     def add(self, outcome: Outcome) -> None:
@@ -107,26 +88,18 @@ class Totals(Tensors):
     def take(self) -> Tensors:
         """Returns the sums and sets them to zero.
 
-        They are `episodes`, their number; `successes`; `failures`, those whose numbers were not finite;
-        `steps`; `speeding`; `terminations`, those ended by each termination [T]; and the sums of each reward
-        term [R], `raw_rewards` without and `rewards` with its weight.
+        The `endings` are `episodes`, their number; `successes`; `failures`, those whose numbers were not
+        finite; and `terminations`, those ended by each termination [T].
         """
-        names = ("episodes", "successes", "failures")
-        finished = Tensors(
-            **dict(zip(names, self.endings[: len(names)], strict=True)),
-            terminations=self.endings[len(names) :],
-            steps=self.steps,
-            speeding=self.speeding,
-            raw_rewards=self.by_reward_raw,
-            rewards=self.by_reward_raw * self.weights,
-        ).clone()
-        for sums in (self.steps, self.speeding, self.endings, self.by_reward_raw):
-            sums.zero_()
-        return finished
+        sums = self.clone()
+        for name in self.keys() - {"weights"}:
+            self[name].zero_()
+        endings = sums.pop("endings")
+        named = dict(zip(("episodes", "successes", "failures"), endings, strict=False))
+        return Tensors(sums, **named, terminations=endings[3:])
 
 
-@dataclass(frozen=True)
-class Outcome:
+class Outcome(Tensors):
     """How the last control step ended, before any reset; one row an env.
 
     Attributes:
@@ -138,20 +111,5 @@ class Outcome:
         distance: Ball to target [B], m.
         steps: Length of the episode so far [B].
         record: The episode's record.
-        weights: Weight of each reward term [R].
+        rewards: Weighted sum of every reward term so far [B, R]; together they are the return.
     """
-
-    done: Tensor
-    failed: Tensor
-    terminated: Tensor
-    success: Tensor
-    ball: Tensor
-    distance: Tensor
-    steps: Tensor
-    record: EpisodeRecord
-    weights: Tensor
-
-    @property
-    def rewards(self) -> Tensor:
-        """Weighted sum of every reward term so far [B, R]; together they are the return."""
-        return self.record.by_reward_raw * self.weights

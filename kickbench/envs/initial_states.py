@@ -3,25 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
 
 from kickbench.config.task import BallSampling, ObstaclesSpec, TaskSpec
-from kickbench.envs.tensors import across, sides_swapped
+from kickbench.envs.tensors import Tensors
 
 if TYPE_CHECKING:
     from torch import Tensor
 
     from kickbench.envs.compiled_task import CompiledTask
     from kickbench.sim.layout import ObstacleLayout
-    from kickbench.symmetry.torch_ops import Mirror
-
-Draw = Callable[..., "Tensor"]
-"""`draw(low, high, *shape)`: uniform numbers, float64, from the sampler's generator."""
 
 LEAST_FREE = 0.1
 """Share of a ball's region that must be clear of the robot."""
@@ -32,56 +27,17 @@ _GRID = 64
 """Places a side on which a region is examined."""
 
 
-@dataclass(frozen=True)
-class InitialStates:
+class InitialStates(Tensors):
     """Everything that differs between the beginnings of two episodes; one row an episode.
 
     Attributes:
         qpos: Generalised positions [N, nq], float64.
         qvel: Generalised velocities [N, nv], float64.
         target: Target position on the floor [N, 2], m, float64.
-        joints: Places of the observed joints in qpos.
         by_side: What differs from the compiled model, by name of its randomisation: one column each for the
             left and the right side, and where the term has it for the middle [N, 2 or 3], or one each foot
             [N, F], float64.
-        feet: Number of feet F.
     """
-
-    qpos: Tensor
-    qvel: Tensor
-    target: Tensor
-    joints: Tensor
-    by_side: Mapping[str, Tensor] = field(default_factory=dict)
-    feet: int = 0
-
-    def __len__(self) -> int:
-        """Number of initial states."""
-        return len(self.qpos)
-
-    def take(self, rows: Tensor) -> InitialStates:
-        """The initial states of the given row numbers."""
-        by_side = {name: values.index_select(0, rows) for name, values in self.by_side.items()}
-        qpos, qvel, target = (table.index_select(0, rows) for table in (self.qpos, self.qvel, self.target))
-        return replace(self, qpos=qpos, qvel=qvel, target=target, by_side=by_side)
-
-    def put(self, rows: Tensor, others: InitialStates, first: int) -> None:
-        """Overwrites the given rows with as many of others, from their row `first` on."""
-        fresh = slice(first, first + len(rows))
-        for here, there in zip(self._tables(), others._tables(), strict=True):
-            here.index_copy_(0, rows, there[fresh])
-
-    def _tables(self) -> tuple[Tensor, ...]:
-        return self.qpos, self.qvel, self.target, *self.by_side.values()
-
-    def mirrored(self, qpos: Mirror, qvel: Mirror) -> InitialStates:
-        """Reflects every state in the xz plane; `qpos` and `qvel` are the model's mirror maps."""
-        by_side = {name: sides_swapped(values) for name, values in self.by_side.items()}
-        images = {"qpos": qpos(self.qpos), "qvel": qvel(self.qvel), "target": across(self.target)}
-        return replace(self, **images, by_side=by_side)
-
-    def varied(self, name: str, values: Tensor) -> InitialStates:
-        """The same states with values by side [N, 2 or 3] of a randomisation."""
-        return replace(self, by_side={**self.by_side, name: values})
 
 
 def overlaps(x: Any, y: Any, obstacles: Any, radius: float) -> Any:
@@ -125,6 +81,11 @@ class InitialStateSampler:
     It hands them out as well, one for every env in every step, needed or not: for devices that would have to
     wait for the number that is needed. A few thousand cost a GPU less than the question. On a CPU see
     `InitialStatePool`.
+
+    Attributes:
+        generator: Source of all randomness.
+        joints: Places of the observed joints in qpos.
+        feet: Number of feet F.
     """
 
     def __init__(self, task: CompiledTask, generator: torch.Generator) -> None:
@@ -144,7 +105,7 @@ class InitialStateSampler:
         if self._obstacles:
             self._beside = torch.as_tensor(self._obstacles[1].footprint, device=device)
             self._tries_beside = _enough(obstacle_share(spec, self._obstacles[1].footprint))
-        self._joints, self._feet = torch.as_tensor(layout.joint_qpos, device=device), len(layout.feet)
+        self.joints, self.feet = torch.as_tensor(layout.joint_qpos, device=device), len(layout.feet)
         self._candidates = self._tries()
         self.generator = generator
 
@@ -156,6 +117,10 @@ class InitialStateSampler:
         """Uniform numbers in [low, high), float64."""
         unit = torch.rand(shape, generator=self.generator, dtype=torch.float64, device=self.generator.device)
         return low + (high - low) * unit
+
+    def draw_by_side(self, count: int, *ranges: tuple[float, float]) -> Tensor:
+        """Uniform numbers from the range of every side [count, sides]."""
+        return torch.cat([self.draw(*bounds, count, 1) for bounds in ranges], dim=1)
 
     def sample(self, count: int, ball: Tensor | None = None, target: Tensor | None = None) -> InitialStates:
         """Draws `count` independent initial states.
@@ -175,9 +140,9 @@ class InitialStateSampler:
             qpos[:, self._goal : self._goal + 2] = target
         if self._obstacles:
             self._place_obstacles(qpos, qvel, *self._obstacles)
-        states = InitialStates(qpos, qvel, target, self._joints, feet=self._feet)
+        states = InitialStates(qpos=qpos, qvel=qvel, target=target, by_side=Tensors())
         for randomize in self._randomizers:
-            states = randomize(states, self.draw)
+            randomize(states, self)
         return states
 
     def overlaps(self, x: Tensor, y: Tensor) -> Tensor:
@@ -237,7 +202,7 @@ class InitialStateSampler:
         low_x, high_x, low_y, high_y = self._footprint.unbind(dim=1)
         apart_x = (low_x - radius > region.x[1]) | (high_x + radius < region.x[0])
         apart_y = (low_y - radius > region.y[1]) | (high_y + radius < region.y[0])
-        if bool((apart_x | apart_y).all()):
+        if (apart_x | apart_y).all():
             return 1
         return _enough(free_share(region, self._footprint.numpy(force=True), radius))
 
@@ -269,22 +234,17 @@ class InitialStatePool:
             size: States drawn at a time; at least the number of envs.
         """
         self._sampler, self._size = sampler, size
-        self._handed: InitialStates | None = None
         self._draw()
 
     def __call__(self, mask: Tensor) -> InitialStates:
-        """The next states for the envs in `mask` [B]; rows of other envs hold one that means nothing.
-
-        What it returns is written to in the next call.
-        """
+        """The next states for the envs in `mask` [B]; rows of other envs hold one that means nothing."""
         envs = mask.nonzero().squeeze(1)
         if self._used + len(envs) > self._size:
             self._draw()
-        if self._handed is None:
-            self._handed = self._states.take(torch.arange(len(mask)))
-        self._handed.put(envs, self._states, self._used)
+        rows = torch.zeros_like(mask, dtype=torch.int64)
+        rows[envs] = torch.arange(self._used, self._used + len(envs), device=mask.device)
         self._used += len(envs)
-        return self._handed
+        return self._states.take(rows)
 
     def _draw(self) -> None:
         self._drawn_from = self._sampler.generator.get_state()
@@ -295,16 +255,10 @@ class InitialStatePool:
 
         Both are far smaller than the states.
         """
-        return {"size": self._size, "used": self._used, "drawn_from": self._drawn_from.clone()}
+        return {"used": self._used, "drawn_from": self._drawn_from.clone()}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Draws the same states again. The generator is left behind them: set it to where it was afterwards.
-
-        Raises:
-            ValueError: The state is that of a pool of another size.
-        """
-        if state.get("size") != self._size:
-            raise ValueError(f"initial states: expected {self._size} drawn ahead, found {state.get('size')}")
+        """Draws the same states again; the generator is left behind them: set it to where it was then."""
         self._sampler.generator.set_state(state["drawn_from"])
         self._draw()
         self._used = state["used"]

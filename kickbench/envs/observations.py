@@ -13,7 +13,7 @@ import numpy as np
 import torch
 
 from kickbench.config.terms import ObservationParams
-from kickbench.envs.disturbances import Draws, Sampler, uniform
+from kickbench.envs.disturbances import Draws, Sampler, Setting, uniform
 from kickbench.envs.state import State
 from kickbench.envs.term import Field, observation
 from kickbench.errors import KickbenchError
@@ -150,28 +150,30 @@ class Observer:
 
     Groups share most of their fields. Each is evaluated once; only noise and clipping are a group's own, and
     what the actor's sensors are off by (`sensor_bias`) and its fields have lost on the way (`Sampler`).
+
+    Attributes:
+        samplers: Through which the group `actor` sees fields, by `Field.key`; the others it sees at once.
     """
 
     def __init__(
         self,
         groups: Mapping[str, Sequence[Field]],
-        device: torch.device,
+        setting: Setting,
         *,
         noise: bool,
-        samplers: Mapping[str, Sampler],
         joint_signs: np.ndarray,
     ) -> None:
         """Finds what the groups share.
 
         Args:
             groups: Observation group -> fields in the order of its vector.
-            device: Where the observations live.
+            setting: What samplers need to know of the environment.
             noise: Whether noise applies.
-            samplers: Through which the group `actor` sees fields, by `Field.key`; the others it sees at once.
             joint_signs: As in `SceneLayout`.
         """
-        self._samplers = samplers
-        self._biased = [field.key for field in groups.get("actor", ()) if field.name == joint_pos.name]
+        actor, device = groups.get("actor", ()), setting.default_target.device
+        self.samplers = {field.key: Sampler(field, setting) for field in actor if field.params.is_sampled}
+        self._biased = [field.key for field in actor if field.name == joint_pos.name]
         self._joint_signs = torch.as_tensor(joint_signs, dtype=torch.float32, device=device)
         self._fields = {field.key: field for fields in groups.values() for field in fields}
         self._groups = {
@@ -194,7 +196,7 @@ class Observer:
         seen = dict(fields)
         if bias is not None:
             seen |= {key: fields[key] + bias.float() @ self._joint_signs for key in self._biased}
-        for key, sample in self._samplers.items():
+        for key, sample in self.samplers.items():
             seen[key] = sample(seen[key], state.episode.step, generator)
         by_group = {"actor": seen}
         return {
@@ -205,9 +207,9 @@ class Observer:
 
 def _value(field: Field, state: State) -> Tensor:
     """The exact value of a field [B, size]."""
-    value = field.bound(state)
+    value = field(state)
     if value.shape[1] != field.size:
-        what = f"it returns {value.shape[1]}, and '{field.representation}' has {field.size}"
+        what = f"it returns {value.shape[1]}, and '{field.term.representation}' has {field.size}"
         raise KickbenchError(f"observation {field.name}: wrong number of columns: {what}")
     return value
 

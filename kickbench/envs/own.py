@@ -14,14 +14,12 @@ a task and say what it is. It is imported when one of its terms is first called,
 from __future__ import annotations
 
 import ast
-import importlib.util
-import sys
+import runpy
 import traceback
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -44,27 +42,23 @@ _TYPES: dict[str, Any] = {
 }
 """Types of parameters, as they are written."""
 
+_MARKERS: dict[Kind, Any] = {"reward": reward, "observation": observation, "termination": termination}
 
-_MARKERS = {function.__name__: function for function in (reward, observation, termination)}
 
-
-@dataclass(frozen=True)
 class OwnFunction:
     """A term's function in a file that is imported when it is first called.
 
     Attributes:
         file: The file.
-        name: The function's name.
-        kind: The term's kind.
-        parameters: Names of its parameters.
-        doc: Its docstring.
     """
 
-    file: Path
-    name: str
-    kind: Kind
-    parameters: tuple[str, ...]
-    doc: str | None
+    def __init__(self, file: Path, node: ast.FunctionDef, kind: Kind) -> None:
+        """Reads name, docstring and parameters."""
+        fields: dict[str, Any] = dict(_fields(node, kind))
+        self.file, self._kind, self._names = file, kind, tuple(fields)
+        self.__name__, self.__doc__ = node.name, ast.get_docstring(node)
+        params = create_model(f"{node.name}_parameters", __base__=COMMON[kind], **fields)
+        self.__annotations__ = {"params": params}
 
     def __call__(self, state: Any, params: TermParams) -> Tensor:
         """Calls the function, and checks what it returns.
@@ -72,24 +66,24 @@ class OwnFunction:
         Raises:
             KickbenchError: It fails, or returns something else than a term of its kind does.
         """
-        function = getattr(_module(self.file, self.file.stat().st_mtime_ns), self.name)
+        function = _module(self.file, self.file.stat().st_mtime_ns)[self.__name__]
         try:
-            found = function(state, **{name: getattr(params, name) for name in self.parameters})
+            found = function(state, **{name: getattr(params, name) for name in self._names})
         except Exception as error:
             line = traceback.extract_tb(error.__traceback__)[-1]
-            raise KickbenchError(f"{line.filename}:{line.lineno}: in {self.name}: {error!r}") from error
+            raise KickbenchError(f"{line.filename}:{line.lineno}: in {self.__name__}: {error!r}") from error
         self._check(found, len(state.ball_pos))
         return found
 
     def _check(self, found: Any, envs: int) -> None:
-        kind = torch.bool if self.kind == "termination" else torch.float32
-        dims = 2 if self.kind == "observation" else 1
+        kind = torch.bool if self._kind == "termination" else torch.float32
+        dims = 2 if self._kind == "observation" else 1
         is_tensor = isinstance(found, torch.Tensor)
         if is_tensor and found.dtype == kind and found.dim() == dims and len(found) == envs:
             return
         shape = f"{found.dtype} {list(found.shape)}" if is_tensor else type(found).__name__
-        expected = f"{kind} [{envs}{', size' if dims == 2 else ''}]"
-        raise KickbenchError(f"{shown(self.file)}: {self.name} returns {shape}; a {self.kind} is {expected}")
+        expected = f"a {self._kind} is {kind} [{envs}{', size' if dims == 2 else ''}]"
+        raise KickbenchError(f"{shown(self.file)}: {self.__name__} returns {shape}; {expected}")
 
 
 def read_terms(file: Path) -> tuple[Term, ...]:
@@ -104,50 +98,42 @@ def read_terms(file: Path) -> tuple[Term, ...]:
 @cache
 def _read(file: Path, source: bytes) -> tuple[Term, ...]:
     try:
-        tree = ast.parse(source)
+        tree = ast.parse(source, str(file))
     except (SyntaxError, ValueError) as error:
-        line, column = getattr(error, "lineno", None) or 0, getattr(error, "offset", None) or 0
-        what = f"not Python: {getattr(error, 'msg', error)}"
-        raise SpecError([Problem(Mark(str(file), line, column), (), what)]) from None
+        raise SpecError.of(str(file), f"not Python: {error}") from None
     found: dict[str, Term] = {}
-    problems: list[Problem] = []
-    for node in tree.body:
-        mark = next(filter(_marker, node.decorator_list), None) if isinstance(node, ast.FunctionDef) else None
-        if not isinstance(node, ast.FunctionDef) or mark is None:
-            continue
+    marked = [node for node in tree.body if isinstance(node, ast.FunctionDef) and any(_marks(node))]
+    for node in marked:
         try:
             if node.name in found:
                 raise ValueError("there are two terms of this name")
-            found[node.name] = _term(file, node, mark)
+            found[node.name] = _term(file, node)
         except (TypeError, ValueError) as error:
             place = Mark(str(file), node.lineno, node.col_offset + 1)
-            problems.append(Problem(place, (node.name,), _words(error)))
-    if problems:
-        raise SpecError(problems)
+            raise SpecError([Problem(place, (node.name,), _words(error))]) from None
     if not found:
         what = "no term: expected functions marked by @reward, @observation or @termination"
         raise SpecError.of(str(file), what)
     return tuple(found.values())
 
 
-def _term(file: Path, node: ast.FunctionDef, mark: ast.expr) -> Term:
-    name = _marker(mark)
+def _marks(node: ast.FunctionDef) -> Iterator[tuple[Kind, ast.expr]]:
+    """The decorators of a function that make it a term."""
+    for mark in node.decorator_list:
+        called = mark.func if isinstance(mark, ast.Call) else mark
+        name: Any = called.attr if isinstance(called, ast.Attribute) else getattr(called, "id", "")
+        if name in _MARKERS:
+            yield name, mark
+
+
+def _term(file: Path, node: ast.FunctionDef) -> Term:
+    kind, mark = next(_marks(node))
     if not isinstance(mark, ast.Call):
-        raise ValueError(f"write @{name}(), with parentheses")
-    words = {word.arg or "**": _literal(word.value, f"@{name}: {word.arg}") for word in mark.keywords}
-    marker = _MARKERS[name](*(_literal(value, f"@{name}") for value in mark.args), **words)
-    fields: dict[str, Any] = dict(_fields(node, marker.kind))
-    function = OwnFunction(file, node.name, marker.kind, tuple(fields), ast.get_docstring(node))
-    params = create_model(f"{node.name}_parameters", __base__=COMMON[marker.kind], **fields)
-    facts = {**vars(marker), "source": marker.source or file.name}
-    return Term(name=node.name, function=function, params=params, **facts)
-
-
-def _marker(mark: ast.expr) -> str:
-    """Name of the decorator of this module that an expression is; empty: of none."""
-    called = mark.func if isinstance(mark, ast.Call) else mark
-    name = called.attr if isinstance(called, ast.Attribute) else getattr(called, "id", "")
-    return name if name in _MARKERS else ""
+        raise ValueError(f"write @{kind}(), with parentheses")
+    words = {word.arg or "**": _literal(word.value, f"@{kind}: {word.arg}") for word in mark.keywords}
+    decorator = _MARKERS[kind](*(_literal(value, f"@{kind}") for value in mark.args), **words)
+    term: Term = decorator(OwnFunction(file, node, kind))
+    return replace(term, source=term.source or file.name)
 
 
 def _words(error: Exception) -> str:
@@ -182,20 +168,13 @@ def _literal(node: ast.expr, name: str) -> Any:
 
 
 @cache
-def _module(file: Path, changed: int) -> ModuleType:
-    """Imports a file, anew if it has changed.
+def _module(file: Path, changed: int) -> dict[str, Any]:
+    """What a file defines; imported anew if it has changed.
 
     Raises:
         KickbenchError: It fails.
     """
-    name = f"kickbench_own_terms_{abs(hash((file, changed)))}"
-    spec = importlib.util.spec_from_file_location(name, file)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # dataclasses and pickling look there
     try:
-        spec.loader.exec_module(module)
+        return runpy.run_path(str(file))
     except Exception as error:
         raise KickbenchError(f"{shown(file)}: cannot be imported: {error!r}") from error
-    return module

@@ -1,23 +1,21 @@
 """Randomisation (thesis 3.1), and what that of the robot's hardware changes in the physics.
 
-One of initial states is `(states, params, draw) -> states`. One of another stage makes the process that acts
-during the episode: `(setting, params) -> process`.
+One of initial states changes them in place: `(states, params, sampler)`. One of another stage makes the
+process that acts during the episode: `(setting, params) -> process`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import torch
-from pydantic import model_validator
 
 from kickbench.config.base import NonNegativeRange, PositiveFloat, PositiveRange, Range
 from kickbench.config.task import TaskSpec
 from kickbench.config.terms import ObservationParams, RandomizationParams
 from kickbench.envs.disturbances import ActionDelay, DelayLine, Pushes, PushSchedule, Setting
-from kickbench.envs.initial_states import Draw, InitialStates
+from kickbench.envs.initial_states import InitialStates, InitialStateSampler
 from kickbench.envs.term import randomization
 from kickbench.sim.build import Scene, servo_law
 from kickbench.sim.engine import ModelField
@@ -35,9 +33,9 @@ class FootFriction(RandomizationParams):
 
 
 @randomization("3.1", units="1", needs=("foot_ball",))
-def foot_friction(states: InitialStates, params: FootFriction, draw: Draw) -> InitialStates:
+def foot_friction(states: InitialStates, params: FootFriction, sampler: InitialStateSampler) -> None:
     """Sliding friction of each foot, uniform, drawn anew for every foot and episode."""
-    return states.varied("foot_friction", draw(*params.range, len(states), states.feet))
+    states.by_side["foot_friction"] = sampler.draw(*params.range, len(states.qpos), sampler.feet)
 
 
 class FactorsBySide(RandomizationParams):
@@ -50,44 +48,37 @@ class FactorsBySide(RandomizationParams):
     middle: PositiveRange = (1.0, 1.0)
     """Range of the factor of trunk, head and other parts in the middle."""
 
-    @model_validator(mode="after")
-    def _says_something(self) -> FactorsBySide:
-        if not self.model_fields_set:
-            raise ValueError("every factor is 1: give `left`, `right` or `middle` a range or a number")
-        return self
-
-    def draw(self, draw: Draw, count: int) -> Tensor:
-        """One factor a side and state [count, 3]: left, right, middle."""
-        sides = (self.left, self.right, self.middle)
-        return torch.cat([draw(*bounds, count, 1) for bounds in sides], dim=1)
+    def draw(self, states: InitialStates, sampler: InitialStateSampler) -> Tensor:
+        """One factor a side and state [N, 3]: left, right, middle."""
+        return sampler.draw_by_side(len(states.qpos), self.left, self.right, self.middle)
 
 
 @randomization("5.1 (future work: asymmetric hardware)", units="1")
-def link_mass(states: InitialStates, params: FactorsBySide, draw: Draw) -> InitialStates:
+def link_mass(states: InitialStates, params: FactorsBySide, sampler: InitialStateSampler) -> None:
     """Factor of mass and inertia of all bodies of a side, drawn anew for every side and episode."""
-    return states.varied("link_mass", params.draw(draw, len(states)))
+    states.by_side["link_mass"] = params.draw(states, sampler)
 
 
 @randomization("5.1 (future work: asymmetric hardware)", units="1")
-def servo_stiffness(states: InitialStates, params: FactorsBySide, draw: Draw) -> InitialStates:
+def servo_stiffness(states: InitialStates, params: FactorsBySide, sampler: InitialStateSampler) -> None:
     """Factor of kp of all position servos of a side, drawn anew for every side and episode."""
-    return states.varied("servo_stiffness", params.draw(draw, len(states)))
+    states.by_side["servo_stiffness"] = params.draw(states, sampler)
 
 
 @randomization("5.1 (future work: asymmetric hardware)", units="1")
-def servo_damping(states: InitialStates, params: FactorsBySide, draw: Draw) -> InitialStates:
+def servo_damping(states: InitialStates, params: FactorsBySide, sampler: InitialStateSampler) -> None:
     """Factor of kd of all servos of a side, drawn anew for every side and episode."""
-    return states.varied("servo_damping", params.draw(draw, len(states)))
+    states.by_side["servo_damping"] = params.draw(states, sampler)
 
 
 @randomization("5.1 (future work: asymmetric hardware)", units="1")
-def motor_strength(states: InitialStates, params: FactorsBySide, draw: Draw) -> InitialStates:
+def motor_strength(states: InitialStates, params: FactorsBySide, sampler: InitialStateSampler) -> None:
     """Factor of the effort limit of all servos and the torque of all motors of a side, drawn anew likewise.
 
     The no-load speed stays, so the torque at every speed scales alike; gains are `servo_stiffness` and
     `servo_damping`.
     """
-    return states.varied("motor_strength", params.draw(draw, len(states)))
+    states.by_side["motor_strength"] = params.draw(states, sampler)
 
 
 class SensorBias(RandomizationParams):
@@ -98,12 +89,6 @@ class SensorBias(RandomizationParams):
     right: Range = (0.0, 0.0)
     """Range of the bias of the right side, rad."""
 
-    @model_validator(mode="after")
-    def _says_something(self) -> SensorBias:
-        if not self.model_fields_set:
-            raise ValueError("every bias is 0: give `left` or `right` a range or a number")
-        return self
-
     def misfits(self, task: TaskSpec) -> Iterator[tuple[str, str]]:
         """A bias of sensors that nobody reads."""
         if "joint_pos" not in task.observations.actor.active(ObservationParams):
@@ -111,14 +96,13 @@ class SensorBias(RandomizationParams):
 
 
 @randomization("5.1 (future work: asymmetric hardware)", units="rad")
-def sensor_bias(states: InitialStates, params: SensorBias, draw: Draw) -> InitialStates:
+def sensor_bias(states: InitialStates, params: SensorBias, sampler: InitialStateSampler) -> None:
     """Bias of the joint positions of a side as the actor observes them, drawn for every side and episode.
 
     Equal biases of both sides are symmetric: a joint on the right whose mirror image has the other sign has
     the bias with that sign. Joints in the middle have none, and the critic observes exact positions.
     """
-    sides = (params.left, params.right)
-    return states.varied("sensor_bias", torch.cat([draw(*bounds, len(states), 1) for bounds in sides], dim=1))
+    states.by_side["sensor_bias"] = sampler.draw_by_side(len(states.qpos), params.left, params.right)
 
 
 class JointPosition(RandomizationParams):
@@ -129,12 +113,10 @@ class JointPosition(RandomizationParams):
 
 
 @randomization("not in the thesis: chosen so that initial poses differ", units="rad")
-def joint_position(states: InitialStates, params: JointPosition, draw: Draw) -> InitialStates:
+def joint_position(states: InitialStates, params: JointPosition, sampler: InitialStateSampler) -> None:
     """Uniform offset of every observed joint from the default pose."""
-    offset = draw(-params.noise, params.noise, len(states), len(states.joints))
-    qpos = states.qpos.clone()
-    qpos[:, states.joints] += offset
-    return replace(states, qpos=qpos)
+    shape = len(states.qpos), len(sampler.joints)
+    states.qpos[:, sampler.joints] += sampler.draw(-params.noise, params.noise, *shape)
 
 
 @randomization(
@@ -184,11 +166,8 @@ class ModelVariation:
         self._effort, self._velocity_limit = real(servos.effort), real(servos.velocity_limit)
         self._torque = real(servos.torque)
 
-    def __call__(self, by_side: Mapping[str, Tensor]) -> tuple[ModelField, ...]:
+    def __call__(self, by_side: Mapping[str, Tensor]) -> Iterator[ModelField]:
         """The fields that follow from values by side, each [N, 2 or 3]."""
-        return tuple(self._fields(by_side))
-
-    def _fields(self, by_side: Mapping[str, Tensor]) -> Iterator[ModelField]:
         if "foot_friction" in by_side:
             friction = by_side["foot_friction"][:, self._foot_of_geom]
             yield ModelField("geom_friction", self._foot_geoms, friction, column=0)

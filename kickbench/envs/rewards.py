@@ -52,7 +52,7 @@ def ball_approach_target(state: State, params: RewardParams) -> Tensor:
     return _cosine(state.ball_lin_vel[:, :2], state.ball_to_target, lengths) * state.kick_moves_ball
 
 
-@reward(source="not in the thesis")
+@reward(source="not in the thesis", needs=("goal",))
 def goal(state: State, params: RewardParams) -> Tensor:
     """1 once the ball has crossed the line between the posts, which ends the episode; else 0."""
     return state.episode.scored.float()

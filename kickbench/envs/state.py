@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
-import numpy as np
 import torch
 
 from kickbench.config.task import EpisodeSpec
@@ -33,15 +32,6 @@ class EpisodeState(Tensors):
         scored: In tasks with a goal: the ball has crossed the line between the posts [B] bool.
     """
 
-    step: Tensor
-    contact_count: Tensor
-    target: Tensor
-    action: Tensor
-    previous_action: Tensor
-    air_time: Tensor
-    ball: Tensor
-    scored: Tensor
-
     @staticmethod
     def zeros(
         num_envs: int, num_actions: int, num_feet: int, device: torch.device, *, has_goal: bool = False
@@ -67,57 +57,42 @@ def length(vectors: Tensor) -> Tensor:
     return torch.linalg.vector_norm(vectors, dim=1)
 
 
+Columns: TypeAlias = "slice | Tensor"
+"""Some columns of a table: consecutive ones as a slice, which costs no gather."""
+
+
 class StateIndex:
-    """The scene's index maps as tensors on the engine's device."""
+    """The scene's index maps on the engine's device."""
 
     def __init__(self, layout: SceneLayout, device: torch.device) -> None:
         """Copies the maps once."""
-        self.joint_qpos = Columns(layout.joint_qpos, device)
-        self.joint_qvel = Columns(layout.joint_qvel, device)
+        self._device = device
+        self.joint_qpos, self.joint_qvel = map(self._columns, (layout.joint_qpos, layout.joint_qvel))
         default = layout.default_qpos[layout.joint_qpos]
         self.default_joint_pos = torch.as_tensor(default, dtype=torch.float32, device=device)
         self.ball_qpos, self.ball_qvel = layout.ball_qpos, layout.ball_qvel
-        self.frames = {name: slice(int(c[0]), int(c[-1]) + 1) for name, c in layout.frames.items()}
-        self.feet = layout.feet
-        self.goal_half = layout.goal_width / 2
-        self.obstacles = layout.obstacles
-        sensed = np.concatenate(list(layout.contacts.values()))
-        first = int(sensed.min())
-        self.counts = slice(first, int(sensed.max()) + 1)
-        """Columns of sensordata from the first to the last contact count; channels count from its
-        beginning."""
-        self.contacts = {name: Columns(places - first, device) for name, places in layout.contacts.items()}
-        self.forces = {
-            name: [Columns(part, device) for part in parts] for name, parts in layout.forces.items()
-        }
+        self.frames = {name: self._columns(places) for name, places in layout.frames.items()}
+        self.feet, self.goal_half, self.obstacles = layout.feet, layout.goal_width / 2, layout.obstacles
+        self.contacts = {name: self._columns(places) for name, places in layout.contacts.items()}
+        self.forces = {name: [self._columns(part) for part in parts] for name, parts in layout.forces.items()}
         low, high = torch.as_tensor(layout.joint_range, dtype=torch.float32, device=device).unbind(dim=1)
         self.joint_range_middle = torch.where(low.isfinite(), (low + high) / 2, 0.0)
         self.joint_range_half = (high - low) / 2
         self._joints = {name: column for column, name in enumerate(layout.joint_names)}
-        self._columns: dict[tuple[str, ...], Columns] = {}
-        self._device = device
+        self._named: dict[tuple[str, ...], Columns] = {}
 
     def columns_of(self, names: tuple[str, ...]) -> Columns:
         """Columns of observed joints in a joint vector; made once a list of names."""
-        if names not in self._columns:
-            self._columns[names] = Columns([self._joints[name] for name in names], self._device)
-        return self._columns[names]
+        if names not in self._named:
+            self._named[names] = self._columns([self._joints[name] for name in names])
+        return self._named[names]
 
-
-class Columns:
-    """Some columns of a table: a view where they are consecutive, which costs no gather."""
-
-    def __init__(self, places: Iterable[int], device: torch.device) -> None:
-        """Looks at the columns' numbers once."""
+    def _columns(self, places: Iterable[int]) -> Columns:
         numbers = [int(place) for place in places]
         first = numbers[0] if numbers else 0
-        run = slice(first, first + len(numbers))
-        self._slice = run if numbers == list(range(run.start, run.stop)) else None
-        self._places = torch.tensor(numbers, dtype=torch.int64, device=device)
-
-    def of(self, table: Tensor) -> Tensor:
-        """Columns [B, n] of a table [B, ...]; not to be written to."""
-        return table.index_select(1, self._places) if self._slice is None else table[:, self._slice]
+        if numbers == list(range(first, first + len(numbers))):
+            return slice(first, first + len(numbers))
+        return torch.tensor(numbers, device=self._device)
 
 
 class State:
@@ -147,16 +122,12 @@ class State:
         return self._sensors[:, self._index.frames[channel]]
 
     def _touches(self, channel: str) -> Tensor:
-        found = self._index.contacts[channel].of(self._touching)
+        found = self._sensors[:, self._index.contacts[channel]] > 0.0
         return found[:, 0] if found.shape[1] == 1 else found.any(dim=1)
-
-    @cached_property
-    def _touching(self) -> Tensor:
-        return self._sensors[:, self._index.counts] > 0.0
 
     def _force(self, channel: str) -> Tensor:
         # MuJoCo reports the force of the foot on the other body.
-        parts = [part.of(self._sensors) for part in self._index.forces[channel]]
+        parts = [self._sensors[:, part] for part in self._index.forces[channel]]
         return -(parts[0] if len(parts) == 1 else torch.stack(parts).sum(dim=0))
 
     def _of_feet(self, read: Callable[[str], Tensor], what: str) -> Tensor:
@@ -234,20 +205,20 @@ class State:
     @cached_property
     def joint_angles(self) -> Tensor:
         """Observed joints, absolute [B, joints], rad."""
-        return self._index.joint_qpos.of(self._qpos)
+        return self._qpos[:, self._index.joint_qpos]
 
     def angles_of(self, names: tuple[str, ...]) -> Tensor:
         """Absolute positions of the named observed joints [B, len(names)], rad."""
-        return self._index.columns_of(names).of(self.joint_angles)
+        return self.joint_angles[:, self._index.columns_of(names)]
 
     def offsets_of(self, names: tuple[str, ...]) -> Tensor:
         """Offsets of the named observed joints from the default pose [B, len(names)], rad."""
-        return self._index.columns_of(names).of(self.joint_pos)
+        return self.joint_pos[:, self._index.columns_of(names)]
 
     @cached_property
     def joint_vel(self) -> Tensor:
         """Observed joints' velocities [B, joints], rad/s."""
-        return self._index.joint_qvel.of(self._qvel)
+        return self._qvel[:, self._index.joint_qvel]
 
     @cached_property
     def ball_pos(self) -> Tensor:

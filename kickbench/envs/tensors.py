@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
+from operator import neg
 from typing import TYPE_CHECKING, Any, Self
 
 import torch
@@ -69,8 +70,8 @@ class Tensors(dict[str, Any]):
         }
         return type(self)({**self, **taken})
 
-    def mirrored(self, qpos: Mirror, qvel: Mirror, actions: Mirror) -> Tensors:
-        """The reflection in the xz plane of every env in a snapshot (`KickEnv.snapshot`).
+    def mirrored(self, qpos: Mirror, qvel: Mirror, actions: Mirror | None = None) -> Self:
+        """The reflection in the xz plane of initial states, or of a snapshot (`KickEnv.snapshot`).
 
         Random numbers that are yet to be drawn stay the same, but a push that follows from them is reflected,
         so that an episode and its image remain images of each other until they end; observation noise is not
@@ -79,29 +80,15 @@ class Tensors(dict[str, Any]):
         Args:
             qpos: The model's mirror map of positions.
             qvel: The model's mirror map of velocities.
-            actions: The mirror map of actions, and so of control targets.
+            actions: The mirror map of actions, and so of control targets; initial states have none.
         """
-        images: dict[str, Callable[[Tensor], Tensor]] = {
-            "qpos": qpos,
-            "qvel": qvel,
-            "forces": lambda value: value * value.new_tensor(POLAR),
-            "by_side": sides_swapped,
-            "episode.target": across,
-            "episode.ball": across,
-            "episode.action": actions,
-            "episode.previous_action": actions,
-            "episode.air_time": sides_swapped,
-            "record.kick_foot": _feet_swapped,
-            "command.history": actions,
-            "push.force": across,
-            "push.side": torch.neg,
-        }
-        sensed = {
-            part: {_other_side(name): value for name, value in self[part].items()}
-            for part in ("touches", "forces")
-        }
+        acting = ("episode.action", "episode.previous_action", "command.history")
+        images = {**_IMAGES, "qpos": qpos, "qvel": qvel}
+        images |= dict.fromkeys(acting, actions) if actions else {}
         kept = {name: part for name, part in self.items() if name != "perception"}
-        return _mapped({**kept, **sensed}, images)
+        for part in kept.keys() & {"touches", "forces"}:
+            kept[part] = {_other_side(name): value for name, value in kept[part].items()}
+        return type(self)(_mapped(kept, images))
 
 
 def flat(tensors: Mapping[str, Any], path: str = "") -> dict[str, Tensor]:
@@ -155,6 +142,20 @@ def _mapped(
         is_table = isinstance(value, Mapping)
         found[name] = _mapped(value, images, f"{path}{name}.") if is_table else image(value)
     return found
+
+
+_IMAGES: dict[str, Callable[[Tensor], Tensor]] = {
+    "forces": lambda value: value * value.new_tensor(POLAR),
+    "by_side": sides_swapped,
+    "target": across,
+    "episode.target": across,
+    "episode.ball": across,
+    "episode.air_time": sides_swapped,
+    "record.kick_foot": _feet_swapped,
+    "push.force": across,
+    "push.side": neg,
+}
+"""How the tensors of a snapshot mirror whose law is the same for every robot."""
 
 
 def _kind(tensor: Tensor | None) -> str:

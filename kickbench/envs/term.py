@@ -42,11 +42,16 @@ _WIDTH, _INDENT = 110, "    "
 
 
 @dataclass(frozen=True, kw_only=True)
-class Marker:
-    """What a decorator says of a term; its fields are validated.
+class Term:
+    """A function, and what its decorator says of it; the fields are validated.
 
     Attributes:
         kind: Which table it belongs to.
+        name: Name in YAML: the function's name.
+        function: `(state, params) -> Tensor[B, ...]`; a randomisation of initial states changes them in
+            place, `(states, params, sampler)`, one of another stage maps `(setting, params)` to the process
+            that acts during episodes.
+        params: Model of its parameters: the type of the function's `params`.
         units: Unit of the returned value.
         source: Section of the thesis, or paper; default, for a term of one's own: its file.
         needs: Sensor groups it reads.
@@ -59,6 +64,9 @@ class Marker:
     """
 
     kind: Kind
+    name: str
+    function: Callable[..., Any]
+    params: type[TermParams]
     units: str
     source: str
     needs: frozenset[SensorGroup] = frozenset()
@@ -68,35 +76,10 @@ class Marker:
     truncates: bool = False
     stage: Stage = "initial"
 
-    def __call__(self, function: Callable[..., Any]) -> Any:
-        """The term of a function `(state, params)`; one's own function, which is read, stays as it is."""
-        if "params" not in function.__annotations__:
-            return function
-        # Torch is not imported to read the terms (`kickbench validate`), so that the name may be missing.
-        params = get_type_hints(function, localns={"Tensor": Any})["params"]
-        return Term(name=function.__name__, function=function, params=params, **vars(self))
-
-
-@dataclass(frozen=True, kw_only=True)
-class Term(Marker):
-    """A term.
-
-    Attributes:
-        name: Name in YAML: the function's name.
-        function: `(state, params) -> Tensor[B, ...]`; a randomisation of initial states maps `(states,
-            params, draw)` to states, one of another stage maps `(setting, params)` to the process that acts
-            during episodes.
-        params: Model of its parameters: the type of the function's `params`.
-    """
-
-    name: str
-    function: Callable[..., Any]
-    params: type[TermParams]
-
     @property
     def description(self) -> str:
         """The function's docstring."""
-        return getattr(self.function, "doc", self.function.__doc__) or ""
+        return self.function.__doc__ or ""
 
     @property
     def summary(self) -> str:
@@ -117,10 +100,10 @@ class Term(Marker):
 
 @plain_dataclass(frozen=True)
 class Bound:
-    """A term with its parameters."""
+    """A term with its parameters, of the type `Term.params`."""
 
     term: Term
-    params: TermParams
+    params: Any
 
     @property
     def name(self) -> str:
@@ -133,23 +116,11 @@ class Bound:
 
 
 @plain_dataclass(frozen=True)
-class Field:
+class Field(Bound):
     """An observation field and its place in the group's vector."""
 
-    bound: Bound
-    params: ObservationParams
     first: int
     size: int
-
-    @property
-    def name(self) -> str:
-        """The field's name."""
-        return self.bound.name
-
-    @property
-    def representation(self) -> str | int:
-        """What the term states of it (`Term.representation`)."""
-        return self.bound.term.representation
 
     @cached_property
     def key(self) -> str:
@@ -179,6 +150,19 @@ def _wrapped(text: str, bullet: str = "") -> list[str]:
     return textwrap.wrap(text, _WIDTH, initial_indent=_INDENT + bullet, subsequent_indent=hanging)
 
 
+def _mark(kind: Kind, **facts: Any) -> Callable[[Callable[..., Any]], Any]:
+    """A decorator that makes a term of a function; one's own function, which is read, stays as it is."""
+
+    def mark(function: Callable[..., Any]) -> Any:
+        if "params" not in function.__annotations__:
+            return function
+        # Torch is not imported to read the terms (`kickbench validate`), so that the name may be missing.
+        params = get_type_hints(function, localns={"Tensor": Any})["params"]
+        return Term(kind=kind, name=function.__name__, function=function, params=params, **facts)
+
+    return mark
+
+
 def observation(
     size: int | str,
     units: str = "1",
@@ -187,7 +171,7 @@ def observation(
     *,
     frame: Frame | None = None,
     from_default: bool = False,
-) -> Marker:
+) -> Callable[..., Any]:
     """Marks a function that returns Tensor[B, size] as an observation field.
 
     Args:
@@ -196,28 +180,29 @@ def observation(
         units: Unit of what it returns.
         source: Where it comes from.
         needs: Sensors that it reads: foot_frame, foot_ball, foot_floor, body_floor.
-        frame: See `Marker`.
-        from_default: See `Marker`.
+        frame: See `Term`.
+        from_default: See `Term`.
     """
     if isinstance(size, str):
         checked_expression(size)
     facts = {"representation": size, "frame": frame, "from_default": from_default}
-    return Marker(kind="observation", units=units, source=source, needs=frozenset(needs), **facts)
+    return _mark("observation", units=units, source=source, needs=needs, **facts)
 
 
-def reward(units: str = "1", source: str = "", needs: Iterable[SensorGroup] = ()) -> Marker:
+def reward(units: str = "1", source: str = "", needs: Iterable[SensorGroup] = ()) -> Callable[..., Any]:
     """Marks a function that returns Tensor[B] as a reward; its weight is applied outside."""
-    return Marker(kind="reward", units=units, source=source, needs=frozenset(needs))
+    return _mark("reward", units=units, source=source, needs=needs)
 
 
-def termination(source: str = "", needs: Iterable[SensorGroup] = (), *, truncates: bool = False) -> Marker:
+def termination(
+    source: str = "", needs: Iterable[SensorGroup] = (), *, truncates: bool = False
+) -> Callable[..., Any]:
     """Marks a function that returns BoolTensor[B] as a termination."""
-    facts = {"needs": frozenset(needs), "truncates": truncates}
-    return Marker(kind="termination", units="true/false", source=source, **facts)
+    return _mark("termination", units="true/false", source=source, needs=needs, truncates=truncates)
 
 
 def randomization(
     source: str, units: str, needs: Iterable[SensorGroup] = (), *, stage: Stage = "initial"
-) -> Marker:
+) -> Callable[..., Any]:
     """Marks a function as a randomisation; see `Term.function`."""
-    return Marker(kind="randomization", units=units, source=source, needs=frozenset(needs), stage=stage)
+    return _mark("randomization", units=units, source=source, needs=needs, stage=stage)

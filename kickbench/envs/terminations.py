@@ -38,7 +38,7 @@ def target_missed(state: State, params: TargetRadius) -> Tensor:
     return (state.target_distance >= params.radius) & state.ball_stopped & state.contact_window_passed
 
 
-@termination("not in the thesis")
+@termination("not in the thesis", needs=("goal",))
 def goal(state: State, params: TerminationParams) -> Tensor:
     """The ball has crossed the line between the posts, after a touch."""
     return state.episode.scored

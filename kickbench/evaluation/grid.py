@@ -64,7 +64,7 @@ def evaluate_grid(
         task = _without_chance(task)
     seed, grid = protocol.seed if seed is None else seed, grid_of(task)
     states = grid_states(task, grid, episodes, seed)
-    with Steps(EVALUATING, "episodes", len(states)) as steps:
+    with Steps(EVALUATING, "episodes", len(states.qpos)) as steps:
         table = run_episodes(task, policy, states, seed, num_threads=num_threads, note=steps.advance)
     interval, each = task.spec.simulation.control_interval, len(table) // len(grid.targets)
     figures = [summarise(table[start : start + each], interval) for start in range(0, len(table), each)]

@@ -67,7 +67,7 @@ class _Schedule:
         """
         envs = mask.nonzero().squeeze(1)
         given = torch.arange(self._begun, self._begun + len(envs))
-        given[given >= len(self.initial_states)] = -1
+        given[given >= len(self.initial_states.qpos)] = -1
         self._begun += len(envs)
         self.running = self.running.index_put((envs,), given)
         for env, episode in zip(envs.tolist(), given.tolist(), strict=True):
@@ -111,7 +111,7 @@ class _Evaluation:
         rows = self.schedule.busy()
         if rows is None:
             return
-        old, count = self.schedule, len(self.initial_states)
+        old, count = self.schedule, len(self.initial_states.qpos)
         schedule = _Schedule(self.initial_states, self.seed, len(rows), begun=count)
         smaller = self._make_env(schedule)
         smaller.restore(self.env.snapshot().take(rows))
@@ -171,7 +171,9 @@ def run_episodes(
     """
     ended: list[dict[str, np.ndarray]] = []
     with torch.inference_mode(), torch_threads(1):
-        running = _Evaluation(task, initial_states, seed, min(num_envs, len(initial_states)), num_threads)
+        running = _Evaluation(
+            task, initial_states, seed, min(num_envs, len(initial_states.qpos)), num_threads
+        )
         while (running.schedule.running >= 0).any():
             running.shrink()
             actions = policy(running.observations)
@@ -222,7 +224,7 @@ def run_sides(
         groups = {name: table.representation for name, table in symmetry.groups.items()}
         probe = EquivarianceProbe(policy, groups, symmetry.actions, symmetry.excluded)
     tracks = [StateTrack(task, of.qpos) for of in sides.values()]
-    with Steps(EVALUATING, "episodes", sum(map(len, sides.values()))) as steps:
+    with Steps(EVALUATING, "episodes", sum(len(of.qpos) for of in sides.values())) as steps:
         options = {"num_threads": num_threads, "probe": probe, "note": steps.advance}
         tables = [
             run_episodes(task, policy, of, seed, track=track, **options)
@@ -291,7 +293,7 @@ def _table(
     merged = {name: np.concatenate([chunk[name] for chunk in ended]) for name in ended[0]}
     order = np.argsort(merged["running"])
     rows = {name: column[order] for name, column in merged.items()}
-    assert (rows.pop("running") == np.arange(len(initial_states))).all(), (
+    assert (rows.pop("running") == np.arange(len(initial_states.qpos))).all(), (
         "every episode is counted exactly once"
     )
     place = task.scene.layout.ball_qpos

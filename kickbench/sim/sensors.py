@@ -14,9 +14,11 @@ import mujoco
 
 from kickbench.config.robot import FootSpec, RobotSpec
 
-SensorGroup = Literal["base", "foot_frame", "foot_ball", "robot_ball", "foot_floor", "body_floor", "obstacle"]
+SensorGroup = Literal[
+    "base", "foot_frame", "foot_ball", "robot_ball", "foot_floor", "body_floor", "obstacle", "goal"
+]
 """What a term may ask for: frames of base and feet, and contacts of the feet, the whole
-robot, or all of it but its feet; and of robot and ball with obstacles."""
+robot, or all of it but its feet; and of robot and ball with obstacles. A goal has no sensor."""
 
 SIDES = ("left", "right")
 ROBOT = "robot/"
@@ -47,7 +49,7 @@ _SOLE = (("pos", _Sensor.mjSENS_FRAMEPOS), ("vel", _Sensor.mjSENS_FRAMELINVEL))
 
 def available_groups(robot: RobotSpec) -> frozenset[SensorGroup]:
     """The groups a robot's scene can provide."""
-    groups: set[SensorGroup] = {*ALWAYS, "body_floor", "obstacle"}
+    groups: set[SensorGroup] = {*ALWAYS, "body_floor", "obstacle", "goal"}
     return frozenset(groups | set(FOOT_GROUPS) if robot.feet else groups)
 
 

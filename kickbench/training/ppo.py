@@ -202,9 +202,7 @@ def _samples(ppo: PPO, env: KickEnv) -> Iterator[str]:
     tables["the value that the network gives"] = storage.values
     # Of episodes that run, or have ended since the last reading.
     sums = (env.totals.by_reward_raw + env.record.by_reward_raw.sum(dim=0)) * env.totals.weights
-    wrong_rewards = [
-        bound.name for (bound, _), s in zip(env.task.rewards, sums, strict=True) if not s.isfinite()
-    ]
+    wrong_rewards = [bound.name for bound, s in zip(env.task.rewards, sums, strict=True) if not s.isfinite()]
     tables["the reward" + "".join(f" '{name}'" for name in wrong_rewards[:1])] = storage.rewards
     for what, values in tables.items():  # [steps, B, ...]
         wrong = (~values.isfinite()).flatten(2).any(dim=2).nonzero()

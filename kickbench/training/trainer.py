@@ -277,13 +277,14 @@ class Trainer:
             values = (sums / finished.episodes).reshape(-1).tolist()
             return {f"{group}/{name}": value for name, value in zip(names, values, strict=True)}
 
-        rewards = [bound.name for bound, _ in task.rewards]
+        rewards = [bound.name for bound in task.rewards]
+        weighted = finished.by_reward_raw * finished.weights
         samples = self.trial.method.spec.algorithm.steps_per_env * self.env.num_envs
         return {
             "iteration": self.iteration - 1,
             "env_steps": self.env_steps,
             "steps_per_second": self._steps_per_iteration / (collect + update),
-            "mean_return": mean(finished.rewards.sum()),
+            "mean_return": mean(weighted.sum()),
             "mean_episode_steps": mean(finished.steps),
             "success_rate": mean(finished.successes),
             "learning_rate": self.ppo.learning_rate,
@@ -292,8 +293,8 @@ class Trainer:
             "update_seconds": update,
             "resets_nonfinite": int(finished.failures),
             **means("termination", [bound.name for bound in task.terminations], finished.terminations),
-            **means("reward", rewards, finished.rewards),
-            **means("reward_raw", rewards, finished.raw_rewards),
+            **means("reward", rewards, weighted),
+            **means("reward_raw", rewards, finished.by_reward_raw),
             **{f"loss/{name}": loss for name, loss in losses.items()},
             **self._residual_shares(),
             **({"speeding_share": float(finished.speeding) / samples} if task.velocity_limits else {}),

@@ -109,7 +109,7 @@ def completed_table(
     task: CompiledTask, representations: Loaded[RepresentationSpec]
 ) -> Loaded[RepresentationSpec]:
     """A representation table with what a task's terms state of the fields that it leaves out."""
-    stated = {field.name: field.representation for fields in task.groups.values() for field in fields}
+    stated = {field.name: field.term.representation for fields in task.groups.values() for field in fields}
     return replace(representations, spec=completed(representations.spec, stated))
 
 
@@ -158,7 +158,9 @@ def _partial(symmetry: Symmetry, task: CompiledTask, method: LoadedMethod) -> Sy
         return representation.excluding(range(representation.dim) if field in exclude else named)
 
     groups = {
-        group: FieldTable(tuple((f.name, without(table[f.name], f.representation, f.name)) for f in fields))
+        group: FieldTable(
+            tuple((f.name, without(table[f.name], f.term.representation, f.name)) for f in fields)
+        )
         for group, fields in task.groups.items()
         if (table := symmetry.groups[group])
     }

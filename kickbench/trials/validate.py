@@ -108,7 +108,7 @@ def check_files(files: Sequence[Path], overrides: Sequence[str] = ()) -> Iterato
 
 def _table_notes(task: CompiledTask, table: Loaded[RepresentationSpec]) -> Iterator[str]:
     """Entries of a representation table that differ from what the term states, or are of no term."""
-    terms = catalog(task.spec.terms).observations
+    terms = catalog(task.spec.terms)["observation"]
     own = own_representations(task.robot.spec, task.scene.layout)
     for name, text in table.spec.fields.items():
         stated = terms[name].representation if name in terms else None

@@ -148,7 +148,7 @@ class Player:
     def _table(self, imgui: Any) -> None:
         if not imgui.BeginTable("rewards", 3):
             return
-        names = [bound.name for bound, _ in self.session.env.task.rewards]
+        names = [bound.name for bound in self.session.env.task.rewards]
         last, total = self.session.rewards
         rows = [*zip(names, last, total, strict=True), ("sum", last.sum(), total.sum())]
         texts = [(name, f"{now:+.4f}", f"{so_far:+.3f}") for name, now, so_far in rows]

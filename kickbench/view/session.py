@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import torch
 from torch import Tensor
@@ -87,7 +85,7 @@ class Session:
 
     def show(self, number: int) -> None:
         """Begins an episode from another initial state; after the last one comes the first."""
-        self.number = number % len(self._starts)
+        self.number = number % len(self._starts.qpos)
         self.start = self._starts.take(torch.tensor([self.number]))
         if self.mirrored:
             self.start = self.start.mirrored(*self._mirrors)
@@ -121,7 +119,7 @@ class Session:
         qpos[0, self._ball : self._ball + 2] = moved[:2]
         if (goal := self.env.task.scene.layout.goal_qpos) is not None:
             qpos[0, goal : goal + 2] = moved[2:]
-        self.start = replace(self.start, qpos=qpos, target=moved[2:].unsqueeze(0))
+        self.start = InitialStates({**self.start, "qpos": qpos, "target": moved[2:].unsqueeze(0)})
         self.restart()
         return True
 

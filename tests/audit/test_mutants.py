@@ -190,9 +190,8 @@ WRONGLY_STATED = {
 @pytest.mark.parametrize("name", WRONGLY_STATED)
 def test_a_term_that_states_a_wrong_representation_fails_alone(k1, name):
     def stating(field: Field) -> Field:
-        stated = WRONGLY_STATED[name] if field.name == name else field.representation
-        term = replace(field.bound.term, representation=stated)
-        return replace(field, bound=replace(field.bound, term=term))
+        stated = WRONGLY_STATED[name] if field.name == name else field.term.representation
+        return replace(field, term=replace(field.term, representation=stated))
 
     task = k1.trial.task
     groups = {group: tuple(map(stating, fields)) for group, fields in task.groups.items()}

@@ -217,8 +217,3 @@ def test_the_extent_of_targets_is_that_of_their_sector(distance, angle, extent):
     assert np.array(TargetSampling(distance=distance, angle=angle).extent()) == pytest.approx(
         np.array(extent), abs=1e-12
     )
-
-
-def test_a_task_has_no_field_unless_it_gives_one(task):
-    assert task().field is None
-    assert task(TASK, "field.x=[-1, 9]", "field.y=[-3, 3]").field.x == (-1.0, 9.0)

@@ -138,7 +138,7 @@ def term(world):
     """`term(name, params, **state)` is a term's value in a state by hand, as numbers."""
     from kickbench.envs.catalog import catalog
 
-    table = {(term.kind, term.name): term for term in catalog().all()}
+    table = {(term.kind, term.name): term for table in catalog().values() for term in table.values()}
 
     def value(name: str, params: dict | None = None, *, kind: str | None = None, **state):
         kinds = [kind] if kind else ["observation", "reward", "termination"]

@@ -273,7 +273,7 @@ ALL = [(kind, case) for kind, cases in KINDS.items() for case in cases]
 
 @pytest.mark.parametrize(("kind", "case"), ALL, ids=[f"{kind}-{c.term}-{c.words}" for kind, c in ALL])
 def test_the_code_agrees_with_the_value_by_hand(kind, case, k1, k1_world):
-    terms = {bound.name: bound for bound, _ in k1.rewards} if kind == "reward" else {}
+    terms = {bound.name: bound for bound in k1.rewards} if kind == "reward" else {}
     terms |= {bound.name: bound for bound in k1.terminations} if kind == "termination" else {}
     value = terms[case.term](k1_world(**case.state)).item()
     gate = {True: "open", False: "closed", None: "none"}[case.acts]
@@ -286,8 +286,8 @@ def test_the_code_agrees_with_the_value_by_hand(kind, case, k1, k1_world):
 
 
 def test_every_term_has_a_state_on_each_side_of_its_gate(k1):
-    shipped = {"reward": [b.name for b, _ in k1.rewards], "termination": [b.name for b in k1.terminations]}
-    known = {"reward": catalog().rewards, "termination": catalog().terminations}
+    shipped = {"reward": [b.name for b in k1.rewards], "termination": [b.name for b in k1.terminations]}
+    known = {"reward": catalog()["reward"], "termination": catalog()["termination"]}
     for kind, cases in KINDS.items():
         assert (
             set(shipped[kind])

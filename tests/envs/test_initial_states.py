@@ -16,9 +16,10 @@ from kickbench.envs.initial_states import (
     free_share,
     overlaps,
 )
+from kickbench.envs.tensors import Tensors
 from kickbench.symmetry.torch_ops import Mirror
 
-FRICTION = catalog().randomizations["foot_friction"]
+FRICTION = catalog()["randomization"]["foot_friction"]
 
 
 def region(x=(0.2, 0.5), y=(-0.1, 0.3), distance=(1.0, 2.0), angle=(-0.5, 0.8)) -> SamplingSpec:
@@ -110,7 +111,7 @@ def test_friction_is_as_compiled_without_randomisation(sample):
 
 def test_friction_is_drawn_for_each_foot_and_episode(sample):
     params = FRICTION.params(range=(0.3, 1.2))
-    starts = sample(randomizers=(lambda starts, draw: FRICTION.function(starts, params, draw),))
+    starts = sample(randomizers=(lambda starts, sampler: FRICTION.function(starts, params, sampler),))
     left, right = starts.by_side["foot_friction"].numpy().T
     assert_fills(left, 0.3, 1.2)
     assert_fills(right, 0.3, 1.2)
@@ -119,7 +120,7 @@ def test_friction_is_drawn_for_each_foot_and_episode(sample):
 
 def test_friction_does_not_change_where_balls_and_targets_are(sample):
     params = FRICTION.params(range=(0.3, 1.2))
-    rough = sample(randomizers=(lambda starts, draw: FRICTION.function(starts, params, draw),))
+    rough = sample(randomizers=(lambda starts, sampler: FRICTION.function(starts, params, sampler),))
     assert torch.equal(rough.qpos, sample().qpos)
 
 
@@ -131,11 +132,11 @@ def moving(sample) -> InitialStates:
     def noise(like: torch.Tensor) -> torch.Tensor:
         return torch.rand(like.shape, generator=generator, dtype=torch.float64) - 0.5
 
-    moved = InitialStates(
-        starts.qpos + noise(starts.qpos), starts.qvel + noise(starts.qvel), starts.target, starts.joints
-    )
+    starts.qpos += noise(starts.qpos)
+    starts.qvel += noise(starts.qvel)
     factors = torch.stack([1.0 + noise(starts.target[:, 0]) for _ in range(3)], dim=1)
-    return moved.varied("foot_friction", 1.0 + noise(starts.target)).varied("link_mass", factors)
+    starts.by_side.update(foot_friction=1.0 + noise(starts.target), link_mass=factors)
+    return starts
 
 
 FIELDS = ("qpos", "qvel", "target", "foot_friction", "link_mass")
@@ -172,7 +173,7 @@ def test_the_mirror_image_swaps_the_legs(moving, mirror, mini):
 
 def test_rows_can_be_taken_in_any_order(moving):
     taken = moving.take(torch.tensor([3, 0, 3]))
-    assert len(taken) == 3
+    assert len(taken.qpos) == 3
     for name in FIELDS:
         assert torch.equal(part(taken, name)[0], part(moving, name)[3])
         assert torch.equal(part(taken, name)[1], part(moving, name)[0])
@@ -247,8 +248,10 @@ class Counter:
     def sample(self, count: int) -> InitialStates:
         numbers = (self._made + torch.arange(count, dtype=torch.float64)).unsqueeze(1)
         self._made += count
-        tables = (numbers.clone(), numbers.clone(), numbers.clone())
-        return InitialStates(*tables, torch.zeros(0, dtype=torch.int64), {"foot_friction": numbers.clone()})
+        by_side = Tensors(foot_friction=numbers.clone())
+        return InitialStates(
+            qpos=numbers.clone(), qvel=numbers.clone(), target=numbers.clone(), by_side=by_side
+        )
 
 
 def test_a_pool_hands_out_its_starts_in_order_and_each_once():

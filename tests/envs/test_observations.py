@@ -18,6 +18,7 @@ from torch import Tensor
 from kickbench.config.terms import ObservationParams
 from kickbench.envs.catalog import catalog
 from kickbench.envs.compiled_task import own_representations
+from kickbench.envs.disturbances import Setting
 from kickbench.envs.observations import Disturbance, Observer
 from kickbench.envs.state import StateIndex
 from kickbench.envs.term import field_size
@@ -106,23 +107,23 @@ def test_soles_are_seen_from_the_base_left_first(term):
     assert term("foot_position", quat=LEFT_TURN, **state) == near(0.1, 0, -0.5, -0.1, -0.2, -0.4)
 
 
-@pytest.mark.parametrize("name", catalog().observations)
+@pytest.mark.parametrize("name", catalog()["observation"])
 def test_every_field_is_as_long_as_its_term_says(name, term, mini, sensing):
     own = own_representations(mini.robot.spec, sensing.layout)
-    assert len(term(name)) == field_size(catalog().observations[name], own)
+    assert len(term(name)) == field_size(catalog()["observation"][name], own)
 
 
 @pytest.mark.parametrize("run", ["k1_lite/baseline/seed0", "mini_home_field/baseline/seed0"])
 def test_terms_state_what_the_tables_of_recorded_runs_say(run):
     table = yaml.safe_load((MEASURED / run / "specs/representations.yaml").read_text())["fields"]
-    terms = catalog().observations
+    terms = catalog()["observation"]
     # These robots have two feet, which swap.
     assert {name: str(terms[name].representation).replace("feet", "regular") for name in table} == table
 
 
-@pytest.mark.parametrize("name", catalog().observations)
+@pytest.mark.parametrize("name", catalog()["observation"])
 def test_every_field_is_float32(name, world):
-    found = catalog().observations[name]
+    found = catalog()["observation"][name]
     assert found.function(world(), found.params()).dtype == torch.float32
 
 
@@ -140,6 +141,9 @@ class FakeField:
     bound: Callable[[Any], Tensor]
     params: ObservationParams
     name: str = "made_up"
+
+    def __call__(self, state: Any) -> Tensor:
+        return self.bound(state)
 
 
 @pytest.fixture
@@ -159,8 +163,9 @@ def field():
 
 
 def observe(groups: dict[str, list[FakeField]], seed: int = 0) -> dict[str, Tensor]:
-    options = {"noise": True, "samplers": {}, "joint_signs": np.zeros((2, 0))}
-    return Observer(groups, CPU, **options)(None, torch.Generator().manual_seed(seed))  # type: ignore[arg-type]
+    draws = torch.Generator().manual_seed(seed)
+    setting = Setting(0.005, 4, torch.zeros(1), WORLDS, draws)
+    return Observer(groups, setting, noise=True, joint_signs=np.zeros((2, 0)))(None, draws)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(

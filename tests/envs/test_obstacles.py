@@ -144,21 +144,28 @@ def test_the_audit_proves_observations_and_termination_of_obstacles():
         (
             "obstacles={count: 3, radius: 0.1, height: 0.5, x: [-0.05, 0.05], y: [-0.05, 0.05]}",
             "obstacles",
-            "overlap the robot or the ball everywhere",
+            "the obstacles would overlap the robot in",
         ),
         ("obstacles.speed=[-1, 1]", "obstacles.speed", "expected numbers of at least 0, found -1"),
         ("obstacles.count=0", "obstacles.count", "expected a number greater than 0"),
         ("obstacles.radius=-0.1", "obstacles.radius", "expected a number greater than 0"),
         ("obstacles.raduis=0.1", "obstacles.raduis", "did you mean 'radius'?"),
         ("obstacles.observed=4", "obstacles", "observed is 4, and there are 3 obstacles"),
-        ("obstacles=null", "terminations.obstacle_touched", "is of obstacles, and the task has none"),
-        ("obstacles=null", "observations.actor.obstacles", "is of obstacles, and the task has none"),
+        (
+            "obstacles=null",
+            "terminations.obstacle_touched",
+            "needs obstacle, which the scene lacks (add `obstacles`)",
+        ),
+        (
+            "obstacles=null",
+            "observations.actor.obstacles",
+            "needs obstacle, which the scene lacks (add `obstacles`)",
+        ),
         (
             "terminations.obstacle_touched.by=foot",
             "terminations.obstacle_touched.by",
             "expected one of: robot, ball",
         ),
-        ("field={x: [-9, 9], y: [-2, 0.6]}", "obstacles.y", "the obstacles may lie off the field"),
     ],
 )
 def test_obstacles_that_cannot_be_are_errors_at_their_place(experiment, override, place, complaint):

@@ -139,7 +139,7 @@ def test_every_reward_is_finite_where_all_directions_vanish(term):
 def test_penalties_are_positive_and_their_shipped_weights_negative(name, term, mini):
     action = [1.0] * 7
     assert term(name, action=action) > 0.0
-    assert dict((bound.name, weight) for bound, weight in mini.rewards)[name] < 0.0
+    assert dict((bound.name, bound.params.weight) for bound in mini.rewards)[name] < 0.0
 
 
 # terms of the whole humanoid (thesis appendix A), on the mini kicker's hips

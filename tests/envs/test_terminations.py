@@ -65,4 +65,4 @@ def test_double_touch_is_a_touch_after_the_contact_window(term, count, touches, 
 def test_only_the_time_out_truncates():
     from kickbench.envs.catalog import catalog
 
-    assert [term.name for term in catalog().terminations.values() if term.truncates] == ["time_out"]
+    assert [term.name for term in catalog()["termination"].values() if term.truncates] == ["time_out"]

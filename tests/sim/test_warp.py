@@ -172,9 +172,9 @@ def test_every_term_agrees(name):
     task, engine = task_of(name), engine_of(name)
     reference = make_engine(task, WORLDS)
     engine.reset(everywhere(), *starting_states(task, kick=True))
-    terms = {bound.name: bound for bound, _ in task.rewards}
+    terms = {bound.name: bound for bound in task.rewards}
     terms |= {bound.name: bound for bound in task.terminations}
-    terms |= {field.name: field.bound for fields in task.groups.values() for field in fields}
+    terms |= {field.name: field for fields in task.groups.values() for field in fields}
     moved = set()
     for step in range(20):
         targets = random_targets(task, step, NOISE[name])
@@ -394,7 +394,7 @@ def test_the_environment_mirrors(name):
         actions = NOISE[name] * actions
         state, reflected = env.advance(actions), image.advance(act(actions))
         assert off(image.engine.qvel, qvel(env.engine.qvel)).max() < TOLERANCE[name].qvel
-        for bound, _ in chosen.task.rewards:
+        for bound in chosen.task.rewards:
             torch.testing.assert_close(bound(reflected), bound(state), rtol=1e-3, atol=2e-3, msg=bound.name)
         for group, mirror in groups.items():
             for each in (env, image):

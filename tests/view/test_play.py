@@ -172,7 +172,7 @@ def test_the_window_reports_rewards_foot_and_success(player, session, drawn):
     texts = drawn()
     assert f"ended: {session.ending}" in " ".join(texts)
     assert f"success: {player.tallies[0][0]} of 1, mirrored 0 of 0 episodes" in texts
-    for bound, _ in session.env.task.rewards:
+    for bound in session.env.task.rewards:
         assert bound.name in texts
     assert any(text.startswith("foot that touched the ball first: ") for text in texts)
     assert texts[-1] == f"{session.rewards[1].sum():+.3f}"
