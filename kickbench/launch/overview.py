@@ -140,8 +140,7 @@ def state_of(run: pd.Series, total: int | None = None) -> RunState:
     if total is None and (stored := known(run, "iterations_planned")) is not None:
         total = int(stored)
     if run.state == "running":
-        # What runs with --force is made beside the run that it replaces, and stays there if it is killed.
-        progress = read_tail(max(directory.beside, directory, key=_last_written).progress)
+        progress = read_tail(directory.progress)
         is_trained = total is not None and progress.get("done", 0) >= total
         return RunState("running", total=total, note=EVALUATING if is_trained else "", **progress)
     is_short = total is not None and run.iterations < total
@@ -160,14 +159,6 @@ def state_of(run: pd.Series, total: int | None = None) -> RunState:
     if run.state != "damaged":
         state, done, note = _kept(directory, total)
     return RunState(state, total=total, note=note, **{**read_tail(directory.progress), "done": done})
-
-
-def _last_written(directory: RunDirectory) -> float:
-    """When a file was last added to a folder; 0 if it does not exist."""
-    try:
-        return directory.path.stat().st_mtime
-    except FileNotFoundError:
-        return 0.0
 
 
 def _kept(directory: RunDirectory, total: int | None) -> tuple[State, int, str]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import fcntl
 import os
-import shutil
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -12,14 +11,10 @@ from pathlib import Path
 
 from kickbench.errors import KickbenchError
 from kickbench.results import integrity
-from kickbench.results.atomic import TEMPORARY_PREFIX, atomic_write_bytes, plain_or_packed, sync_folder
+from kickbench.results.atomic import TEMPORARY_PREFIX, atomic_write_bytes, plain_or_packed
 from kickbench.results.metrics import Metrics, metrics_bytes
 
-_BESIDE, _READY = f"{TEMPORARY_PREFIX}force", f"{TEMPORARY_PREFIX}finished"
-"""Where a run is made while an older one holds the folder, and where it lies when the older one has made
-room."""
 _FOLDERS = ("specs", "checkpoints", "tensorboard", "also")
-
 _PATIENCE = 0.5
 """How long a run waits for its folder's lock, s."""
 
@@ -69,11 +64,6 @@ class RunDirectory:
 
     def __repr__(self) -> str:
         return f"RunDirectory({str(self.path)!r})"
-
-    @property
-    def beside(self) -> RunDirectory:
-        """Where a run is made that is to replace this folder's: `--force` erases nothing before it ends."""
-        return RunDirectory(self.path / _BESIDE)
 
     @property
     def episodes(self) -> Path:
@@ -126,59 +116,29 @@ class RunDirectory:
         for file in (self.metrics, self.episodes, self.policy, *self._mended_files()):
             file.unlink(missing_ok=True)
 
-    def prepare(self, force: bool = False) -> RunDirectory:
+    def prepare(self, force: bool = False) -> None:
         """Make room for a run.
 
         Args:
-            force: whether a run that is there, finished or not, is to be replaced.
-
-        Returns:
-            Where the run is made: this directory, or `beside` if a run is there, which stays as it is until
-            `take_over`.
+            force: whether a run that is there, finished or not, is removed.
 
         Raises:
             KickbenchError: a run is there and `force` is not set, or the path is not a folder.
         """
         self._make()
-        if not self.holds_a_run:
-            return self
-        if not force:
+        if self.holds_a_run and not force:
             words = "an unfinished run; --resume (resume=True) goes on, --force (force=True) starts again"
             if self.metrics.exists():
                 state = "damaged" if self.damage else "finished"
                 words = f"a {state} run; --force (force=True) runs it again and overwrites it"
             raise KickbenchError(f"{self.path}: holds {words}")
-        self.beside.clear()
-        return self.beside
+        self.clear()
 
     def finish(self, metrics: Metrics) -> None:
         """Write the result, the last file of a run, after the sums of all files."""
         data = metrics_bytes(metrics)
         integrity.seal(self.path, upcoming={self.metrics.name: data})
         atomic_write_bytes(self.metrics, data)
-
-    def take_over(self, unfinished: bool = False) -> None:
-        """Put the finished run of `beside` in the place of the one that is here, or finish doing so.
-
-        A kill in between leaves a folder without a result, and the next call goes on. Files that kickbench
-        did not write stay.
-
-        Args:
-            unfinished: whether the run there may be without a result, too.
-        """
-        ready = self.path / _READY
-        if not ready.is_dir():
-            if not (unfinished or self.beside.metrics.is_file()):
-                return
-            self.clear()
-            self.beside.path.rename(ready)
-            sync_folder(self.path)
-        files = [file for file in ready.rglob("*") if not file.is_dir()]
-        for file in sorted(files, key=lambda file: file == ready / self.metrics.name):
-            place = self.path / file.relative_to(ready)
-            place.parent.mkdir(parents=True, exist_ok=True)
-            file.replace(place)
-        shutil.rmtree(ready)
 
     def _make(self) -> None:
         try:
@@ -197,8 +157,8 @@ class RunDirectory:
                 os.rmdir(folder)
 
     def _own_files(self) -> Iterator[Path]:
-        models = integrity.written_model_files(self.path)
-        yield from (self.path / name for name in (*integrity.FIXED, *models, integrity.FILE))
+        yield from (self.path / name for name in (*integrity.FIXED, integrity.FILE))
+        yield from (file for file in self.model.rglob("*") if not file.is_dir())
         yield from self.tensorboard.glob("events.out.tfevents.*")
         yield from self.checkpoints.glob("iteration_*.pt")
         yield from self._mended_files()
@@ -252,5 +212,4 @@ def find_begun_runs(root: Path | str) -> list[RunDirectory]:
     root = Path(root)
     folders = {file.parent for name in ("metrics.json", "progress.csv") for file in root.rglob(name)}
     folders |= {file.parent.parent for file in root.rglob("specs/method.yaml")}
-    # Without those of runs that are being made beside another.
-    return [RunDirectory(path) for path in sorted(folders) if path.name not in (_BESIDE, _READY)]
+    return [RunDirectory(path) for path in sorted(folders)]
