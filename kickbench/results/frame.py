@@ -12,8 +12,8 @@ transfer task.
 | `recipe` | fingerprint of the run without the policy that it began with |
 | `evaluated_setting` | fingerprint of a transfer task, its robot and model; None where unknown |
 | `iterations`, `iterations_planned`, `scale` | training iterations done and wanted |
-| `state`, `damage`, `deviation` | finished, unfinished, running, missing or damaged; sentences or None |
-| `repeats` | path of another run of the same identity and seed, which is the one that counts |
+| `state` | finished, unfinished, running, missing or damaged |
+| `problem` | why there is no result, it does not count, or is smaller than planned: a sentence or None |
 | `setting_name`, `group` | what a finished run is compared within, and averaged within |
 | `counted` | whether the row belongs in a mean |
 | `success_rate`, `success_low`, ... | the figures of `EvaluationMetrics`; an interval is `_low` and `_high` |
@@ -60,7 +60,7 @@ Row = dict[str, Any]
 _TEXT = (
     *("path", "condition", "task", "method", "side", "evaluated_on", "identity", "setting", "recipe"),
     "evaluated_setting",
-    *("state", "damage", "deviation", "repeats", "provenance", "twins", "equivariance/but_for"),
+    *("state", "problem", "provenance", "twins", "equivariance/but_for"),
 )
 _NUMBERS = (
     *("iterations", "iterations_planned", "scale", "env_steps", "training_seconds", "schedule_iterations"),
@@ -80,7 +80,7 @@ def load_runs(root: Path | str | Sequence[Path], experiment: LoadedExperiment | 
             method.
 
     Returns:
-        The table that the module describes. A file that cannot be read is a `damage`, not an error.
+        The table that the module describes. A file that cannot be read is a `problem`, not an error.
 
     Raises:
         SpecError: A task and a method of the experiment do not fit together.
@@ -92,7 +92,7 @@ def load_runs(root: Path | str | Sequence[Path], experiment: LoadedExperiment | 
     found: dict[Path, RunDirectory] = {}
     for run in (run for folder in roots for run in find_begun_runs(folder)):
         found.setdefault(run.path.resolve(), run)
-    unplanned = {"deviation": f"not planned by {experiment.name}", "counted": False} if experiment else {}
+    unplanned = {"problem": f"not planned by {experiment.name}", "counted": False} if experiment else {}
     others = (run for path, run in found.items() if path not in planned)
     rows += [row | unplanned for run in others for row in _rows(run)]
     return _with_groups(_with_repeats(_table(rows)))
@@ -124,18 +124,9 @@ def known(row: pd.Series, name: str) -> Any:
     return None if pd.isna(value) else value
 
 
-def unfinished_words(row: pd.Series) -> str:
-    """How far a run without a result is, or why its result does not count."""
-    if row.state == "damaged":
-        return str(row.damage)
-    done, planned = known(row, "iterations"), known(row, "iterations_planned")
-    if row.state == "missing" or done is None:
-        return str(row.state)
-    return f"{row.state}: {done:,.0f}{'' if planned is None else f' of {planned:,.0f}'} iterations"
-
-
 def _table(rows: Sequence[Row]) -> pd.DataFrame:
     """Rows as a table with every column, None in texts and NaN in numbers where there is nothing."""
+    rows = [{**row, "problem": row.get("problem") or _problem(row)} for row in rows]
     figures = {**_flat(EvaluationMetrics), **_flat(Asymmetry)}
     names = dict.fromkeys([*_TEXT, "seed", "counted", *_NUMBERS, *figures, *(n for row in rows for n in row)])
     frame = pd.DataFrame({name: [row.get(name) for row in rows] for name in names}, dtype=object)
@@ -145,6 +136,16 @@ def _table(rows: Sequence[Row]) -> pd.DataFrame:
     shares = [name for name in numbers if name.startswith("termination/")]
     frame[shares] = frame[shares].where(frame.episodes.isna(), frame[shares].fillna(0.0))
     return frame.copy()  # pandas warns of a table whose columns lie apart
+
+
+def _problem(row: Row) -> str | None:
+    """How far a run without a result is, or in what its result is smaller than its method says."""
+    state, done, planned = row["state"], row["iterations"], row.get("iterations_planned")
+    if state == "finished":
+        return ", ".join(_size_differences(row, iterations=planned)) or None
+    if state == "missing" or done is None:
+        return str(state)
+    return f"{state}: {done:,}{'' if planned is None else f' of {planned:,}'} iterations"
 
 
 def _flat(model: type[BaseModel], values: Mapping[str, Any] | None = None, prefix: str = "") -> Row:
@@ -217,12 +218,12 @@ def _rows(directory: RunDirectory) -> list[Row]:
     except KickbenchError as error:
         return [row | _damaged(directory, error)]
     rows = [{**row, **figures} for figures in _result_rows(metrics)]
-    return [*rows, *_transfer_rows(directory, rows[0], metrics)]
+    return [*rows, *_transfer_rows(directory, rows[0])]
 
 
 def _damaged(directory: RunDirectory, error: KickbenchError) -> Row:
     words = str(error).replace(f"{directory.path}/", "").replace(f"{shown(directory.path)}/", "")
-    return {"side": HOME, "state": "damaged", "damage": words, "counted": False}
+    return {"side": HOME, "state": "damaged", "problem": f"damaged ({words})", "counted": False}
 
 
 def _named_by_place(path: Path) -> Row:
@@ -244,18 +245,14 @@ def _identity_columns(directory: RunDirectory) -> Row:
     return {"identity": identity.fingerprint, "setting": identity.setting, "recipe": identity.recipe}
 
 
-def _transfer_rows(directory: RunDirectory, own: Row, metrics: Metrics) -> Iterator[Row]:
+def _transfer_rows(directory: RunDirectory, own: Row) -> Iterator[Row]:
     """Results of the run's policy on tasks that it was not trained on."""
     keep = ("path", "task", "method", "seed", "identity", "setting", "recipe")
     keep += ("iterations", "iterations_planned")
     for path in sorted(directory.also("x").parent.glob("*.json")):
         row = {name: own[name] for name in keep} | {"evaluated_on": path.stem}
         try:
-            result = load_metrics(path)
-            for key, expected in {"task": path.stem, "method": metrics.method, "seed": metrics.seed}.items():
-                if (found := getattr(result, key)) != expected:
-                    raise KickbenchError(f"{path}: expected the {key} {expected}, found {found}")
-            yield from ({**figures, **row} for figures in _result_rows(result))
+            yield from ({**figures, **row} for figures in _result_rows(load_metrics(path)))
         except KickbenchError as error:
             yield row | _damaged(directory, error)
 
@@ -275,13 +272,13 @@ def _planned_rows(root: Path, condition: Condition) -> Iterator[Row]:
         is_planned = _is_of(first, condition, planned().identity)
         unequal = [] if first["seed"] == seed else [f"its seed is {first['seed']}"]
         is_counted = is_planned and not unequal
-        unequal += size_differences(first, iterations=iterations, episodes=episodes)
+        unequal += _size_differences(first, iterations=iterations, episodes=episodes)
         unequal += [] if is_planned else _differences(RunDirectory(first["path"]), planned())
         for row in rows:
             name, found = row["evaluated_on"], row.get("evaluated_setting")
             is_old = found is not None and name in condition.transfer and found != setting(name)
             changed = [f"the task {name} has changed since the evaluation"] if is_old else []
-            own["deviation"] = ", ".join([*unequal, *changed]) or None
+            own["problem"] = row.get("problem") or ", ".join([*unequal, *changed]) or None
             yield row | own | {"counted": row["counted"] and is_counted and not is_old}
 
 
@@ -323,20 +320,15 @@ def _differences(directory: RunDirectory, planned: Specs) -> list[str]:
         found = stored_specs(directory)
     except KickbenchError:
         return ["another identity"]
-    return differences([found, planned], "{0[0]} (planned {0[1]})".format, without=(EPISODES,))
+    unequal = differences([found, planned], "{0[0]} (planned {0[1]})".format, without=(EPISODES,))
+    return unequal or ["another identity"]
 
 
-def size_differences(run: Mapping[str, Any] | pd.Series, **planned: float | None) -> list[str]:
-    """In what size a finished run differs from a plan: `scaled to 0.1`, `45 of 390 iterations`.
-
-    Args:
-        run: A row of the table, or what one is made of.
-        planned: Size by column, such as `iterations` or `episodes`; None: not known.
-    """
-    scale = run["scale"]
-    smaller = [f"scaled to {scale:g}"] if scale and scale > 0 else []
-    unequal = {name: size for name, size in planned.items() if size not in (None, run[name])}
-    return [*smaller, *(f"{run[name]:,.0f} of {size:,.0f} {name}" for name, size in unequal.items())]
+def _size_differences(row: Row, **planned: int | None) -> list[str]:
+    """In what size a finished run differs from a plan: `scaled to 0.1`, `45 of 390 iterations`."""
+    scaled = [f"scaled to {row['scale']:g}"] if row["scale"] else []
+    unequal = {name: size for name, size in planned.items() if size not in (None, row[name])}
+    return [*scaled, *(f"{row[name]:,} of {size:,} {name}" for name, size in unequal.items())]
 
 
 def _with_repeats(frame: pd.DataFrame) -> pd.DataFrame:
@@ -346,11 +338,10 @@ def _with_repeats(frame: pd.DataFrame) -> pd.DataFrame:
     """
     found = frame[(frame.state == "finished") & (frame.condition.isna() | frame.counted)]
     key = ["condition", "identity", "iterations", "scale", "seed"]
-    same = found.groupby(key, dropna=False, sort=False)
-    first = same.path.transform("first")
-    repeats = first[first != found.path].reindex(frame.index)
-    frame["repeats"] = repeats.astype(object).where(repeats.notna(), None)
-    frame["counted"] &= repeats.isna()
+    first = found.groupby(key, dropna=False, sort=False).path.transform("first")
+    repeats = first[first != found.path].map(shown)
+    frame.loc[repeats.index, "problem"] = "of the same identity and seed as " + repeats
+    frame.loc[repeats.index, "counted"] = False
     return frame
 
 

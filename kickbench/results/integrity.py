@@ -27,7 +27,7 @@ FIXED = (*_SPECS, identity.FILE, *_TABLES, "metrics.json", "policy.pt")
 def check(directory: os.PathLike[str] | str) -> None:
     """Checks that a run is as it was written.
 
-    Of a finished run every file is checked; of another one the specs and `identity.json`, by which it goes on.
+    Of a finished run every file is checked; of another one the specs and `identity.json`, to go on.
 
     Raises:
         KickbenchError: A file is damaged or missing.

@@ -19,7 +19,7 @@ from scipy import stats
 
 from kickbench.config.experiment import AnyClaim, Metric, Operand, Ratio
 from kickbench.errors import KickbenchError
-from kickbench.results.frame import known, unfinished_words
+from kickbench.results.frame import known
 from kickbench.results.progress_table import read_progress
 from kickbench.results.statistics import Estimate, Interval, wilson
 from kickbench.results.store import RunDirectory
@@ -333,10 +333,8 @@ def row_of(run: pd.DataFrame, operand: Operand) -> pd.Series | None:
 def lack_of(run: pd.DataFrame, operands: Sequence[Operand]) -> str | None:
     """Why a run cannot count in a claim about these operands, whatever its figures are; None if it can."""
     for row in (run.iloc[0], *(row_of(run, operand) for operand in operands)):
-        if row is not None and row.state != "finished":
-            return unfinished_words(row)
-        if row is not None and row.deviation:
-            return str(row.deviation)
+        if row is not None and row.problem:
+            return str(row.problem)
     share = non_finite_share(run, operands)
     return f"{100 * share:.1f} % of its episodes became non-finite" if share > MOST_NON_FINITE else None
 

@@ -197,8 +197,8 @@ def spec_differences(directory: RunDirectory, experiment: Trial) -> list[Problem
         return []
     found, loaded = [ours, stored_specs(directory)], loaded_specs(experiment.loaded_task, experiment.method)
     problems = [
-        loaded[name].document.problem(path, f"{_text(new)}, but the run has {_text(old)}")
-        for (name, *path), (new, old) in _unequal([specs.values for specs in found])
+        loaded[str(path[0])].document.problem(path[1:], f"{_text(new)}, but the run has {_text(old)}")
+        for path, (new, old) in _unequal([specs.values for specs in found])
     ]
     problems += [Problem(None, (), f"{part}: not that of the run") for part in _unequal_parts(found)]
     if arrays := sorted(dict(ours.identity.model_arrays.items() ^ identity.model_arrays.items())):
@@ -217,10 +217,8 @@ def differences(
         without: Keys that are not compared.
     """
     unequal = _unequal([specs.values for specs in found])
-    keys = {
-        f"{name}: {dotted(path)}": [_text(value) for value in values] for (name, *path), values in unequal
-    }
-    lines = [f"{key}: {write(values)}" for key, values in keys.items() if key not in without]
+    keys = {f"{path[0]}: {dotted(path[1:])}": values for path, values in unequal}
+    lines = [f"{key}: {write([*map(_text, keys[key])])}" for key in keys if key not in without]
     more = [f"{len(lines) - _MOST} more keys"] if len(lines) > _MOST else []
     return [*lines[:_MOST], *more, *_unequal_parts(found)]
 

@@ -1,6 +1,6 @@
 """Tables of runs that `kickbench table`, `run`, `eval`, `claims` and `compare` print, in plain fixed columns.
 
-And what stands below them: in what runs of one name differ, which repeat others, which do not count and why.
+And what stands below them: in what runs of one name differ, and which are left out and why.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 
 from kickbench.errors import KickbenchError, printable, shown
-from kickbench.results.frame import HOME, runs_of, unfinished_words
+from kickbench.results.frame import HOME
 from kickbench.results.metrics import GridCell
 from kickbench.results.quantities import (
     ASYMMETRY,
@@ -159,9 +159,8 @@ def render_table(frame: pd.DataFrame, columns: Literal["success", "kick"] = "suc
     """The tables of runs, no final newline: a block per setting, a line per run, seeds of a method together.
 
     Rates are in percent, the gap (in-distribution minus mirrored success) in percentage points, distances in
-    metres. Several seeds are followed by their mean and their sample standard deviation; a seed with a star
-    is not in them. Below the tables it says in what runs of one name differ, which runs repeat others, and
-    which have no result.
+    metres. Several seeds are followed by their mean and their sample standard deviation. Below the tables it
+    says in what runs of one name differ, and which are left out and why.
 
     Args:
         frame: runs; tasks and methods keep the order in which they first appear.
@@ -170,7 +169,7 @@ def render_table(frame: pd.DataFrame, columns: Literal["success", "kick"] = "suc
     """
     finished = frame[(frame.state == "finished") & (frame.evaluated_on == frame.task)]
     blocks = []
-    for name, rows in finished[finished.repeats.isna()].groupby("setting_name", sort=False):
+    for name, rows in finished[finished.counted].groupby("setting_name", sort=False):
         methods = [pairs_of(group) for _, group in rows.groupby("group", sort=False)]
         if columns == "kick":
             blocks.append(_block(f"task: {name}: kick", _KICK, methods, summary=False))
@@ -234,24 +233,23 @@ def _block(
 
 def _method_rows(columns: Sequence[Column], runs: pd.DataFrame, summary: bool) -> list[Row]:
     rows: list[Row] = [
-        (run.group, f"{run.seed}{'' if run.counted else '*'}", *(column.cell(run) for column in columns))
+        (run.group, str(run.seed), *(column.cell(run) for column in columns))
         for _, run in runs.iterrows()
     ]
     if summary and len(rows) > 1:
-        counted = runs[runs.counted]
-        means, spreads = zip(*(column.summary(counted) for column in columns), strict=True)
+        means, spreads = zip(*(column.summary(runs) for column in columns), strict=True)
         label = str(runs.group.iloc[0])
         rows += [(label, "mean", *means), (label, "std", *spreads)]
     return rows
 
 
 def remark_lines(frame: pd.DataFrame) -> list[str]:
-    """Below a table: in what runs of one name differ, which runs repeat others, and which have no result."""
+    """Below a table: in what runs of one name differ, and which are left out and why."""
     finished = frame[(frame.state == "finished") & (frame.evaluated_on == frame.task)]
     column = "equivariance/but_for"
     partial = finished[finished[column].notna()].groupby("group", sort=False)[column].first()
     exclusions = [f"{name}: equivariant but for: {', '.join(excluded)}" for name, excluded in partial.items()]
-    return [*difference_lines(finished), *exclusions, *repeat_lines(frame), *left_out_lines(frame)]
+    return [*difference_lines(finished), *exclusions, *left_out_lines(frame)]
 
 
 def difference_lines(finished: pd.DataFrame) -> list[str]:
@@ -290,25 +288,7 @@ def _sizes(first: pd.DataFrame) -> list[str]:
     return [words for words, values in sizes.items() if values.nunique() > 1]
 
 
-def repeat_lines(frame: pd.DataFrame) -> list[str]:
-    """A line for each run that repeats another."""
-    runs = runs_of(frame[frame.repeats.notna()])
-    return [
-        f"counted once: {shown(run.path)} is of the same identity and seed as {shown(run.repeats)}"
-        for _, run in runs.iterrows()
-    ]
-
-
-def unplanned_lines(frame: pd.DataFrame) -> list[str]:
-    """A line for each run that an experiment does not plan."""
-    return [
-        f"{run.deviation}, left out: {shown(run.path)}"
-        + ("" if run.state == "finished" else f": {unfinished_words(run)}")
-        for _, run in runs_of(frame[frame.condition.isna()]).iterrows()
-    ]
-
-
 def left_out_lines(frame: pd.DataFrame) -> list[str]:
-    """A line for each run, or result on a transfer task, that has no figures, and why."""
-    without = frame[(frame.state != "finished") & (frame.state != "missing")]
-    return [f"left out: {shown(row.path)}: {unfinished_words(row)}" for _, row in without.iterrows()]
+    """A line for each run, or result on a transfer task, that does not count, and why."""
+    without = frame[~frame.counted & (frame.state != "missing")].drop_duplicates(["path", "problem"])
+    return [f"left out: {shown(row.path)}: {row.problem}" for _, row in without.iterrows()]

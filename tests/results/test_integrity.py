@@ -9,11 +9,9 @@ import shutil
 import subprocess
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from kickbench.cli import main
-from kickbench.errors import KickbenchError
 from kickbench.results import integrity
 from kickbench.results.integrity import (
     check,

