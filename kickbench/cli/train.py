@@ -296,11 +296,6 @@ def _states(root: Path, record: PlanRecord | None) -> Iterator[tuple[str, RunSta
 
 
 def _remarks(frame: pd.DataFrame, path: Path) -> list[str]:
-    """Problems of a finished run and of its results on transfer tasks; episodes with NaN or infinity."""
-    from kickbench.results.quantities import non_finite_note
-
+    """Problems of a finished run and of its results on transfer tasks."""
     rows = frame[frame.path == path]
-    if not (rows.state == "finished").any():
-        return []
-    notes = [non_finite_note(rows.non_finite.max()).strip(" ()")] if rows.non_finite.max() > 0 else []
-    return [*rows.problem.dropna().unique(), *notes]
+    return list(rows.problem.dropna().unique()) if (rows.state == "finished").any() else []

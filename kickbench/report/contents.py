@@ -16,7 +16,7 @@ from kickbench.report.study import SIDE_WORDS, Study
 from kickbench.results.episode_table import SIDES
 from kickbench.results.frame import HOME
 from kickbench.results.provenance import Provenance
-from kickbench.results.quantities import DISTANCE, SUCCESS, Quantity, non_finite_note
+from kickbench.results.quantities import DISTANCE, SUCCESS, Quantity
 from kickbench.results.verdicts import Outcome, Verdict
 
 
@@ -151,10 +151,7 @@ def _remarks(study: Study, run: pd.Series, commit: str | None) -> list[str]:
     for file, table in {"progress.csv": study.curves, "episodes.csv": study.episodes}.items():
         if run.counted and not (table.path == run.path).any():
             found.append(f"not in every figure, it has no {file}")
-    rows = study.rows[(study.rows.path == run.path) & (study.rows.evaluated_on == run.task)]
-    lost = rows[rows.non_finite > 0]
-    notes = zip(lost.side.map(SIDE_WORDS), lost.non_finite.map(non_finite_note), strict=True)
-    return found + [f"episodes {side}:{note}" for side, note in notes]
+    return found
 
 
 def _listed(runs: pd.DataFrame) -> str:

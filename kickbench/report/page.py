@@ -80,8 +80,6 @@ def _figures(study: Study) -> dict[str, Figure]:
         drawn["curves"] = plots.learning_curves(study.curves, looks)
     if len(episodes):
         drawn["pitch"] = plots.resting_places(episodes, looks)
-        if len(kicks := episodes[episodes.kick_foot.isin(["left", "right"])]):
-            drawn["feet"] = plots.kicking_feet(kicks)
     if len(known := runs[(runs.side == HOME) & runs.twins.notna()]):
         drawn["twins"] = plots.twin_distances(known, looks)
     return drawn

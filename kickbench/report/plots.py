@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -51,7 +51,11 @@ def dots(found: Mapping[Quantity, pd.DataFrame], runs: pd.DataFrame, looks: Look
             _draw_mean(axes, y, row, quantity, looks[row.condition])
         axes.set_xlabel(f"{quantity.title.lower()}, {quantity.unit.name}")
         axes.set_xlim((-2, 102) if quantity.unit.name == "%" else (0, None))
-        _name_rows(axes, estimates.label)
+        axes.set_yticks(range(count), list(estimates.label))
+        axes.tick_params(axis="y", length=0)
+        axes.spines["left"].set_visible(False)
+        axes.grid(visible=False, axis="y")
+        axes.set_ylim(count - 0.4, -0.6)
     return figure
 
 
@@ -76,15 +80,6 @@ def _draw_mean(axes: Any, y: float, row: pd.Series, quantity: Quantity, look: Lo
         axes.errorbar(
             quantity.unit.factor * row.reported, y, xerr=std, fmt="|", color=INK, ms=18, elinewidth=1
         )
-
-
-def _name_rows(axes: Any, names: Sequence[str] | pd.Index | pd.Series) -> None:
-    """Names on the vertical axis, from the top."""
-    axes.set_yticks(range(len(names)), list(names))
-    axes.tick_params(axis="y", length=0)
-    axes.spines["left"].set_visible(False)
-    axes.grid(visible=False, axis="y")
-    axes.set_ylim(len(names) - 0.4, -0.6)
 
 
 def both_sides(estimates: pd.DataFrame) -> pd.DataFrame:
@@ -226,7 +221,9 @@ def resting_places(episodes: pd.DataFrame, looks: Looks) -> Figure:
         looks: The look of each condition.
     """
     groups = list(episodes.groupby(["condition", "side"], sort=False))
-    figure, panels = _panels(len(groups), episodes.side.nunique(), 330, 280)
+    columns = episodes.side.nunique()
+    rows = -(-len(groups) // columns)
+    figure, panels = subplots(330 * columns, 280 * rows, rows, columns, sharex=True, sharey=True)
     for axes, ((condition, side), own) in zip(panels.flat, groups, strict=False):
         own = own.sort_values("success", kind="stable")
         colours = np.where(own.success, looks[condition].colour, OTHER)
@@ -242,39 +239,6 @@ def resting_places(episodes: pd.DataFrame, looks: Looks) -> Figure:
     panels[0, 0].set(xlim=(reach, -reach), ylim=(min(low, 0) - 0.2, max(high, 0) + 0.2))
     figure.supxlabel("y, m (left)")
     figure.supylabel("x, m (forward)")
-    return figure
-
-
-def _panels(count: int, columns: int, width: float, height: float) -> tuple[Figure, Any]:
-    """So many maps of one size side by side, and the rest of the grid empty."""
-    rows = -(-count // columns)
-    figure, panels = subplots(width * columns, height * rows, rows, columns, sharex=True, sharey=True)
-    for axes in panels.flat[count:]:
-        axes.set_axis_off()
-    return figure, panels
-
-
-def kicking_feet(kicks: pd.DataFrame) -> Figure:
-    """Which foot kicks by where the ball lay, a panel per run, since seeds may prefer different legs.
-
-    Args:
-        kicks: Rows of `Study.episodes` in which a foot kicked.
-    """
-    runs = list(kicks.groupby(["condition", "seed"], sort=False, dropna=False))
-    figure, panels = _panels(len(runs), min(4, len(runs)), 230, 190)
-    reach = max(kicks.start_ball_y.abs().max(), 1e-3)
-    edges, size = np.linspace(-reach, reach, 13, retstep=True)
-    ahead = np.arange(kicks.start_ball_x.min(), kicks.start_ball_x.max() + 2 * size, size)
-    for axes, ((condition, seed), own) in zip(panels.flat, runs, strict=False):
-        pairs = (own, own[own.kick_foot == "left"])
-        total, left = (np.histogram2d(of.start_ball_x, of.start_ball_y, (ahead, edges))[0] for of in pairs)
-        share = np.divide(100 * left, total, out=np.full_like(total, np.nan), where=total > 0)
-        mesh = axes.pcolormesh(edges, ahead, share, cmap="PuOr", vmin=0, vmax=100, rasterized=True)
-        axes.set(title=f"{condition}, seed {seed}", aspect="equal")
-    panels[0, 0].invert_xaxis()
-    figure.supxlabel("ball y, m (left)")
-    figure.supylabel("ball x, m (forward)")
-    figure.colorbar(mesh, ax=panels, location="top", shrink=0.5, label="% with the left foot")
     return figure
 
 

@@ -54,6 +54,9 @@ if TYPE_CHECKING:
     from kickbench.trials.experiment import Condition, LoadedExperiment
 
 HOME: Side = "in_distribution"
+MOST_NON_FINITE = 0.01
+"""Share of a run's episodes that may become non-finite (NaN or infinite) before nothing is concluded from
+it."""
 
 Row = dict[str, Any]
 
@@ -126,7 +129,7 @@ def known(row: pd.Series, name: str) -> Any:
 
 def _table(rows: Sequence[Row]) -> pd.DataFrame:
     """Rows as a table with every column, None in texts and NaN in numbers where there is nothing."""
-    rows = [{**row, "problem": row.get("problem") or _problem(row)} for row in rows]
+    rows = [{**row, "problem": _problem(row)} for row in rows]
     figures = {**_flat(EvaluationMetrics), **_flat(Asymmetry)}
     names = dict.fromkeys([*_TEXT, "seed", "counted", *_NUMBERS, *figures, *(n for row in rows for n in row)])
     frame = pd.DataFrame({name: [row.get(name) for row in rows] for name in names}, dtype=object)
@@ -139,12 +142,14 @@ def _table(rows: Sequence[Row]) -> pd.DataFrame:
 
 
 def _problem(row: Row) -> str | None:
-    """How far a run without a result is, or in what its result is smaller than its method says."""
+    """How far a run without a result is, or what a reader must know of its result beside what is known."""
     state, done, planned = row["state"], row["iterations"], row.get("iterations_planned")
     if state == "finished":
-        return ", ".join(_size_differences(row, iterations=planned)) or None
-    if state == "missing" or done is None:
-        return str(state)
+        scaled = [f"scaled to {row['scale']:g}"] if row["scale"] else []
+        smaller = [f"{done:,} of {planned:,} iterations"] if planned not in (None, done) else []
+        return ", ".join([*scaled, *smaller, *filter(None, [row.get("problem")])]) or None
+    if row.get("problem") or state == "missing" or done is None:
+        return str(row.get("problem") or state)
     return f"{state}: {done:,}{'' if planned is None else f' of {planned:,}'} iterations"
 
 
@@ -181,7 +186,10 @@ def _result_rows(metrics: Metrics) -> list[Row]:
         "state": "finished",
         "counted": True,
     }
-    return [{**own, "side": side, **_side_figures(evaluation[side])} for side in SIDES if evaluation[side]]
+    rows = [{**own, "side": side, **_side_figures(evaluation[side])} for side in SIDES if evaluation[side]]
+    lost = max(row["non_finite"] for row in rows)
+    words = f"{100 * lost:.1f} % of its episodes became non-finite" if lost > MOST_NON_FINITE else None
+    return [row | {"problem": words} for row in rows]
 
 
 def _side_figures(side: Mapping[str, Any]) -> Row:
@@ -261,7 +269,6 @@ def _planned_rows(root: Path, condition: Condition) -> Iterator[Row]:
     """The rows of the planned runs of a condition, which is compiled only if there is a run of it."""
     planned, setting = cache(partial(_planned_specs, condition)), cache(partial(_transfer_setting, condition))
     iterations = condition.method.spec.algorithm.iterations
-    episodes = condition.task.spec.evaluation.episodes
     for seed in condition.seeds:
         first, *_ = rows = _rows(RunDirectory(run_path(root, condition.name, seed)))
         own: Row = {"condition": condition.name, "seed": seed, "iterations_planned": iterations}
@@ -272,13 +279,12 @@ def _planned_rows(root: Path, condition: Condition) -> Iterator[Row]:
         is_planned = _is_of(first, condition, planned().identity)
         unequal = [] if first["seed"] == seed else [f"its seed is {first['seed']}"]
         is_counted = is_planned and not unequal
-        unequal += _size_differences(first, iterations=iterations, episodes=episodes)
         unequal += [] if is_planned else _differences(RunDirectory(first["path"]), planned())
         for row in rows:
             name, found = row["evaluated_on"], row.get("evaluated_setting")
             is_old = found is not None and name in condition.transfer and found != setting(name)
             changed = [f"the task {name} has changed since the evaluation"] if is_old else []
-            own["problem"] = row.get("problem") or ", ".join([*unequal, *changed]) or None
+            own["problem"] = ", ".join(filter(None, [row["problem"], *unequal, *changed]))
             yield row | own | {"counted": row["counted"] and is_counted and not is_old}
 
 
@@ -314,21 +320,13 @@ def _is_of(row: Row, condition: Condition, planned: Identity) -> bool:
 
 def _differences(directory: RunDirectory, planned: Specs) -> list[str]:
     """In what the specs of a run of another identity differ; the number of episodes is named apart."""
-    from kickbench.results.specs import EPISODES, differences, stored_specs
+    from kickbench.results.specs import differences, stored_specs
 
     try:
         found = stored_specs(directory)
     except KickbenchError:
         return ["another identity"]
-    unequal = differences([found, planned], "{0[0]} (planned {0[1]})".format, without=(EPISODES,))
-    return unequal or ["another identity"]
-
-
-def _size_differences(row: Row, **planned: int | None) -> list[str]:
-    """In what size a finished run differs from a plan: `scaled to 0.1`, `45 of 390 iterations`."""
-    scaled = [f"scaled to {row['scale']:g}"] if row["scale"] else []
-    unequal = {name: size for name, size in planned.items() if size not in (None, row[name])}
-    return [*scaled, *(f"{row[name]:,} of {size:,} {name}" for name, size in unequal.items())]
+    return differences([found, planned], "{0[0]} (planned {0[1]})".format) or ["another identity"]
 
 
 def _with_repeats(frame: pd.DataFrame) -> pd.DataFrame:

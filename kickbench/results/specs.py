@@ -36,7 +36,6 @@ from kickbench.trials.trial import Trial, load_trial
 
 _MODEL_SIZE = 200_000_000
 """Largest size of a model's files in all, bytes: every run has a copy of them."""
-EPISODES = "task: evaluation.episodes"
 _MOST = 4
 """Keys that are named; of others it is said how many there are."""
 _BY_HASH = {
@@ -206,19 +205,15 @@ def spec_differences(directory: RunDirectory, experiment: Trial) -> list[Problem
     return problems or [Problem(None, (), "the run has another identity")]
 
 
-def differences(
-    found: Sequence[Specs], write: Callable[[Sequence[str]], str] = " and ".join, without: Sequence[str] = ()
-) -> list[str]:
+def differences(found: Sequence[Specs], write: Callable[[Sequence[str]], str] = " and ".join) -> list[str]:
     """Every key whose values are not equal: `method: algorithm.gamma: 0.99 and 0.995`.
 
     Args:
         found: The specs, two or more.
         write: How values are written.
-        without: Keys that are not compared.
     """
     unequal = _unequal([specs.values for specs in found])
-    keys = {f"{path[0]}: {dotted(path[1:])}": values for path, values in unequal}
-    lines = [f"{key}: {write([*map(_text, keys[key])])}" for key in keys if key not in without]
+    lines = [f"{of}: {dotted(path)}: {write([*map(_text, values)])}" for (of, *path), values in unequal]
     more = [f"{len(lines) - _MOST} more keys"] if len(lines) > _MOST else []
     return [*lines[:_MOST], *more, *_unequal_parts(found)]
 

@@ -8,6 +8,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import IO
 
 from kickbench.errors import KickbenchError
 from kickbench.results import integrity
@@ -82,7 +83,11 @@ class RunDirectory:
     @property
     def is_occupied(self) -> bool:
         """Whether a process runs in the folder at this moment."""
-        return _is_locked(self.path) or _is_locked(self._lock)
+        try:
+            with open(self._lock) as file:
+                return not _flock(file, fcntl.LOCK_SH)
+        except (FileNotFoundError, NotADirectoryError):
+            return False
 
     @property
     def damage(self) -> str | None:
@@ -101,15 +106,31 @@ class RunDirectory:
         Raises:
             KickbenchError: another process runs in it, or it cannot be made.
         """
-        self._make()
-        # That of a folder excludes processes of this machine, that of a file also others over NFS.
-        with _locked(self.path, os.O_RDONLY), _locked(self._lock, os.O_RDWR | os.O_CREAT):
+        with self._hold():
             try:
                 yield
             finally:
                 self._lock.unlink(missing_ok=True)
                 with suppress(OSError):  # the folder is not empty
                     self.path.rmdir()
+
+    def _hold(self) -> IO[str]:
+        """The lock's file, locked."""
+        deadline = time.monotonic() + _PATIENCE
+        while True:
+            try:
+                self.path.mkdir(parents=True, exist_ok=True)
+                file = open(self._lock, "a")  # noqa: SIM115 (open as long as it is locked)
+            except OSError as error:
+                raise KickbenchError(f"{self.path}: cannot make the run's folder: {error.strerror}") from None
+            # Whoever had the lock before has removed the file.
+            if _flock(file, fcntl.LOCK_EX) and os.fstat(file.fileno()).st_nlink:
+                return file
+            file.close()
+            # `is_occupied` of another process may hold it for a moment.
+            if time.monotonic() > deadline:
+                raise KickbenchError(f"{self.path}: another process runs in it")
+            time.sleep(0.02)
 
     def reopen(self) -> None:
         """Prepare a run to go on: remove its result and what a kill left half written, keep its training."""
@@ -123,9 +144,8 @@ class RunDirectory:
             force: whether a run that is there, finished or not, is removed.
 
         Raises:
-            KickbenchError: a run is there and `force` is not set, or the path is not a folder.
+            KickbenchError: a run is there and `force` is not set.
         """
-        self._make()
         if self.holds_a_run and not force:
             words = "an unfinished run; --resume (resume=True) goes on, --force (force=True) starts again"
             if self.metrics.exists():
@@ -139,12 +159,6 @@ class RunDirectory:
         data = metrics_bytes(metrics)
         integrity.seal(self.path, upcoming={self.metrics.name: data})
         atomic_write_bytes(self.metrics, data)
-
-    def _make(self) -> None:
-        try:
-            self.path.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise KickbenchError(f"{self.path}: cannot make the run's folder: {error.strerror}") from None
 
     def clear(self) -> None:
         """Remove the run that is here; files that kickbench did not write stay."""
@@ -170,39 +184,10 @@ class RunDirectory:
             yield from (file for file in folder.glob(f"{TEMPORARY_PREFIX}*") if not file.is_dir())
 
 
-@contextmanager
-def _locked(path: Path, flags: int) -> Iterator[None]:
-    """Holds the lock of a run's folder, or of the file in it."""
-    try:
-        descriptor = os.open(path, flags)
-    except OSError as error:
-        raise KickbenchError(f"{path}: cannot be locked: {error.strerror}") from None
-    deadline = time.monotonic() + _PATIENCE
-    try:
-        # `is_occupied` of another process may hold the lock for a moment.
-        while not _lock(descriptor, fcntl.LOCK_EX):
-            if time.monotonic() > deadline:
-                raise KickbenchError(f"{path.parent if path.is_file() else path}: another process runs in it")
-            time.sleep(0.02)
-        yield
-    finally:
-        os.close(descriptor)
-
-
-def _is_locked(path: Path) -> bool:
-    try:
-        descriptor = os.open(path, os.O_RDONLY)
-    except (FileNotFoundError, NotADirectoryError):
-        return False
-    try:
-        return not _lock(descriptor, fcntl.LOCK_SH)
-    finally:
-        os.close(descriptor)
-
-
-def _lock(descriptor: int, kind: int) -> bool:
+def _flock(file: IO[str], kind: int) -> bool:
+    """Takes a lock if nobody has one against it; whether it is taken."""
     with suppress(BlockingIOError):
-        fcntl.flock(descriptor, kind | fcntl.LOCK_NB)
+        fcntl.flock(file, kind | fcntl.LOCK_NB)
         return True
     return False
 

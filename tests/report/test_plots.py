@@ -160,7 +160,7 @@ def test_long_lines_are_thinned():
 
 
 def test_every_figure_can_be_drawn(study):
-    looks, kicks = looks_of(study.conditions), study.episodes[study.episodes.kick_foot != "none"]
+    looks = looks_of(study.conditions)
     found = {measure: study.estimates(measure) for measure in (SUCCESS, DISTANCE)}
     with style():
         for figure in (
@@ -168,7 +168,6 @@ def test_every_figure_can_be_drawn(study):
             plots.slopes(plots.both_sides(found[SUCCESS]), study.measured, looks, 600),
             plots.learning_curves(study.curves, looks),
             plots.resting_places(study.episodes, looks),
-            plots.kicking_feet(kicks),
         ):
             ElementTree.fromstring(Picture("a", figure).svg())
 
@@ -188,15 +187,6 @@ def test_the_pitch_is_as_wide_to_the_left_as_to_the_right(study):
     left, right = first.get_xlim()
     assert left == -right > 0
     assert len(first.collections[0].get_offsets()) == 120, "seeds are pooled"
-
-
-def test_feet_mirror_with_a_symmetric_policy(study):
-    own = study.episodes[study.episodes.condition == "equivariant"]
-    with style():
-        mesh = plots.kicking_feet(own).axes[0].collections[0]
-    share = np.ma.filled(mesh.get_array(), np.nan)
-    assert np.isfinite(share).any()
-    np.testing.assert_allclose(share + share[:, ::-1], np.where(np.isnan(share), np.nan, 100.0))
 
 
 def test_every_run_has_a_line_of_its_twins_and_a_condition_one_label():

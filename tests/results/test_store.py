@@ -171,7 +171,7 @@ def test_a_folder_that_another_machine_has_locked_is_occupied(tmp_path: Path) ->
 def test_a_file_in_the_place_of_the_folder_is_an_error(tmp_path: Path) -> None:
     (tmp_path / "run").write_text("")
     with pytest.raises(KickbenchError, match="cannot make the run's folder: File exists"):
-        RunDirectory(tmp_path / "run").prepare(force=True)
+        RunDirectory(tmp_path / "run").occupied().__enter__()
 
 
 def test_runs_are_found_in_the_order_of_their_paths(tmp_path: Path) -> None:
