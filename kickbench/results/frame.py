@@ -319,7 +319,7 @@ def _is_of(row: Row, condition: Condition, planned: Identity) -> bool:
 
 
 def _differences(directory: RunDirectory, planned: Specs) -> list[str]:
-    """In what the specs of a run of another identity differ; the number of episodes is named apart."""
+    """In what the specs of a run of another identity differ from those of the plan."""
     from kickbench.results.specs import differences, stored_specs
 
     try:

@@ -212,8 +212,8 @@ def differences(found: Sequence[Specs], write: Callable[[Sequence[str]], str] = 
         found: The specs, two or more.
         write: How values are written.
     """
-    unequal = _unequal([specs.values for specs in found])
-    lines = [f"{of}: {dotted(path)}: {write([*map(_text, values)])}" for (of, *path), values in unequal]
+    unequal = [(path, write([*map(_text, of)])) for path, of in _unequal([specs.values for specs in found])]
+    lines = [f"{path[0]}: {dotted(path[1:])}: {values}" for path, values in unequal]
     more = [f"{len(lines) - _MOST} more keys"] if len(lines) > _MOST else []
     return [*lines[:_MOST], *more, *_unequal_parts(found)]
 

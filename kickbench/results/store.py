@@ -90,11 +90,6 @@ class RunDirectory:
             return False
 
     @property
-    def damage(self) -> str | None:
-        """Why the run does not count, with the path of the file; None if it does."""
-        return integrity.damage(self.path)
-
-    @property
     def holds_a_run(self) -> bool:
         """Whether a run has left anything here, finished or not."""
         return any(file.exists() for file in self._own_files())
@@ -149,7 +144,7 @@ class RunDirectory:
         if self.holds_a_run and not force:
             words = "an unfinished run; --resume (resume=True) goes on, --force (force=True) starts again"
             if self.metrics.exists():
-                state = "damaged" if self.damage else "finished"
+                state = "damaged" if integrity.damage(self.path) else "finished"
                 words = f"a {state} run; --force (force=True) runs it again and overwrites it"
             raise KickbenchError(f"{self.path}: holds {words}")
         self.clear()

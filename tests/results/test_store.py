@@ -96,7 +96,7 @@ def test_a_finished_run_is_not_overwritten_without_force(tmp_path: Path) -> None
     with pytest.raises(KickbenchError, match=r"finished run.*--force"):
         run.prepare()
     assert run.policy.exists()
-    assert run.damage is None
+    assert integrity.damage(run.path) is None
 
 
 def files_of(run: RunDirectory) -> list[str]:
