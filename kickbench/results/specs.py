@@ -145,9 +145,9 @@ def _write(path: Path, document: Document, paths: dict[str, Any]) -> None:
 
 
 class Specs(NamedTuple):
-    """The specs of a run by what they are, with the keys that count alone, and its identity."""
+    """The specs of a run by what they are, and its identity."""
 
-    values: Mapping[str, Any]
+    values: Mapping[str, BaseModel]
     identity: Identity
 
 
@@ -167,19 +167,7 @@ def specs_of(experiment: Trial) -> Specs:
 
 
 def _specs(task: LoadedTask[Any], method: LoadedMethod, identity: Identity) -> Specs:
-    return Specs({name: _plain(of.spec) for name, of in loaded_specs(task, method).items()}, identity)
-
-
-def _plain(value: Any, path: KeyPath = ()) -> Any:
-    """A spec as nested dicts of the keys that count, the terms of a table in their order."""
-    if isinstance(value, BaseModel):
-        fields = dict(counted_fields(value, path))
-        first = value.active(TermParams) if isinstance(value, TermTable) else ()
-        value = {name: fields[name] for name in dict.fromkeys([*first, *fields])}
-    if not isinstance(value, Mapping):
-        return value
-    items = {name: _plain(item, (*path, name)) for name, item in value.items()}
-    return {name: item for name, item in items.items() if item is not None}
+    return Specs({name: of.spec for name, of in loaded_specs(task, method).items()}, identity)
 
 
 def spec_differences(directory: RunDirectory, experiment: Trial) -> list[Problem]:
@@ -228,15 +216,26 @@ def _unequal_parts(found: Sequence[Specs]) -> list[str]:
 
 def _unequal(values: Sequence[Any], path: KeyPath = ()) -> Iterator[tuple[KeyPath, Sequence[Any]]]:
     """Every key whose values are not equal, and the values; `order` is that of the keys beside it."""
-    if not all(isinstance(value, dict) for value in values):
+    keyed = [found for value in values if (found := _counted(value, path)) is not None]
+    if len(keyed) < len(values):
         if any(value != values[0] for value in values):
             yield path, values
         return
-    orders = [tuple(value) for value in values]
+    orders = [tuple(value) for value in keyed]
     if len({frozenset(order) for order in orders}) == 1 < len(set(orders)):
         yield (*path, "order"), [list(order) for order in orders]
-    for name in dict.fromkeys(name for value in values for name in value):
-        yield from _unequal([value.get(name) for value in values], (*path, name))
+    for name in dict.fromkeys(name for value in keyed for name in value):
+        yield from _unequal([value.get(name) for value in keyed], (*path, name))
+
+
+def _counted(value: Any, path: KeyPath) -> Mapping[str, Any] | None:
+    """The keys of a value that count, the terms of a table in their order; None of what has no keys."""
+    if not isinstance(value, BaseModel):
+        return value if isinstance(value, Mapping) else None
+    fields = dict(counted_fields(value, path[1:]))
+    first = value.active(TermParams) if isinstance(value, TermTable) else ()
+    names = dict.fromkeys([*first, *fields])
+    return {name: fields[name] for name in names if fields[name] is not None}
 
 
 def _text(value: Any) -> str:
