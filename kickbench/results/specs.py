@@ -190,7 +190,8 @@ def spec_differences(directory: RunDirectory, experiment: Trial) -> list[Problem
     problems += [Problem(None, (), f"{part}: not that of the run") for part in _unequal_parts(found)]
     if arrays := sorted(dict(ours.identity.model_arrays.items() ^ identity.model_arrays.items())):
         problems.append(Problem(None, ("model",), f"has changed {', '.join(arrays)}"))
-    return problems or [Problem(None, (), "the run has another identity")]
+    parts = dict(ours.identity.parts.items() ^ identity.parts.items())
+    return problems or [Problem(None, (part,), "not that of the run") for part in parts]
 
 
 def differences(found: Sequence[Specs], write: Callable[[Sequence[str]], str] = " and ".join) -> list[str]:
