@@ -77,8 +77,8 @@ def _check_no_critic_is_needed(runs: list[RunDirectory]) -> None:
 def _keep(run: RunDirectory, place: Path, every: int, episodes: int) -> Path:
     if RunDirectory(place).holds_a_run:
         raise KickbenchError(f"{place}: holds a run")
-    for name in (integrity.FILE, *integrity.read_sums(run.path)):
-        if (run.path / name).is_file() and run.path / name != run.initial_policy:
+    for name in (integrity.FILE, *integrity.own_files(run.path)):
+        if run.path / name != run.initial_policy:
             (place / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy(run.path / name, place / name)
     for file in filter(Path.is_file, (run.episodes, run.progress)):

@@ -48,7 +48,7 @@ def claims(
 ) -> int:
     """Judge the claims of an experiment by its measured runs; exit code 1 if there are none."""
     from kickbench.results.frame import load_runs
-    from kickbench.results.tables import unplanned_lines
+    from kickbench.results.tables import left_out_lines
     from kickbench.results.verdicts import judge, verdict_lines, verdicts_json
     from kickbench.trials.experiment import load_experiment
 
@@ -64,7 +64,7 @@ def claims(
     heading, *rest = verdict_lines(loaded, verdicts)
     lines = (f"{heading}, by the runs in {shown(folder)}", *rest)
     print(verdicts_json(verdicts) if json else "\n".join(lines))
-    for line in [*_when_fixed(loaded, measured), *unplanned_lines(measured)]:
+    for line in [*_when_fixed(loaded, measured), *left_out_lines(measured[measured.condition.isna()])]:
         print(line, file=sys.stderr if json else sys.stdout)
     if (measured.state == "missing").all():
         print(f"no run in {shown(folder)}", file=sys.stderr)

@@ -292,16 +292,10 @@ def _states(root: Path, record: PlanRecord | None) -> Iterator[tuple[str, RunSta
         yield folder.as_posix(), state, "; ".join([*remarks, *_remarks(frame, root / folder)])
     for folder, run in found.items():
         remarks = ["not in the plan"] if planned else []
-        remarks += [f"scaled down to {run.scale:g}"] if run.scale > 0 else []
         yield folder.as_posix(), state_of(run), "; ".join([*remarks, *_remarks(frame, run.path)])
 
 
 def _remarks(frame: pd.DataFrame, path: Path) -> list[str]:
-    """Damaged results on transfer tasks, episodes with NaN or infinity, and which run this one repeats."""
-    from kickbench.results.quantities import non_finite_note
-    from kickbench.results.tables import repeat_lines
-
+    """Problems of a finished run and of its results on transfer tasks."""
     rows = frame[frame.path == path]
-    damage = rows[(rows.state == "damaged") & (rows.evaluated_on != rows.task)].damage
-    notes = [non_finite_note(rows.non_finite.max()).strip(" ()")] if rows.non_finite.max() > 0 else []
-    return [*damage, *notes, *repeat_lines(rows)]
+    return list(rows.problem.dropna().unique()) if (rows.state == "finished").any() else []

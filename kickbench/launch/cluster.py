@@ -23,6 +23,7 @@ from kickbench.errors import KickbenchError, require
 from kickbench.launch.local import perform
 from kickbench.launch.plan import PlannedRun
 from kickbench.launch.run import RunRequest
+from kickbench.results.atomic import atomic_write_bytes
 from kickbench.results.provenance import package_versions, portable_command
 from kickbench.results.specs import spec_differences, write_specs
 from kickbench.results.store import RunDirectory
@@ -101,8 +102,8 @@ class RayExecutor:
         except self._ray.exceptions.RayError as error:
             return " ".join(str(getattr(error, "cause", error)).split())[:200]
         if files:
-            _unpack(files, home.beside.path)
-            home.take_over(unfinished=True)
+            home.clear()
+            _unpack(files, home.path)
         return failure
 
     def stop(self, run: PlannedRun, at_once: bool = False) -> None:
@@ -184,6 +185,6 @@ def _packed(folder: Path, name: str = "") -> Files:
 
 
 def _unpack(files: Files, folder: Path) -> None:
-    for name, data in files.items():
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        (folder / name).write_bytes(data)
+    """Writes files into a folder, the result of a run last: with it the run is finished."""
+    for name in sorted(files, key=lambda name: Path(name).name == "metrics.json"):
+        atomic_write_bytes(folder / name, files[name])

@@ -21,7 +21,7 @@ from kickbench.results.atomic import Record, atomic_write_text
 from kickbench.results.frame import known, load_runs, runs_of
 from kickbench.results.progress_table import last_rows, read_done
 from kickbench.results.store import RunDirectory
-from kickbench.results.tables import NOTHING, Row, render_block
+from kickbench.results.tables import NOTHING, render_block
 from kickbench.training.checkpoint import Checkpoints, is_whole, iteration_of
 
 FILE = "plan.json"
@@ -92,7 +92,6 @@ class RunState:
         success: Success in distribution if it is finished, else the last iteration's; NaN: not known.
         steps_per_second: Control steps of the last iterations over their time, 1/s; NaN: not known.
         seconds_per_iteration: Measured pace of training, s; NaN: nothing has been measured.
-        evaluation_seconds: Measured time of its evaluation, s; NaN: it is not finished.
         note: What a person should know beside that.
     """
 
@@ -102,14 +101,12 @@ class RunState:
     success: float = math.nan
     steps_per_second: float = math.nan
     seconds_per_iteration: float = math.nan
-    evaluation_seconds: float = math.nan
     note: str = ""
 
     @property
-    def seconds_left(self) -> float:
-        """Expected time to the end of training, s; NaN: nothing has been measured."""
-        left = math.nan if self.total is None else max(0, self.total - self.done)
-        return self.seconds_per_iteration * left
+    def iterations_left(self) -> int:
+        """Iterations to the end of training; 0 where it is not known."""
+        return 0 if self.total is None or self.state == "finished" else max(0, self.total - self.done)
 
     @property
     def iteration(self) -> str:
@@ -139,35 +136,21 @@ def state_of(run: pd.Series, total: int | None = None) -> RunState:
     directory = RunDirectory(run.path)
     if total is None and (stored := known(run, "iterations_planned")) is not None:
         total = int(stored)
-    if run.state == "running":
-        # What runs with --force is made beside the run that it replaces, and stays there if it is killed.
-        progress = read_tail(max(directory.beside, directory, key=_last_written).progress)
-        is_trained = total is not None and progress.get("done", 0) >= total
-        return RunState("running", total=total, note=EVALUATING if is_trained else "", **progress)
     is_short = total is not None and run.iterations < total
     # What has a result, but no checkpoint to go on from, stays as long as it is.
     if run.state == "finished" and not (is_short and Checkpoints(directory.checkpoints).files()):
-        return RunState(
-            state="finished",
-            done=int(run.iterations),
-            total=total,
-            success=run.success_rate,
-            seconds_per_iteration=run.training_seconds / run.iterations if run.iterations else math.nan,
-            evaluation_seconds=max(0.0, run.provenance.seconds - run.training_seconds),
-            note=f"stopped at {int(run.iterations):,} of {total:,} iterations" if is_short else "",
-        )
-    state, done, note = "damaged", 0, run.damage
-    if run.state != "damaged":
-        state, done, note = _kept(directory, total)
-    return RunState(state, total=total, note=note, **{**read_tail(directory.progress), "done": done})
-
-
-def _last_written(directory: RunDirectory) -> float:
-    """When a file was last added to a folder; 0 if it does not exist."""
-    try:
-        return directory.path.stat().st_mtime
-    except FileNotFoundError:
-        return 0.0
+        done = int(run.iterations)
+        pace = run.training_seconds / done if done else math.nan
+        note = f"stopped at {done:,} of {total:,} iterations" if is_short else ""
+        return RunState("finished", done, total, run.success_rate, seconds_per_iteration=pace, note=note)
+    tail = read_tail(directory.progress)
+    if run.state == "running":
+        is_trained = total is not None and tail.get("done", 0) >= total
+        return RunState("running", total=total, note=EVALUATING if is_trained else "", **tail)
+    state, done, note = _kept(directory, total)
+    if run.state == "damaged":
+        state, done, note = "damaged", 0, run.problem
+    return RunState(state, total=total, note=note, **{**tail, "done": done})
 
 
 def _kept(directory: RunDirectory, total: int | None) -> tuple[State, int, str]:
@@ -200,20 +183,15 @@ def read_tail(path: Path) -> dict[str, Any]:
 
 
 def run_table(title: str, runs: Sequence[tuple[str, RunState, str]]) -> str:
-    """One line a run: name, how far it is, and a remark."""
-    rows = [[_row(*run)] for run in runs]
+    """One line a run: name, how far it is as far as that is known and means something, and a remark."""
+    rows = []
+    for name, state, remark in runs:
+        is_timed = state.state == "running" and math.isfinite(state.steps_per_second)
+        left = duration(state.seconds_per_iteration * state.iterations_left)
+        pace = (f"{state.steps_per_second:,.0f}", left) if is_timed else (NOTHING, NOTHING)
+        words = "; ".join(text for text in (state.note, remark) if text)
+        rows.append([(name, state.state, state.iteration, percent(state.success), *pace, words)])
     return render_block(title, _HEADER, rows, groups=None)
-
-
-def _row(name: str, state: RunState, remark: str) -> Row:
-    """The cells of a run as far as they are known and mean something."""
-    running, pace = state.state == "running", state.steps_per_second
-    return (
-        *(name, state.state, state.iteration, percent(state.success)),
-        f"{pace:,.0f}" if running and math.isfinite(pace) else NOTHING,
-        duration(state.seconds_left) if running else NOTHING,
-        "; ".join(text for text in (state.note, remark) if text),
-    )
 
 
 def counts(states: Sequence[RunState]) -> str:
@@ -223,7 +201,7 @@ def counts(states: Sequence[RunState]) -> str:
 
 
 def time_left(runs: Sequence[tuple[str, RunState]], at_a_time: int = 1) -> str:
-    """How long the rest takes, in words: from the mean pace of each condition's own runs, and nothing else.
+    """How long the rest of the training takes, in words: from the mean pace of each condition's own runs.
 
     A condition that has not been measured is given the mean of the others. How much runs slow each other down
     is not foreseen.
@@ -232,13 +210,12 @@ def time_left(runs: Sequence[tuple[str, RunState]], at_a_time: int = 1) -> str:
         runs: Condition and state of all runs, those that are finished among them.
         at_a_time: How many run at a time.
     """
-    table = pd.DataFrame([{"condition": condition, **vars(state)} for condition, state in runs])
-    means = table.groupby("condition")[["seconds_per_iteration", "evaluation_seconds"]].mean()
-    rest = table[table.state != "finished"]
-    if len(rest) and means.seconds_per_iteration.isna().all():
+    table = pd.DataFrame(
+        [(condition, state.seconds_per_iteration, state.iterations_left) for condition, state in runs],
+        columns=["condition", "pace", "left"],
+    )
+    if table.left.any() and table.pace.isna().all():
         return "unknown until the first iterations have been timed"
-    also = "" if rest.empty or means.evaluation_seconds.notna().any() else " and evaluation"
-    each = means.fillna(means.mean()).fillna(0.0).loc[rest.condition].set_index(rest.index)
-    left = (rest.total.fillna(0) - rest.done).clip(lower=0)
-    seconds = each.seconds_per_iteration * left + each.evaluation_seconds
-    return f"about {duration(max(sum(seconds) / at_a_time, max(seconds, default=0.0)))}{also}"
+    means = table.groupby("condition").pace.transform("mean").fillna(table.pace.mean())
+    seconds = (means * table.left).fillna(0.0)
+    return f"about {duration(max(sum(seconds) / at_a_time, max(seconds, default=0.0)))} of training"

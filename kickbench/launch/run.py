@@ -153,9 +153,7 @@ def run(request: RunRequest) -> RunOutcome:
         training = trainer.train(trial.method.spec.algorithm.iterations)
         if training.interrupted or not ranks.is_main:
             return RunOutcome(directory, training, None, ranks.is_main)
-        metrics = part.evaluate(trainer, training)
-        directory.take_over()
-        return RunOutcome(directory, training, metrics)
+        return RunOutcome(directory, training, part.evaluate(trainer, training))
 
 
 def _check_feasible(request: RunRequest, trial: Trial, ranks: Ranks) -> None:
@@ -181,12 +179,12 @@ def _open(
     taken, refusal = Resume(directory), None
     try:
         if ranks.is_main:
-            directory.take_over()  # in case the process that was to do it has been killed
             if request.resume:
                 size = {"scale": request.scale, "extend": request.iterations is not None}
                 taken = take_up(directory, trial, request.seed, initial=initial, **size)
             else:
-                taken = begin(directory.prepare(request.force), trial, initial)
+                directory.prepare(request.force)
+                taken = begin(directory, trial, initial)
     except KickbenchError as error:
         refusal = error
     if ranks.any(refusal is not None):

@@ -13,9 +13,10 @@ from typing import Any, get_args
 import pandas as pd
 
 from kickbench.report.study import SIDE_WORDS, Study
-from kickbench.results.frame import HOME, known, size_differences, unfinished_words
+from kickbench.results.episode_table import SIDES
+from kickbench.results.frame import HOME
 from kickbench.results.provenance import Provenance
-from kickbench.results.quantities import DISTANCE, SUCCESS, Quantity, non_finite_note
+from kickbench.results.quantities import DISTANCE, SUCCESS, Quantity
 from kickbench.results.verdicts import Outcome, Verdict
 
 
@@ -42,42 +43,18 @@ def _reported(study: Study, estimate: pd.Series, quantity: Quantity) -> str:
     return f"{quantity.spread(estimate.reported, estimate.reported_std)} ({section})"
 
 
-def every_run(study: Study) -> pd.DataFrame:
-    """Every run, finished or not, with its intervals and what a reader must know of it."""
-    rows = []
-    for _, run in study.runs.iterrows():
-        own = study.rows[(study.rows.path == run.path) & (study.rows.evaluated_on == run.task)]
-        training = "-" if pd.isna(run.iterations) else f"{run.iterations:,.0f} iterations"
-        training += "" if pd.isna(run.training_seconds) else f" ({hours(run.training_seconds)})"
-        words = "; ".join(remarks(study, run)) or ("as planned" if study.plans else "none")
-        rows.append({"Run": run_name(run), **_sides(own), "Training": training, "Remarks": words})
-    return pd.DataFrame(rows)
-
-
 def further(study: Study) -> pd.DataFrame:
-    """Results of the same policies on tasks that they were not trained on; the index is the condition."""
+    """Results of the same policies on tasks that they were not trained on."""
     found = study.rows[(study.rows.evaluated_on != study.rows.task) & (study.rows.state == "finished")]
-    groups = [rows for _, rows in found.groupby(["path", "evaluated_on"], sort=False)]
-    rows = [{"Run": run_name(of.iloc[0]), "Task": of.evaluated_on.iloc[0], **_sides(of)} for of in groups]
-    return pd.DataFrame(rows, [of.condition.iloc[0] for of in groups])
-
-
-def _sides(sides: pd.DataFrame) -> dict[str, str]:
-    """Success on both sides of an evaluation, and the distance."""
-    by_side = {row.side: row for _, row in sides.iterrows()}
-    return {
-        "Success in distribution [%]": SUCCESS.of_run(by_side.get(HOME)),
-        "Success mirrored [%]": SUCCESS.of_run(by_side.get("mirrored")),
-        "Distance [m]": DISTANCE.of_run(by_side.get(HOME)),
-    }
-
-
-def by_run(study: Study, quantities: tuple[Quantity, ...]) -> pd.DataFrame:
-    """Figures of finished runs; empty if no run has any of them."""
-    runs = study.runs[study.runs.state == "finished"]
-    table = pd.DataFrame({of.heading: [of.of_run(run) for _, run in runs.iterrows()] for of in quantities})
-    table.insert(0, "Run", [run_name(run) for _, run in runs.iterrows()])
-    return table[(table[[of.heading for of in quantities]] != "not measured").any(axis=1)]
+    rows = []
+    for _, sides in found.groupby(["path", "evaluated_on"], sort=False):
+        of = {row.side: row for _, row in sides.iterrows()}
+        success = {f"Success {SIDE_WORDS[side]} [%]": SUCCESS.of_run(of.get(side)) for side in SIDES}
+        distance = DISTANCE.of_run(of.get(HOME))
+        rows.append(
+            {"Run": run_name(of[HOME]), "Task": of[HOME].evaluated_on, **success, "Distance [m]": distance}
+        )
+    return pd.DataFrame(rows)
 
 
 def provenance(study: Study) -> pd.DataFrame:
@@ -120,17 +97,12 @@ def commit_text(provenance: Provenance) -> str:
     return (provenance.commit or "unknown")[:10] + (" + changes" if provenance.dirty else "")
 
 
-def outcome(study: Study) -> list[str]:
-    """How many claims are met, and the success of every condition."""
+def outcome(study: Study) -> str:
+    """How many claims are met; empty without claims."""
     words = {"not enough data": "without enough data to say"}
     counts = Counter(verdict.outcome for verdict in study.verdicts)
     said = ", ".join(f"{counts[of]} {words.get(of, of)}" for of in get_args(Outcome) if counts[of])
-    found = [f"Of {len(study.verdicts)} claims: {said}."] if study.verdicts else []
-    estimates = study.estimates(SUCCESS)
-    for condition, sides in estimates[estimates.seeds > 0].groupby("condition", sort=False):
-        rates = (f"{SUCCESS.of_seeds(row)} {SIDE_WORDS[row.side]}" for _, row in sides.iterrows())
-        found.append(f"{condition}: success in % {', '.join(rates)}.")
-    return found
+    return f"Of {len(study.verdicts)} claims: {said}." if study.verdicts else ""
 
 
 def verdict_words(verdict: Verdict) -> str:
@@ -147,51 +119,42 @@ def evidence(verdict: Verdict) -> str:
 
 
 def warnings(study: Study, commit: str | None = None) -> list[str]:
-    """What is unfinished, smaller, other than planned or of other code: each remark once, with its runs."""
+    """What is unfinished, smaller, other than planned or of other code: each remark once, with its runs.
+
+    Args:
+        study: The study.
+        commit: Commit of the present code; None: do not compare.
+    """
     finished = int((study.runs.state == "finished").sum())
     found = [] if finished == len(study.runs) else [f"{finished} of {len(study.runs)} runs are finished."]
     about: dict[str, list[Any]] = {}
     for index, run in study.runs.iterrows():
-        for remark in remarks(study, run, commit):
+        for remark in _remarks(study, run, commit):
             about.setdefault(f"{remark[0].upper()}{remark[1:]}", []).append(index)
-    return found + [f"{remark}: {listed(study.runs.loc[of])}." for remark, of in about.items()]
+    found += [f"{remark}: {_listed(study.runs.loc[of])}." for remark, of in about.items()]
+    notes = (file.relative_to(study.root.parent).as_posix() for file in sorted(study.root.rglob("README.md")))
+    return found + [f"{note} says more of these runs." for note in notes]
 
 
-def remarks(study: Study, run: pd.Series, commit: str | None = None) -> list[str]:
-    """In which respects a run is unfinished, smaller or other than planned, or by other code.
-
-    Args:
-        study: The study.
-        run: The row of the run.
-        commit: Commit of the present code; None: do not compare.
-    """
-    if run.state == "missing":
-        return ["not run"]
-    if run.state == "damaged":
-        return [f"damaged, and not shown ({run.damage})"]
+def _remarks(study: Study, run: pd.Series, commit: str | None) -> list[str]:
+    """In which respects a run is unfinished, smaller or other than planned, or by other code."""
+    found = [run.problem] if run.problem else []
     if run.state != "finished":
-        return [f"{unfinished_words(run)}, not evaluated", *filter(None, [run.deviation])]
+        return found
     origin = run.provenance
-    found = [] if study.plans else size_differences(run, iterations=known(run, "iterations_planned"))
-    if run.deviation is not None:
-        found.append(run.deviation)
-    if run.repeats is not None:
-        found.append("of the same identity and seed as another run, counted once")
-    elif not run.counted:
-        found.append("not counted")
     if commit not in (None, origin.commit):
         found.append(f"run by other code than this page's, commit {(origin.commit or 'unknown')[:10]}")
     if origin.dirty:
         found.append("run by code with uncommitted changes")
     if pd.notna(run.schedule_iterations):
         found.append(f"its schedules ran over {run.schedule_iterations:,.0f} iterations")
-    rows = study.rows[(study.rows.path == run.path) & (study.rows.evaluated_on == run.task)]
-    lost = rows[rows.non_finite > 0]
-    notes = zip(lost.side.map(SIDE_WORDS), lost.non_finite.map(non_finite_note), strict=True)
-    return found + [f"episodes {side}:{note}" for side, note in notes]
+    for file, table in {"progress.csv": study.curves, "episodes.csv": study.episodes}.items():
+        if run.counted and not (table.path == run.path).any():
+            found.append(f"not in every figure, it has no {file}")
+    return found
 
 
-def listed(runs: pd.DataFrame) -> str:
+def _listed(runs: pd.DataFrame) -> str:
     """Runs by condition and seed: `baseline seeds 0 and 1, equivariant seed 0`."""
     parts = []
     for condition, of in runs.groupby("condition", sort=False):

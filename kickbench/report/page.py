@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING, Any
 from kickbench import __version__
 from kickbench.errors import printable, require
 from kickbench.report import contents, plots
-from kickbench.report.contents import evidence, listed, outcome, verdict_words, warnings
+from kickbench.report.contents import evidence, outcome, verdict_words, warnings
 from kickbench.report.study import Study, studies
 from kickbench.report.style import Picture, looks_of, style
 from kickbench.results.atomic import atomic_write_text
+from kickbench.results.frame import HOME
 from kickbench.results.provenance import code_state
-from kickbench.results.quantities import ASYMMETRY, DISTANCE, KICK, SUCCESS
+from kickbench.results.quantities import DISTANCE, SUCCESS
+from kickbench.results.tables import render_table
 from kickbench.trials.experiment import LoadedExperiment
 
 if TYPE_CHECKING:
@@ -58,14 +60,8 @@ def _part(study: Study, commit: str | None) -> dict[str, Any]:
         "claims": [(verdict, verdict_words(verdict), evidence(verdict)) for verdict in study.verdicts],
         "comparison": contents.comparison(study),
         "pictures": {name: _address(figure) for name, figure in _figures(study).items()},
-        "without": _without(study),
-        "tables": {
-            "On further tasks": contents.further(study),
-            "Left and right in figures": contents.by_run(study, ASYMMETRY),
-            "The kick in figures": contents.by_run(study, KICK),
-            "Runs": contents.every_run(study),
-            "Provenance": contents.provenance(study),
-        },
+        "texts": [render_table(study.rows), render_table(study.rows[study.rows.counted], "kick")],
+        "tables": {"On further tasks": contents.further(study), "Provenance": contents.provenance(study)},
     }
 
 
@@ -84,11 +80,7 @@ def _figures(study: Study) -> dict[str, Figure]:
         drawn["curves"] = plots.learning_curves(study.curves, looks)
     if len(episodes):
         drawn["pitch"] = plots.resting_places(episodes, looks)
-        if len(kicks := episodes[episodes.kick_foot.isin(["left", "right"])]):
-            drawn["feet"] = plots.kicking_feet(kicks)
-    if len(known := runs[(runs.side == "in_distribution") & runs["equivariance/relative"].notna()]):
-        drawn["errors"] = plots.equivariance_errors(known, looks)
-    if len(known := runs[(runs.side == "in_distribution") & runs.twins.notna()]):
+    if len(known := runs[(runs.side == HOME) & runs.twins.notna()]):
         drawn["twins"] = plots.twin_distances(known, looks)
     return drawn
 
@@ -96,16 +88,3 @@ def _figures(study: Study) -> dict[str, Figure]:
 def _address(figure: Figure) -> str:
     """A figure as an image within the page: names in one SVG cannot meet those of another."""
     return f"data:image/svg+xml;base64,{base64.b64encode(Picture('', figure).svg().encode()).decode()}"
-
-
-def _without(study: Study) -> dict[str, str]:
-    """Runs that figures lack, by the name of what is missing."""
-    runs = study.runs
-    silent = {
-        "figures": ~runs.counted,
-        "curves": ~runs.path.isin(study.curves.path),
-        "episodes": ~runs.path.isin(study.episodes.path),
-        "errors": ~runs.counted | runs["equivariance/relative"].isna(),
-        "twins": ~runs.counted | runs.twins.isna(),
-    }
-    return {name: listed(runs[of]) for name, of in silent.items()}

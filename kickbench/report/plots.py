@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from math import sqrt
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 
-from kickbench.report.style import INK, MUTED, OTHER, Look, subplots
+from kickbench.report.style import INK, OTHER, Look, subplots
 from kickbench.results.quantities import Quantity
 
 if TYPE_CHECKING:
@@ -18,9 +17,7 @@ if TYPE_CHECKING:
 Looks = Mapping[Any, Look]
 """The look of each condition."""
 
-SPLIT = 300
-"""Iteration at which the thesis splits its curves in two panels (4.3.1)."""
-_LEAST_WINDOW, _POINTS = 9, 150
+_LEAST_WINDOW, _POINTS = 9, 300
 _OUTSIDE = 0.002
 """Share of the balls, at each edge of the pitch, that may be left out so that the others are seen."""
 QUANTITIES = {
@@ -54,7 +51,11 @@ def dots(found: Mapping[Quantity, pd.DataFrame], runs: pd.DataFrame, looks: Look
             _draw_mean(axes, y, row, quantity, looks[row.condition])
         axes.set_xlabel(f"{quantity.title.lower()}, {quantity.unit.name}")
         axes.set_xlim((-2, 102) if quantity.unit.name == "%" else (0, None))
-        _name_rows(axes, estimates.label)
+        axes.set_yticks(range(count), list(estimates.label))
+        axes.tick_params(axis="y", length=0)
+        axes.spines["left"].set_visible(False)
+        axes.grid(visible=False, axis="y")
+        axes.set_ylim(count - 0.4, -0.6)
     return figure
 
 
@@ -79,15 +80,6 @@ def _draw_mean(axes: Any, y: float, row: pd.Series, quantity: Quantity, look: Lo
         axes.errorbar(
             quantity.unit.factor * row.reported, y, xerr=std, fmt="|", color=INK, ms=18, elinewidth=1
         )
-
-
-def _name_rows(axes: Any, names: Sequence[str] | pd.Index | pd.Series) -> None:
-    """Names on the vertical axis, from the top."""
-    axes.set_yticks(range(len(names)), list(names))
-    axes.tick_params(axis="y", length=0)
-    axes.spines["left"].set_visible(False)
-    axes.grid(visible=False, axis="y")
-    axes.set_ylim(len(names) - 0.4, -0.6)
 
 
 def both_sides(estimates: pd.DataFrame) -> pd.DataFrame:
@@ -158,21 +150,19 @@ def over_setting(estimates: pd.DataFrame, looks: Looks, width: float) -> Figure:
 
 
 def learning_curves(curves: pd.DataFrame, looks: Looks) -> Figure:
-    """A row per quantity: up to iteration 300, from there on, and over the samples.
+    """A row per quantity: over the iterations, and over the samples.
 
     Args:
         curves: Rows of `Study.curves`.
         looks: The look of each condition.
     """
     # A task without falls has no falls to show.
-    shown, last = [name for name in QUANTITIES if name in curves], int(curves.iteration.max()) + 1
-    spans = [("iteration", 0, min(SPLIT, last)), ("iteration", SPLIT, last), ("env_steps", 0, last)]
-    spans = [(x, range(*span)) for x, *span in spans if x in curves and range(*span)]
-    figure, panels = subplots(330 * len(spans), 40 + 170 * len(shown), len(shown), len(spans))
+    shown = [name for name in QUANTITIES if name in curves]
+    xs = [x for x in ("iteration", "env_steps") if x in curves]
+    figure, panels = subplots(400 * len(xs), 40 + 170 * len(shown), len(shown), len(xs))
     for row, column in zip(panels, shown, strict=True):
-        for axes, (x, span) in zip(row, spans, strict=True):
-            for condition, own in curves.groupby("condition", sort=False):
-                _draw_curve(axes, own, x, smoothed(own, column, span), looks[condition], str(condition))
+        for axes, x in zip(row, xs, strict=True):
+            _draw_curves(axes, curves, x, column, looks)
             axes.set(title=QUANTITIES[column], xlabel=x.replace("_", " "))
     figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside upper left", ncols=4)
     return figure
@@ -187,41 +177,40 @@ def over_samples(curves: pd.DataFrame, looks: Looks, width: float) -> Figure:
         width: CSS pixels.
     """
     figure, (panels,) = subplots(width, 260, 1, 2)
-    curves, last = curves.assign(samples=curves.env_steps / 1e6), int(curves.iteration.max()) + 1
+    curves = curves.assign(samples=curves.env_steps / 1e6)
     shown = {"success_rate": "success in exploration, %", "way": "way to the whole task, %"}
     for axes, (column, title) in zip(panels, shown.items(), strict=True):
-        for condition, own in curves.groupby("condition", sort=False):
-            runs = 100 * smoothed(own, column, range(last))
-            _draw_curve(axes, own, "samples", runs, looks[condition], str(condition))
+        _draw_curves(axes, curves.assign(**{column: 100 * curves[column]}), "samples", column, looks)
         axes.set(xlabel="samples, million", ylabel=title, xlim=(0, None), ylim=(-2, 102))
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left", ncols=4)
     return figure
 
 
-def smoothed(curves: pd.DataFrame, column: str, span: range) -> pd.DataFrame:
-    """Centred moving means of the runs of a condition over about a hundredth of the span, NaN left out.
+def smoothed(curves: pd.DataFrame, column: str) -> pd.DataFrame:
+    """Centred moving means of the runs of a condition over about a hundredth of the training, NaN left out.
 
     Args:
         curves: Rows of `Study.curves` of one condition.
         column: What is shown.
-        span: Iterations.
 
     Returns:
         A row per iteration, thinned; a column per run, NaN from where it ends.
     """
-    window = max(_LEAST_WINDOW, len(span) // 100) | 1
     runs = curves.pivot(index="iteration", columns="path", values=column)
+    window = max(_LEAST_WINDOW, len(runs) // 100) | 1
     means = runs.rolling(window, center=True, min_periods=1).mean().where(runs.bfill().notna())
-    return means[means.index.isin(span)].iloc[:: max(1, len(span) // _POINTS)]
+    return means.iloc[:: max(1, len(runs) // _POINTS)]
 
 
-def _draw_curve(axes: Any, curves: pd.DataFrame, x: str, runs: pd.DataFrame, look: Look, label: str) -> None:
+def _draw_curves(axes: Any, curves: pd.DataFrame, x: str, column: str, looks: Looks) -> None:
     """Thin lines are seeds; the thick one is their mean, as far as all of them have come."""
-    places = curves.assign(place=curves[x]).groupby("iteration").place.max()
-    if len(runs.columns) > 1:
-        axes.plot(places[runs.index], runs, color=look.colour, linewidth=0.7, alpha=0.55)
-    mean = runs.dropna().mean(axis=1)
-    axes.plot(places[mean.index], mean, color=look.colour, linewidth=2.0, linestyle=look.line, label=label)
+    for condition, own in curves.groupby("condition", sort=False):
+        runs, look, places = smoothed(own, column), looks[condition], own.groupby("iteration")[x].max()
+        if len(runs.columns) > 1:
+            axes.plot(places[runs.index], runs, color=look.colour, linewidth=0.7, alpha=0.55)
+        mean = runs.dropna().mean(axis=1)
+        style = {"color": look.colour, "linewidth": 2.0, "linestyle": look.line}
+        axes.plot(places[mean.index], mean, label=str(condition), **style)
 
 
 def resting_places(episodes: pd.DataFrame, looks: Looks) -> Figure:
@@ -232,7 +221,9 @@ def resting_places(episodes: pd.DataFrame, looks: Looks) -> Figure:
         looks: The look of each condition.
     """
     groups = list(episodes.groupby(["condition", "side"], sort=False))
-    figure, panels = _panels(len(groups), episodes.side.nunique(), 330, 280)
+    columns = episodes.side.nunique()
+    rows = -(-len(groups) // columns)
+    figure, panels = subplots(330 * columns, 280 * rows, rows, columns, sharex=True, sharey=True)
     for axes, ((condition, side), own) in zip(panels.flat, groups, strict=False):
         own = own.sort_values("success", kind="stable")
         colours = np.where(own.success, looks[condition].colour, OTHER)
@@ -248,57 +239,6 @@ def resting_places(episodes: pd.DataFrame, looks: Looks) -> Figure:
     panels[0, 0].set(xlim=(reach, -reach), ylim=(min(low, 0) - 0.2, max(high, 0) + 0.2))
     figure.supxlabel("y, m (left)")
     figure.supylabel("x, m (forward)")
-    return figure
-
-
-def _panels(count: int, columns: int, width: float, height: float) -> tuple[Figure, Any]:
-    """So many maps of one size side by side, and the rest of the grid empty."""
-    rows = -(-count // columns)
-    figure, panels = subplots(width * columns, height * rows, rows, columns, sharex=True, sharey=True)
-    for axes in panels.flat[count:]:
-        axes.set_axis_off()
-    return figure, panels
-
-
-def kicking_feet(kicks: pd.DataFrame) -> Figure:
-    """Which foot kicks by where the ball lay, a panel per run, since seeds may prefer different legs.
-
-    Args:
-        kicks: Rows of `Study.episodes` in which a foot kicked.
-    """
-    runs = list(kicks.groupby(["condition", "seed"], sort=False, dropna=False))
-    figure, panels = _panels(len(runs), min(4, len(runs)), 230, 190)
-    reach = max(kicks.start_ball_y.abs().max(), 1e-3)
-    edges, size = np.linspace(-reach, reach, 13, retstep=True)
-    ahead = np.arange(kicks.start_ball_x.min(), kicks.start_ball_x.max() + 2 * size, size)
-    for axes, ((condition, seed), own) in zip(panels.flat, runs, strict=False):
-        pairs = (own, own[own.kick_foot == "left"])
-        total, left = (np.histogram2d(of.start_ball_x, of.start_ball_y, (ahead, edges))[0] for of in pairs)
-        share = np.divide(100 * left, total, out=np.full_like(total, np.nan), where=total > 0)
-        mesh = axes.pcolormesh(edges, ahead, share, cmap="PuOr", vmin=0, vmax=100, rasterized=True)
-        axes.set(title=f"{condition}, seed {seed}", aspect="equal")
-    panels[0, 0].invert_xaxis()
-    figure.supxlabel("ball y, m (left)")
-    figure.supylabel("ball x, m (forward)")
-    figure.colorbar(mesh, ax=panels, location="top", shrink=0.5, label="% with the left foot")
-    return figure
-
-
-def equivariance_errors(runs: pd.DataFrame, looks: Looks) -> Figure:
-    """The equivariance error of every run's policy; at the broken line two actions have nothing in common.
-
-    Args:
-        runs: Rows of the runs.
-        looks: The look of each condition.
-    """
-    conditions = list(runs.condition.unique())
-    figure, ((axes,),) = subplots(380, 70 + 30 * len(conditions))
-    for y, condition in enumerate(conditions):
-        errors, look = runs["equivariance/relative"][runs.condition == condition], looks[condition]
-        axes.plot(errors.clip(lower=1e-9), [y] * len(errors), look.marker, color=look.colour, mfc="none")
-    axes.axvline(sqrt(2.0), color=MUTED, linestyle="--", linewidth=1.0)
-    axes.set(xscale="log", xlim=(5e-10, 4.0), xlabel="equivariance error, relative to the actions")
-    _name_rows(axes, conditions)
     return figure
 
 

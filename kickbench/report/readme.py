@@ -90,35 +90,27 @@ def replaced(file: Path, body: str) -> str:
 
 def pictures(results: Sequence[Study]) -> dict[str, Picture]:
     """The pictures by name: what conditions lose on the mirrored side, and success."""
+    drawn = dict[str, Picture]()
+    for study in results:
+        if len(rows := study.swept(SUCCESS)):
+            figure = plots.over_setting(rows, looks_of(rows.of), _WIDTH)
+            drawn[study.name] = Picture(f"Success over {rows.setting.iloc[0]}", figure, _means(rows))
     looks = looks_of(name for study in results for name in study.conditions)
+    for study in results:
+        if len(curves := whole_trainings(study, results)):
+            title = "Exploration over the samples of the whole training"
+            figure = plots.over_samples(curves, looks, _WIDTH)
+            drawn[f"{study.name}-learning"] = Picture(title, figure, _progress_words(curves))
     runs = pd.concat([study.measured for study in results])
     estimates = pd.concat([study.estimates(SUCCESS) for study in results])
     runs, estimates = (of.assign(label=of.study + ": " + of.label) for of in (runs, estimates))
     estimates = estimates[estimates.seeds > 0]
-    planned = plots.both_sides(
-        estimates[estimates.study.isin([of.name for of in results if of.plans and not of.has_reported])]
-    )
-    swept = {
-        study.name: Picture(
-            f"Success over {rows.setting.iloc[0]}",
-            plots.over_setting(rows, looks_of(rows.of), _WIDTH),
-            _means(rows, SUCCESS),
-        )
-        for study in results
-        if len(rows := study.swept(SUCCESS))
-    }
-    curves = {study.name: whole_trainings(study, results) for study in results}
-    title = "Exploration over the samples of the whole training"
-    learned = {
-        f"{name}-learning": Picture(title, plots.over_samples(of, looks, _WIDTH), _progress_words(of))
-        for name, of in curves.items()
-        if len(of)
-    }
+    own = [study.name for study in results if study.plans and not study.has_reported]
+    planned = plots.both_sides(estimates[estimates.study.isin(own)])
     title = "Success in distribution (left end) and from the mirror images of the same starts (right end)"
-    slopes = Picture(title, plots.slopes(planned, runs, looks, _WIDTH), _means(planned, SUCCESS))
-    found = plots.dots({SUCCESS: estimates}, runs, looks, _WIDTH)
-    dots = Picture(SUCCESS.title, found, _means(estimates, SUCCESS))
-    return {**swept, **learned, "home-field": slopes, "success": dots}
+    drawn["home-field"] = Picture(title, plots.slopes(planned, runs, looks, _WIDTH), _means(planned))
+    dots = plots.dots({SUCCESS: estimates}, runs, looks, _WIDTH)
+    return {**drawn, "success": Picture(SUCCESS.title, dots, _means(estimates))}
 
 
 def _progress_words(curves: pd.DataFrame) -> str:
@@ -130,9 +122,9 @@ def _progress_words(curves: pd.DataFrame) -> str:
     )
 
 
-def _means(estimates: pd.DataFrame, quantity: Quantity) -> str:
+def _means(estimates: pd.DataFrame) -> str:
     rows = (row for _, row in estimates.iterrows())
-    return "; ".join(f"{row.label}: {quantity.heading} {quantity.of_seeds(row)}" for row in rows)
+    return "; ".join(f"{row.label}: {SUCCESS.heading} {SUCCESS.of_seeds(row)}" for row in rows)
 
 
 def summary(results: Sequence[Study], drawn: dict[str, Picture]) -> str:
@@ -144,20 +136,24 @@ def summary(results: Sequence[Study], drawn: dict[str, Picture]) -> str:
 def by_condition(results: Sequence[Study]) -> pd.DataFrame:
     """Success by condition, of experiments with one task each of which nothing was reported."""
     rows = []
-    specs = ((study, study.experiment.spec) for study in results if study.experiment)
-    for study in (of for of, spec in specs if spec.task and spec.sweep is None and not of.has_reported):
-        means = {
-            (quantity.title, row.condition, row.side): quantity.spread(row["mean"], row["std"])
-            for quantity in (SUCCESS, DISTANCE)
-            for _, row in study.estimates(quantity).iterrows()
-            if row.seeds > 0
-        }
+    for study in results:
+        spec = study.experiment.spec if study.experiment else None
+        if spec is None or spec.task is None or spec.sweep or study.has_reported:
+            continue
+        success, distance = (_spreads(study, quantity) for quantity in (SUCCESS, DISTANCE))
         for condition in study.conditions:
-            keys = [("Success", condition, side) for side in SIDES] + [("Distance", condition, HOME)]
+            cells = [success.get((condition, side), "-") for side in SIDES]
+            cells.append(distance.get((condition, HOME), "-"))
             if seeds := study.counted(condition).seed.nunique():
-                rows.append([study.name, condition, seeds, *(means.get(key, "-") for key in keys)])
+                rows.append([study.name, condition, seeds, *cells])
     head = ["Task", "Method", "Seeds", "Success [%]", "Mirrored [%]", "Distance [m]"]
     return pd.DataFrame(rows, columns=head)
+
+
+def _spreads(study: Study, quantity: Quantity) -> dict[tuple[str, str], str]:
+    """A figure with its spread over seeds, by condition and side."""
+    found = (row for _, row in study.estimates(quantity).iterrows() if row.seeds > 0)
+    return {(row.condition, row.side): quantity.spread(row["mean"], row["std"]) for row in found}
 
 
 def section(results: Sequence[Study], drawn: dict[str, Picture]) -> str:
@@ -176,16 +172,12 @@ def _image(name: str, drawn: dict[str, Picture], folder: str) -> str:
 
 def _study_text(study: Study) -> str:
     question = f": {_plain(study.experiment.spec.description)}" if study.experiment else ""
-    lines = [f"**`{_plain(study.name)}`**{question}", ""]
-    table = contents.comparison(study)
-    lines += _table(_with_effort(study, table.set_index(table.Method)))
+    lines = [f"**`{_plain(study.name)}`**{question}", "", *_table(_with_effort(study))]
     if len(further := contents.further(study)):
-        lines += ["", "The same policies on tasks they were not trained on:", ""]
-        lines += _table(_with_effort(study, further))
+        lines += ["", "The same policies on tasks they were not trained on:", "", *_table(further)]
     if study.verdicts:
         lines += ["", *_claim_lines(study.verdicts)]
-    notes = [f"results/measured/{study.name}/{place} says more of these runs." for place, _ in study.notes]
-    if notes := [*warnings(study), *notes]:
+    if notes := warnings(study):
         lines += ["", *(f"- Note: {_plain(note)}" for note in notes)]
     return "\n".join(lines)
 
@@ -193,36 +185,32 @@ def _study_text(study: Study) -> str:
 def _claim_lines(verdicts: Sequence[Verdict]) -> list[str]:
     """The claims that something was measured for, and how many others there are."""
     known = [of for of in verdicts if of.figure is not None]
-    lines = [f"{_plain(of.claim.statement)}: **{verdict_words(of)}**, {_plain(evidence(of))}" for of in known]
+    lines = [
+        f"- {_plain(of.claim.statement)}: **{verdict_words(of)}**, {_plain(evidence(of))}" for of in known
+    ]
     rest = len(verdicts) - len(known)
-    more = f"{rest} more {'claim is' if rest == 1 else 'claims are'} about runs that are missing."
-    return [f"- {line}" for line in [*lines, *[more] * bool(rest)]]
+    return [*lines, f"- Claims about runs that are missing: {rest}."] if rest else lines
 
 
-def _with_effort(study: Study, table: pd.DataFrame) -> pd.DataFrame:
-    """Rows, indexed by condition, with what its runs took; conditions without runs are left out."""
-    table = table[[len(study.counted(condition)) > 0 for condition in table.index]]
-    effort = pd.DataFrame([_effort(study, condition) for condition in table.index], table.index)
-    return pd.concat([table, effort], axis=1)
+def _with_effort(study: Study) -> pd.DataFrame:
+    """Figures of the conditions that have runs, with what these took."""
+    table = contents.comparison(study)
+    table = table[[len(study.counted(condition)) > 0 for condition in table.Method]]
+    return pd.DataFrame(
+        [{**row, **_effort(study.counted(row["Method"]))} for row in table.to_dict("records")]
+    )
 
 
-def _effort(study: Study, condition: str) -> dict[str, str]:
-    runs = study.counted(condition)
+def _effort(runs: pd.DataFrame) -> dict[str, str]:
     times = runs.training_seconds.agg(["min", "max"])
     columns = {
-        "Iterations": [_iterations(study, run) for _, run in runs.iterrows()],
+        "Iterations": [f"{iterations:,.0f}" for iterations in runs.iterations],
         "Steps a run": [f"{steps:,.0f}" for steps in runs.env_steps],
         "Training a run": [" to ".join(dict.fromkeys(times.map(contents.hours)))],
         "Hardware": [contents.hardware(of) for of in runs.provenance],
         "Commit": [contents.commit_text(of) for of in runs.provenance],
     }
     return {name: "; ".join(dict.fromkeys(values)) for name, values in columns.items()}
-
-
-def _iterations(study: Study, run: pd.Series) -> str:
-    """`390`, or `45 of 390` where the experiment plans another number."""
-    planned = run.iterations_planned if study.plans else run.iterations
-    return f"{run.iterations:,.0f}" + (f" of {planned:,.0f}" if planned != run.iterations else "")
 
 
 def _table(table: pd.DataFrame) -> list[str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -11,13 +11,13 @@ from typing import Any
 import pandas as pd
 
 from kickbench.config.experiment import POINT, Side
-from kickbench.errors import KickbenchError, shown
+from kickbench.errors import KickbenchError
 from kickbench.results.episode_table import SIDES, read_episodes
 from kickbench.results.frame import HOME, load_runs, runs_of
 from kickbench.results.progress_table import read_progress
 from kickbench.results.quantities import Quantity, over_seeds
 from kickbench.results.store import RunDirectory
-from kickbench.results.tables import difference_lines, unplanned_lines
+from kickbench.results.tables import left_out_lines
 from kickbench.results.verdicts import Verdict, judge
 from kickbench.trials.experiment import Condition, LoadedExperiment
 
@@ -31,8 +31,8 @@ class Study:
     Attributes:
         name: Its name.
         rows: Rows of `load_runs`, `condition` being the heading that a run is shown under.
-        problems: What could not be shown, and why: sentences.
-        notes: Place and text of the notes that lie beside the runs.
+        root: The folder of its runs.
+        problems: What is left out, and why.
         curves: A row per training iteration, with condition, seed and path of the run.
         episodes: A row per episode of the evaluations, with condition, seed, path and side.
         experiment: The experiment, if it is one.
@@ -41,10 +41,10 @@ class Study:
 
     name: str
     rows: pd.DataFrame
-    problems: tuple[str, ...]
-    notes: tuple[tuple[str, str], ...]
+    root: Path
     curves: pd.DataFrame
     episodes: pd.DataFrame
+    problems: Sequence[str] = ()
     experiment: LoadedExperiment | None = None
     verdicts: tuple[Verdict, ...] = ()
 
@@ -142,54 +142,30 @@ def studies(root: Path, experiment: LoadedExperiment | None = None) -> list[Stud
         raise KickbenchError(f"{root}: no such folder")
     frame = load_runs(root, experiment)
     if experiment is not None:
-        rows, problems = frame[frame.condition.notna()], unplanned_lines(frame)
-        return [_study(root, experiment.name, rows, problems, experiment, judge(experiment, frame))]
+        rows, problems = frame[frame.condition.notna()], left_out_lines(frame[frame.condition.isna()])
+        verdicts = judge(experiment, frame)
+        return [Study(experiment.name, rows, root, *_files(runs_of(rows)), problems, experiment, verdicts)]
     if frame.empty:
         raise KickbenchError(f"{root}: no run in it, finished or not")
     frame["condition"] = frame.group.fillna(frame.method)
-    finished, found = frame[frame.state == "finished"], []
-    for name, rows in frame.groupby(frame.setting_name.fillna(frame.task), sort=False):
-        tasks = finished.task[finished.setting_name == name]
-        problems = difference_lines(finished[finished.task.isin(tasks)])
-        found.append(_study(root, str(name), rows.sort_values("seed", kind="stable"), problems))
-    return found
-
-
-def _study(
-    root: Path,
-    name: str,
-    rows: pd.DataFrame,
-    problems: list[str],
-    experiment: LoadedExperiment | None = None,
-    verdicts: tuple[Verdict, ...] = (),
-) -> Study:
-    lines = (line.replace(f"{shown(root)}/", "") for line in problems)
-    notes = _notes(root, rows.path.unique())
-    return Study(name, rows, tuple(lines), notes, *_files(runs_of(rows)), experiment, verdicts)
+    settings = frame.groupby(frame.setting_name.fillna(frame.task), sort=False)
+    parts = {str(name): rows.sort_values("seed", kind="stable") for name, rows in settings}
+    return [Study(name, rows, root, *_files(runs_of(rows))) for name, rows in parts.items()]
 
 
 def _files(runs: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Curves and episodes of runs that count, or are not finished and may."""
     names = ["condition", "seed", "path"]
-    nothing = pd.DataFrame(columns=names)
-    curves, episodes = [], []
-    unfinished = runs.state.isin(["unfinished", "running"]) & runs.deviation.isna()
-    for _, run in runs[runs.counted | unfinished].iterrows():
+    curves, episodes = [pd.DataFrame(columns=names)], [pd.DataFrame(columns=names)]
+    for _, run in runs[runs.counted | runs.state.isin(["unfinished", "running"])].iterrows():
         directory, own = RunDirectory(run.path), {name: run[name] for name in names}
         if directory.progress.exists():
             curves.append(read_progress(directory.progress).assign(**own))
         if directory.episodes.exists():
             sides = zip(SIDES, read_episodes(directory.episodes), strict=True)
             episodes += [table.assign(**own, side=side) for side, table in sides if table is not None]
-    first, second = (pd.concat(of, ignore_index=True) if of else nothing for of in (curves, episodes))
-    return first, second
+    return _joined(curves), _joined(episodes)
 
 
-def _notes(root: Path, runs: Iterable[Path]) -> tuple[tuple[str, str], ...]:
-    """Texts beside the runs and in the folders between them and the root, with their places."""
-    files = sorted(root.rglob("README.md"))
-    return tuple(
-        (file.relative_to(root).as_posix(), file.read_text(encoding="utf-8", errors="replace"))
-        for file in files
-        if any(run.is_relative_to(file.parent) for run in runs)
-    )
+def _joined(tables: list[pd.DataFrame]) -> pd.DataFrame:
+    return pd.concat(tables[1:] or tables, ignore_index=True)

@@ -11,7 +11,7 @@ from itertools import combinations
 
 import pandas as pd
 
-from kickbench.results.quantities import DISTANCE, P_VALUE, SUCCESS, Quantity, Unit, non_finite_note
+from kickbench.results.quantities import DISTANCE, P_VALUE, SUCCESS, Quantity, Unit
 from kickbench.results.statistics import holm, rank_test, welch
 from kickbench.results.tables import (
     GAP,
@@ -76,9 +76,8 @@ def _blocks(title: str, rows: pd.DataFrame, quantity: Quantity) -> list[str]:
 
 def _method_row(label: str, runs: pd.DataFrame, quantity: Quantity) -> Row:
     mean, std = mean_and_spread(runs[quantity.column], quantity.unit)
-    share = max(runs.non_finite.max(), runs["mirrored/non_finite"].max())
     iterations = f"{runs.iterations.iloc[0]:,.0f}" + " scaled" * bool(runs.scale.notna().any())
-    return label, str(len(runs)), iterations, mean + non_finite_note(share), std
+    return label, str(len(runs)), iterations, mean, std
 
 
 def _pairs(scores: Mapping[str, list[float]], unit: Unit) -> str:

@@ -12,8 +12,8 @@ transfer task.
 | `recipe` | fingerprint of the run without the policy that it began with |
 | `evaluated_setting` | fingerprint of a transfer task, its robot and model; None where unknown |
 | `iterations`, `iterations_planned`, `scale` | training iterations done and wanted |
-| `state`, `damage`, `deviation` | finished, unfinished, running, missing or damaged; sentences or None |
-| `repeats` | path of another run of the same identity and seed, which is the one that counts |
+| `state` | finished, unfinished, running, missing or damaged |
+| `problem` | why there is no result, it does not count, or is smaller than planned: a sentence or None |
 | `setting_name`, `group` | what a finished run is compared within, and averaged within |
 | `counted` | whether the row belongs in a mean |
 | `success_rate`, `success_low`, ... | the figures of `EvaluationMetrics`; an interval is `_low` and `_high` |
@@ -54,13 +54,16 @@ if TYPE_CHECKING:
     from kickbench.trials.experiment import Condition, LoadedExperiment
 
 HOME: Side = "in_distribution"
+MOST_NON_FINITE = 0.01
+"""Share of a run's episodes that may become non-finite (NaN or infinite) before nothing is concluded from
+it."""
 
 Row = dict[str, Any]
 
 _TEXT = (
     *("path", "condition", "task", "method", "side", "evaluated_on", "identity", "setting", "recipe"),
     "evaluated_setting",
-    *("state", "damage", "deviation", "repeats", "provenance", "twins", "equivariance/but_for"),
+    *("state", "problem", "provenance", "twins", "equivariance/but_for"),
 )
 _NUMBERS = (
     *("iterations", "iterations_planned", "scale", "env_steps", "training_seconds", "schedule_iterations"),
@@ -80,7 +83,7 @@ def load_runs(root: Path | str | Sequence[Path], experiment: LoadedExperiment | 
             method.
 
     Returns:
-        The table that the module describes. A file that cannot be read is a `damage`, not an error.
+        The table that the module describes. A file that cannot be read is a `problem`, not an error.
 
     Raises:
         SpecError: A task and a method of the experiment do not fit together.
@@ -92,7 +95,7 @@ def load_runs(root: Path | str | Sequence[Path], experiment: LoadedExperiment | 
     found: dict[Path, RunDirectory] = {}
     for run in (run for folder in roots for run in find_begun_runs(folder)):
         found.setdefault(run.path.resolve(), run)
-    unplanned = {"deviation": f"not planned by {experiment.name}", "counted": False} if experiment else {}
+    unplanned = {"problem": f"not planned by {experiment.name}", "counted": False} if experiment else {}
     others = (run for path, run in found.items() if path not in planned)
     rows += [row | unplanned for run in others for row in _rows(run)]
     return _with_groups(_with_repeats(_table(rows)))
@@ -124,18 +127,9 @@ def known(row: pd.Series, name: str) -> Any:
     return None if pd.isna(value) else value
 
 
-def unfinished_words(row: pd.Series) -> str:
-    """How far a run without a result is, or why its result does not count."""
-    if row.state == "damaged":
-        return str(row.damage)
-    done, planned = known(row, "iterations"), known(row, "iterations_planned")
-    if row.state == "missing" or done is None:
-        return str(row.state)
-    return f"{row.state}: {done:,.0f}{'' if planned is None else f' of {planned:,.0f}'} iterations"
-
-
 def _table(rows: Sequence[Row]) -> pd.DataFrame:
     """Rows as a table with every column, None in texts and NaN in numbers where there is nothing."""
+    rows = [{**row, "problem": _problem(row)} for row in rows]
     figures = {**_flat(EvaluationMetrics), **_flat(Asymmetry)}
     names = dict.fromkeys([*_TEXT, "seed", "counted", *_NUMBERS, *figures, *(n for row in rows for n in row)])
     frame = pd.DataFrame({name: [row.get(name) for row in rows] for name in names}, dtype=object)
@@ -145,6 +139,18 @@ def _table(rows: Sequence[Row]) -> pd.DataFrame:
     shares = [name for name in numbers if name.startswith("termination/")]
     frame[shares] = frame[shares].where(frame.episodes.isna(), frame[shares].fillna(0.0))
     return frame.copy()  # pandas warns of a table whose columns lie apart
+
+
+def _problem(row: Row) -> str | None:
+    """How far a run without a result is, or what a reader must know of its result beside what is known."""
+    state, done, planned = row["state"], row["iterations"], row.get("iterations_planned")
+    if state == "finished":
+        scaled = [f"scaled to {row['scale']:g}"] if row["scale"] else []
+        smaller = [f"{done:,} of {planned:,} iterations"] if planned not in (None, done) else []
+        return ", ".join([*scaled, *smaller, *filter(None, [row.get("problem")])]) or None
+    if row.get("problem") or state == "missing" or done is None:
+        return str(row.get("problem") or state)
+    return f"{state}: {done:,}{'' if planned is None else f' of {planned:,}'} iterations"
 
 
 def _flat(model: type[BaseModel], values: Mapping[str, Any] | None = None, prefix: str = "") -> Row:
@@ -180,7 +186,10 @@ def _result_rows(metrics: Metrics) -> list[Row]:
         "state": "finished",
         "counted": True,
     }
-    return [{**own, "side": side, **_side_figures(evaluation[side])} for side in SIDES if evaluation[side]]
+    rows = [{**own, "side": side, **_side_figures(evaluation[side])} for side in SIDES if evaluation[side]]
+    lost = max(row["non_finite"] for row in rows)
+    words = f"{100 * lost:.1f} % of its episodes became non-finite" if lost > MOST_NON_FINITE else None
+    return [row | {"problem": words} for row in rows]
 
 
 def _side_figures(side: Mapping[str, Any]) -> Row:
@@ -217,12 +226,12 @@ def _rows(directory: RunDirectory) -> list[Row]:
     except KickbenchError as error:
         return [row | _damaged(directory, error)]
     rows = [{**row, **figures} for figures in _result_rows(metrics)]
-    return [*rows, *_transfer_rows(directory, rows[0], metrics)]
+    return [*rows, *_transfer_rows(directory, rows[0])]
 
 
 def _damaged(directory: RunDirectory, error: KickbenchError) -> Row:
     words = str(error).replace(f"{directory.path}/", "").replace(f"{shown(directory.path)}/", "")
-    return {"side": HOME, "state": "damaged", "damage": words, "counted": False}
+    return {"side": HOME, "state": "damaged", "problem": f"damaged ({words})", "counted": False}
 
 
 def _named_by_place(path: Path) -> Row:
@@ -244,18 +253,14 @@ def _identity_columns(directory: RunDirectory) -> Row:
     return {"identity": identity.fingerprint, "setting": identity.setting, "recipe": identity.recipe}
 
 
-def _transfer_rows(directory: RunDirectory, own: Row, metrics: Metrics) -> Iterator[Row]:
+def _transfer_rows(directory: RunDirectory, own: Row) -> Iterator[Row]:
     """Results of the run's policy on tasks that it was not trained on."""
     keep = ("path", "task", "method", "seed", "identity", "setting", "recipe")
     keep += ("iterations", "iterations_planned")
     for path in sorted(directory.also("x").parent.glob("*.json")):
         row = {name: own[name] for name in keep} | {"evaluated_on": path.stem}
         try:
-            result = load_metrics(path)
-            for key, expected in {"task": path.stem, "method": metrics.method, "seed": metrics.seed}.items():
-                if (found := getattr(result, key)) != expected:
-                    raise KickbenchError(f"{path}: expected the {key} {expected}, found {found}")
-            yield from ({**figures, **row} for figures in _result_rows(result))
+            yield from ({**figures, **row} for figures in _result_rows(load_metrics(path)))
         except KickbenchError as error:
             yield row | _damaged(directory, error)
 
@@ -264,7 +269,6 @@ def _planned_rows(root: Path, condition: Condition) -> Iterator[Row]:
     """The rows of the planned runs of a condition, which is compiled only if there is a run of it."""
     planned, setting = cache(partial(_planned_specs, condition)), cache(partial(_transfer_setting, condition))
     iterations = condition.method.spec.algorithm.iterations
-    episodes = condition.task.spec.evaluation.episodes
     for seed in condition.seeds:
         first, *_ = rows = _rows(RunDirectory(run_path(root, condition.name, seed)))
         own: Row = {"condition": condition.name, "seed": seed, "iterations_planned": iterations}
@@ -275,13 +279,12 @@ def _planned_rows(root: Path, condition: Condition) -> Iterator[Row]:
         is_planned = _is_of(first, condition, planned().identity)
         unequal = [] if first["seed"] == seed else [f"its seed is {first['seed']}"]
         is_counted = is_planned and not unequal
-        unequal += size_differences(first, iterations=iterations, episodes=episodes)
         unequal += [] if is_planned else _differences(RunDirectory(first["path"]), planned())
         for row in rows:
             name, found = row["evaluated_on"], row.get("evaluated_setting")
             is_old = found is not None and name in condition.transfer and found != setting(name)
             changed = [f"the task {name} has changed since the evaluation"] if is_old else []
-            own["deviation"] = ", ".join([*unequal, *changed]) or None
+            own["problem"] = ", ".join(filter(None, [row["problem"], *unequal, *changed]))
             yield row | own | {"counted": row["counted"] and is_counted and not is_old}
 
 
@@ -316,27 +319,14 @@ def _is_of(row: Row, condition: Condition, planned: Identity) -> bool:
 
 
 def _differences(directory: RunDirectory, planned: Specs) -> list[str]:
-    """In what the specs of a run of another identity differ; the number of episodes is named apart."""
-    from kickbench.results.specs import EPISODES, differences, stored_specs
+    """In what the specs of a run of another identity differ from those of the plan."""
+    from kickbench.results.specs import differences, stored_specs
 
     try:
         found = stored_specs(directory)
     except KickbenchError:
         return ["another identity"]
-    return differences([found, planned], "{0[0]} (planned {0[1]})".format, without=(EPISODES,))
-
-
-def size_differences(run: Mapping[str, Any] | pd.Series, **planned: float | None) -> list[str]:
-    """In what size a finished run differs from a plan: `scaled to 0.1`, `45 of 390 iterations`.
-
-    Args:
-        run: A row of the table, or what one is made of.
-        planned: Size by column, such as `iterations` or `episodes`; None: not known.
-    """
-    scale = run["scale"]
-    smaller = [f"scaled to {scale:g}"] if scale and scale > 0 else []
-    unequal = {name: size for name, size in planned.items() if size not in (None, run[name])}
-    return [*smaller, *(f"{run[name]:,.0f} of {size:,.0f} {name}" for name, size in unequal.items())]
+    return differences([found, planned], "{0[0]} (planned {0[1]})".format) or ["another identity"]
 
 
 def _with_repeats(frame: pd.DataFrame) -> pd.DataFrame:
@@ -346,11 +336,10 @@ def _with_repeats(frame: pd.DataFrame) -> pd.DataFrame:
     """
     found = frame[(frame.state == "finished") & (frame.condition.isna() | frame.counted)]
     key = ["condition", "identity", "iterations", "scale", "seed"]
-    same = found.groupby(key, dropna=False, sort=False)
-    first = same.path.transform("first")
-    repeats = first[first != found.path].reindex(frame.index)
-    frame["repeats"] = repeats.astype(object).where(repeats.notna(), None)
-    frame["counted"] &= repeats.isna()
+    first = found.groupby(key, dropna=False, sort=False).path.transform("first")
+    repeats = first[first != found.path].map(shown)
+    frame.loc[repeats.index, "problem"] = "of the same identity and seed as " + repeats
+    frame.loc[repeats.index, "counted"] = False
     return frame
 
 

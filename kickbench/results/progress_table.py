@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import zlib
 from collections import deque
 from pathlib import Path
 
@@ -12,38 +11,24 @@ import pandas as pd
 from kickbench.errors import KickbenchError
 from kickbench.results.atomic import read_text
 
-CHECK = "crc32"
-"""Last column of a table: the CRC-32 of the header and the other cells of the row, as they are written."""
+_CHECK = "crc32"
+"""Last column of tables of older versions, a checksum of the row."""
 
 
-def row_check(header: str, row: str) -> str:
-    """The cell `crc32` of a row: both lines up to that column, without the comma before it."""
-    both = f"{header}\n{row}"
-    return f"{zlib.crc32(both.encode()):08x}"
-
-
-def checked_rows(path: Path) -> list[list[str]]:
-    """Reads header and whole rows without the column `crc32`, which a table of an older version lacks.
+def whole_rows(path: Path) -> list[list[str]]:
+    """Reads header and rows as they are written.
 
     A last row without its newline was cut short by a kill and is left out, as a resume leaves it out.
 
     Raises:
-        KickbenchError: The file cannot be read, or a row is damaged; the message names file and line.
+        KickbenchError: The file cannot be read.
     """
     try:
         text = read_text(path)
-        lines = text[: text.rfind("\n") + 1].split("\n")[:-1]
-        header, _, last = lines[0].rpartition(",") if lines else ("", "", "")
-        for number, line in enumerate(lines[1:] if last == CHECK else [], start=2):
-            row, _, check = line.rpartition(",")
-            if check != row_check(header, row):
-                raise KickbenchError(
-                    f"{path}:{number}: damaged: the row, or the header, is not as it was written"
-                )
-        rows = list(csv.reader(lines))
+        rows = list(csv.reader(text[: text.rfind("\n") + 1].split("\n")[:-1]))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise KickbenchError(f"{path}: cannot read the progress table: {error}") from error
-    return [row[:-1] for row in rows] if last == CHECK else rows
+    return [row[:-1] for row in rows] if rows and rows[0][-1:] == [_CHECK] else rows
 
 
 def read_progress(path: Path) -> pd.DataFrame:
@@ -57,7 +42,7 @@ def read_progress(path: Path) -> pd.DataFrame:
     Raises:
         KickbenchError: The file cannot be read or is no such table.
     """
-    names, *rows = checked_rows(path) or [["iteration"]]
+    names, *rows = whole_rows(path) or [["iteration"]]
     if names[:1] != ["iteration"]:
         raise KickbenchError(f"{path}:1: expected a progress table whose first column is iteration")
     try:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from math import inf, nan, pi
+from math import inf, nan
 
 import numpy as np
 import pandas as pd
@@ -19,14 +19,11 @@ from scipy import stats
 
 from kickbench.config.experiment import AnyClaim, Metric, Operand, Ratio
 from kickbench.errors import KickbenchError
-from kickbench.results.frame import known, unfinished_words
+from kickbench.results.frame import known
 from kickbench.results.progress_table import read_progress
 from kickbench.results.statistics import Estimate, Interval, wilson
 from kickbench.results.store import RunDirectory
 
-MOST_NON_FINITE = 0.01
-"""Share of a run's episodes that may become non-finite (NaN or infinite) before nothing is concluded from
-it."""
 KICKING = 0.05
 """Success rate in exploration from which on a policy counts as kicking."""
 _LAST = 0.1
@@ -57,16 +54,10 @@ class Unit:
 
     def text(self, value: float, interval: Interval | None = None) -> str:
         """A figure with its interval, if there is one: `42.1 [41.0, 43.2]`."""
+        if self is P_VALUE and value < 0.001:
+            return "<0.001"
         ends = f" [{self.text(interval.low)}, {self.text(interval.high)}]" if interval else ""
         return f"{self.factor * value:z,.{self.decimals}f}{ends}"
-
-
-class _PValue(Unit):
-    """Of p-values, which are bounded where they are small."""
-
-    def text(self, value: float, interval: Interval | None = None) -> str:
-        """A p-value as text."""
-        return "<0.001" if value < 0.001 else super().text(value, interval)
 
 
 @dataclass(frozen=True)
@@ -78,12 +69,14 @@ class Quantity:
         title: What it is.
         unit: Its unit.
         ends: Prefix of the columns of its 95 % interval; empty if it has none.
+        group: Title of a group of columns of a table that begins here.
     """
 
     column: str
     title: str
     unit: Unit
     ends: str = ""
+    group: str = ""
 
     @property
     def heading(self) -> str:
@@ -112,34 +105,13 @@ class Quantity:
             return "not measured"
         seeds = "1 seed" if mean.seeds == 1 else f"{mean.seeds:.0f} seeds"
         interval = f"[{self.unit.text(mean.low)}, {self.unit.text(mean.high)}]"
-        note = f"95 % {interval}, {seeds}{non_finite_note(mean.non_finite)}"
-        return f"{self.spread(mean['mean'], mean['std'])} ({note})"
+        return f"{self.spread(mean['mean'], mean['std'])} (95 % {interval}, {seeds})"
 
 
 PERCENT, METRES, _MILLIONS = Unit("%", 100.0, 1, is_share=True), Unit("m", 1.0, 3), Unit("M steps", 1e-6, 2)
-COUNT, P_VALUE = Unit("", 1.0, 0), _PValue("", 1.0, 3)
-_DEGREES, _SECONDS, _SHORT_METRES = Unit("deg", 180 / pi, 1), Unit("s", 1.0, 2), Unit("m", 1.0, 2)
+COUNT, P_VALUE = Unit("", 1.0, 0), Unit("", 1.0, 3)
 SUCCESS = Quantity("success_rate", "Success", PERCENT, "success")
 DISTANCE = Quantity("mean_distance", "Distance", METRES, "mean_distance")
-ASYMMETRY = (
-    Quantity("equivariance/relative", "Equivariance error", Unit("%", 100.0, 2)),
-    Quantity("legs/same_side_share", "Kicks with the foot on the ball's side", PERCENT, "legs/same_side"),
-    Quantity("legs/left_foot_share", "Kicks with the left foot", PERCENT, "legs/left_foot"),
-    Quantity("success/left_rate", "Success, ball left", PERCENT),
-    Quantity("success/right_rate", "Success, ball right", PERCENT),
-    Quantity("pairs/agreement", "Mirrored pairs with equal ending", PERCENT, "pairs/agreement"),
-)
-KICK = (
-    Quantity("kick/mean_launch_speed", "Launch", Unit("m/s", 1.0, 2), "kick/mean_launch_speed"),
-    Quantity("kick/mean_direction_error", "Direction error", _DEGREES),
-    Quantity("kick/median_direction_error", "Its median", _DEGREES),
-    Quantity("kick/direction_bias", "Its bias", _DEGREES),
-    Quantity("kick/mean_time_to_touch", "First touch after", _SECONDS),
-    Quantity("kick/mean_touches", "Touches", Unit("", 1.0, 2)),
-    Quantity("kick/mean_walked_after_touch", "Walked after it", _SHORT_METRES),
-    Quantity("kick/falls", "Falls", PERCENT),
-    Quantity("kick/non_finite", "Not finite", PERCENT),
-)
 
 
 def over_seeds(rows: pd.DataFrame, quantity: Quantity) -> pd.DataFrame:
@@ -150,25 +122,17 @@ def over_seeds(rows: pd.DataFrame, quantity: Quantity) -> pd.DataFrame:
         quantity: The figure; a run without it is no seed.
 
     Returns:
-        Columns seeds, mean, std (of a sample; NaN of one seed), low, high, non_finite. The 95 % interval is
-        Student's of the mean, clipped to what is possible; of one seed that of its episodes.
+        Columns seeds, mean, std (of a sample; NaN of one seed), low, high. The 95 % interval is Student's of
+        the mean, clipped to what is possible; of one seed that of its episodes.
     """
     groups = rows[rows[quantity.column].notna()].groupby(["condition", "side"], sort=False)
     found = pd.DataFrame(groups[quantity.column].agg(seeds="count", mean="mean", std="std"))
-    found["non_finite"] = groups.non_finite.mean()
     half = stats.t.ppf(0.975, found.seeds - 1) * found["std"] / np.sqrt(found.seeds)
     most = 1.0 if quantity.unit.is_share else inf
     ends = groups[[f"{quantity.ends}_low", f"{quantity.ends}_high"]].first()
     found["low"] = (found["mean"] - half).clip(lower=0.0).fillna(ends.iloc[:, 0])
     found["high"] = (found["mean"] + half).clip(upper=most).fillna(ends.iloc[:, 1])
     return found
-
-
-def non_finite_note(share: float) -> str:
-    """What stands behind a figure if some episodes became non-finite: ` (2.5 % non-finite)`; else nothing."""
-    if not share > 0:
-        return ""
-    return f" ({'<0.1' if share < 0.001 else f'{100 * share:.1f}'} % non-finite)"
 
 
 Measure = Callable[[pd.Series, AnyClaim], Estimate | None]
@@ -332,20 +296,8 @@ def row_of(run: pd.DataFrame, operand: Operand) -> pd.Series | None:
 
 def lack_of(run: pd.DataFrame, operands: Sequence[Operand]) -> str | None:
     """Why a run cannot count in a claim about these operands, whatever its figures are; None if it can."""
-    for row in (run.iloc[0], *(row_of(run, operand) for operand in operands)):
-        if row is not None and row.state != "finished":
-            return unfinished_words(row)
-        if row is not None and row.deviation:
-            return str(row.deviation)
-    share = non_finite_share(run, operands)
-    return f"{100 * share:.1f} % of its episodes became non-finite" if share > MOST_NON_FINITE else None
-
-
-def non_finite_share(run: pd.DataFrame, operands: Sequence[Operand]) -> float:
-    """Share of non-finite episodes on the operands' tasks, the larger of the two sides."""
-    tasks = {operand.task or run.task.iloc[0] for operand in operands}
-    shares = run.non_finite[run.evaluated_on.isin(tasks)].dropna()
-    return float(shares.max()) if len(shares) else 0.0
+    rows = (run.iloc[0], *(row_of(run, operand) for operand in operands))
+    return next((str(row.problem) for row in rows if row is not None and row.problem), None)
 
 
 def pair_correlation(home: pd.Series) -> float:

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 from pydantic import BaseModel
 from pydantic_core import to_jsonable_python
 
-from kickbench.config.load import load_method, load_task
+from kickbench.config.load import LoadedMethod, LoadedTask, load_method, load_task
 from kickbench.config.terms import TermParams, TermTable
 from kickbench.config.yamlio import Document
 from kickbench.config.yamltree import dump_yaml, flow_yaml
@@ -29,14 +29,13 @@ from kickbench.results.identity import (
     read_identity,
     write_identity,
 )
-from kickbench.results.integrity import MODEL_FOLDER, forget, seal
+from kickbench.results.integrity import FILE, MODEL_FOLDER, seal
 from kickbench.results.store import RunDirectory
 from kickbench.sim.build import files_read_by
 from kickbench.trials.trial import Trial, load_trial
 
 _MODEL_SIZE = 200_000_000
 """Largest size of a model's files in all, bytes: every run has a copy of them."""
-EPISODES = "task: evaluation.episodes"
 _MOST = 4
 """Keys that are named; of others it is said how many there are."""
 _BY_HASH = {
@@ -44,6 +43,7 @@ _BY_HASH = {
     "terms": "the source of the terms",
     "initial_policy": "the policy begun with",
 }
+"""Parts of an identity that are not compared key by key."""
 
 
 def write_specs(directory: RunDirectory, experiment: Trial) -> None:
@@ -61,7 +61,6 @@ def write_specs(directory: RunDirectory, experiment: Trial) -> None:
     root = Path(os.path.commonpath([source.parent for source in sources]))
     names = {source: f"{MODEL_FOLDER}{source.relative_to(root).as_posix()}" for source in sources}
     contents = {names[source]: source.read_bytes() for source in sources}
-    seal(directory, upcoming=contents)  # first, so that the files are known as the run's, whatever ends it
     for name, content in contents.items():
         atomic_write_bytes(directory.path / name, content)
     model = os.path.relpath(names[Path(task.robot.spec.model)], directory.specs.name)
@@ -81,8 +80,7 @@ def update_specs(directory: RunDirectory, experiment: Trial) -> None:
 
     A kill in between leaves files without sums, not files with wrong ones.
     """
-    files = (directory.task_spec, directory.method_spec)
-    forget(directory, [file.relative_to(directory.path).as_posix() for file in files])
+    (directory.path / FILE).unlink(missing_ok=True)
     _write_task_and_method(directory, experiment)
     seal(directory)
 
@@ -146,42 +144,6 @@ def _write(path: Path, document: Document, paths: dict[str, Any]) -> None:
     atomic_write_text(path, dump_yaml({**document.data, **paths}))
 
 
-def spec_differences(directory: RunDirectory, experiment: Trial) -> list[Problem]:
-    """Every key in which an experiment differs from the stored one by identity, and whether its model does.
-
-    Defaults count as if they were written out. The order of terms counts too: it is the order of the vectors.
-
-    Raises:
-        SpecError: A stored file is missing or not valid.
-        KickbenchError: The run has no identity.
-    """
-    task, ours, theirs = experiment.loaded_task, specs_of(experiment), read_identity(directory)
-    parts = ours.identity.parts
-    changed = [part for part in parts | theirs.parts if parts.get(part) != theirs.parts.get(part)]
-    if not changed:
-        return []
-    loaded = loaded_specs(task, experiment.method)
-    problems = [
-        loaded[name].document.problem(path, _unlike(new, old))
-        for name, path, (new, old) in _unequal([ours, stored_specs(directory)])
-    ]
-    if "model" in changed:
-        names = dict(ours.identity.model_arrays.items() ^ theirs.model_arrays.items())
-        what = "not the model of the run: the MJCF, a file it reads or the scene has changed"
-        problems.append(task.robot.document.problem(("model",), f"{what} {', '.join(sorted(names))}"))
-    if "terms" in changed:
-        problems.append(task.document.problem(("terms",), "the run's terms have other code"))
-    if "initial_policy" in changed:
-        problems.append(Problem(None, ("--init-from",), "the run began with another policy"))
-    return problems or [Problem(None, (part,), "not that of the run") for part in changed]
-
-
-def _unlike(new: Any, old: Any) -> str:
-    if isinstance(old, Order):
-        return f"the run has them in another order: {', '.join(old)}"
-    return f"{_text(new)}, but the run has {_text(old)}"
-
-
 class Specs(NamedTuple):
     """The specs of a run by what they are, and its identity."""
 
@@ -196,64 +158,85 @@ def stored_specs(directory: RunDirectory) -> Specs:
         KickbenchError: A file is missing or not valid.
     """
     task, method = load_task(model_of_task, directory.task_spec), load_method(directory.method_spec)
-    values = {name: of.spec for name, of in loaded_specs(task, method).items()}
-    return Specs(values, read_identity(directory.path))
+    return _specs(task, method, read_identity(directory))
 
 
 def specs_of(experiment: Trial) -> Specs:
     """The specs of a compiled task and method."""
-    loaded = loaded_specs(experiment.loaded_task, experiment.method)
-    return Specs({name: of.spec for name, of in loaded.items()}, identity_of(experiment))
+    return _specs(experiment.loaded_task, experiment.method, identity_of(experiment))
 
 
-def differences(
-    found: Sequence[Specs], write: Callable[[Sequence[str]], str] = " and ".join, without: Sequence[str] = ()
-) -> list[str]:
+def _specs(task: LoadedTask[Any], method: LoadedMethod, identity: Identity) -> Specs:
+    return Specs({name: of.spec for name, of in loaded_specs(task, method).items()}, identity)
+
+
+def spec_differences(directory: RunDirectory, experiment: Trial) -> list[Problem]:
+    """Every key in which an experiment differs from the stored one by identity, and whether its model does.
+
+    Defaults count as if they were written out. The order of terms counts too: it is the order of the vectors.
+
+    Raises:
+        SpecError: A stored file is missing or not valid.
+        KickbenchError: The run has no identity.
+    """
+    ours, identity = specs_of(experiment), read_identity(directory)
+    if ours.identity.fingerprint == identity.fingerprint:
+        return []
+    found, loaded = [ours, stored_specs(directory)], loaded_specs(experiment.loaded_task, experiment.method)
+    problems = [
+        loaded[str(path[0])].document.problem(path[1:], f"{_text(new)}, but the run has {_text(old)}")
+        for path, (new, old) in _unequal([specs.values for specs in found])
+    ]
+    problems += [Problem(None, (), f"{part}: not that of the run") for part in _unequal_parts(found)]
+    if arrays := sorted(dict(ours.identity.model_arrays.items() ^ identity.model_arrays.items())):
+        problems.append(Problem(None, ("model",), f"has changed {', '.join(arrays)}"))
+    parts = dict(ours.identity.parts.items() ^ identity.parts.items())
+    return problems or [Problem(None, (part,), "not that of the run") for part in parts]
+
+
+def differences(found: Sequence[Specs], write: Callable[[Sequence[str]], str] = " and ".join) -> list[str]:
     """Every key whose values are not equal: `method: algorithm.gamma: 0.99 and 0.995`.
 
     Args:
         found: The specs, two or more.
         write: How values are written.
-        without: Keys that are not compared.
     """
-    keys = {
-        f"{name}: {dotted((*path, 'order') if isinstance(values[0], Order) else path)}": values
-        for name, path, values in _unequal(found)
-    }
-    lines = [f"{key}: {write([_text(v) for v in keys[key]])}" for key in keys if key not in without]
+    unequal = [(path, write([*map(_text, of)])) for path, of in _unequal([specs.values for specs in found])]
+    lines = [f"{path[0]}: {dotted(path[1:])}: {values}" for path, values in unequal]
     more = [f"{len(lines) - _MOST} more keys"] if len(lines) > _MOST else []
-    unequal = [part for part in _BY_HASH if len({specs.identity.parts.get(part) for specs in found}) > 1]
-    return [*lines[:_MOST], *more, *(_BY_HASH[part] for part in unequal)]
+    return [*lines[:_MOST], *more, *_unequal_parts(found)]
 
 
-def _unequal(found: Sequence[Specs]) -> Iterator[tuple[str, KeyPath, Sequence[Any]]]:
-    """Every key whose values are not equal: which spec, where in it, and the values."""
-    for name in found[0].values:
-        for path, values in _differing([specs.values[name] for specs in found]):
-            yield name, path, values
+def _unequal_parts(found: Sequence[Specs]) -> list[str]:
+    return [
+        words
+        for part, words in _BY_HASH.items()
+        if len({specs.identity.parts.get(part) for specs in found}) > 1
+    ]
 
 
-class Order(tuple[str, ...]):
-    """Names of terms or keys in their order, which counts."""
-
-
-def _differing(values: Sequence[Any], path: KeyPath = ()) -> Iterator[tuple[KeyPath, Sequence[Any]]]:
-    """The keys below a path that count and whose values are not all equal."""
-    first = values[0]
-    # Models of tasks with terms of their own are made for each file.
-    if isinstance(first, BaseModel) and len({type(value).__name__ for value in values}) == 1:
-        items = [dict(counted_fields(value, path)) for value in values]
-        orders = [Order(value.active(TermParams)) for value in values if isinstance(value, TermTable)]
-    elif all(isinstance(value, Mapping) for value in values):
-        items, orders = values, [Order(value) for value in values]
-    else:
-        if any(value != first for value in values):
+def _unequal(values: Sequence[Any], path: KeyPath = ()) -> Iterator[tuple[KeyPath, Sequence[Any]]]:
+    """Every key whose values are not equal, and the values; `order` is that of the keys beside it."""
+    keyed = [found for value in values if (found := _counted(value, path)) is not None]
+    if len(keyed) < len(values):
+        if any(value != values[0] for value in values):
             yield path, values
         return
+    orders = [tuple(value) for value in keyed]
     if len({frozenset(order) for order in orders}) == 1 < len(set(orders)):
-        yield path, orders
-    for name in dict.fromkeys(name for item in items for name in item):
-        yield from _differing([item.get(name) for item in items], (*path, name))
+        yield (*path, "order"), [list(order) for order in orders]
+    for name in dict.fromkeys(name for value in keyed for name in value):
+        yield from _unequal([value.get(name) for value in keyed], (*path, name))
+
+
+def _counted(value: Any, path: KeyPath) -> Mapping[str, Any] | None:
+    """The keys of a value that count, the terms of a table in their order; None of what has no keys."""
+    if not isinstance(value, BaseModel):
+        return value if isinstance(value, Mapping) else None
+    fields = dict(counted_fields(value, path[1:]))
+    first = value.active(TermParams) if isinstance(value, TermTable) else ()
+    names = dict.fromkeys([*first, *fields])
+    return {name: fields[name] for name in names if fields[name] is not None}
 
 
 def _text(value: Any) -> str:

@@ -4,22 +4,18 @@ from __future__ import annotations
 
 import fcntl
 import os
-import shutil
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import IO
 
 from kickbench.errors import KickbenchError
 from kickbench.results import integrity
-from kickbench.results.atomic import TEMPORARY_PREFIX, atomic_write_bytes, plain_or_packed, sync_folder
+from kickbench.results.atomic import TEMPORARY_PREFIX, atomic_write_bytes, plain_or_packed
 from kickbench.results.metrics import Metrics, metrics_bytes
 
-_BESIDE, _READY = f"{TEMPORARY_PREFIX}force", f"{TEMPORARY_PREFIX}finished"
-"""Where a run is made while an older one holds the folder, and where it lies when the older one has made
-room."""
 _FOLDERS = ("specs", "checkpoints", "tensorboard", "also")
-
 _PATIENCE = 0.5
 """How long a run waits for its folder's lock, s."""
 
@@ -71,11 +67,6 @@ class RunDirectory:
         return f"RunDirectory({str(self.path)!r})"
 
     @property
-    def beside(self) -> RunDirectory:
-        """Where a run is made that is to replace this folder's: `--force` erases nothing before it ends."""
-        return RunDirectory(self.path / _BESIDE)
-
-    @property
     def episodes(self) -> Path:
         """The per-episode table of the evaluation; compressed in a run that a repository keeps."""
         return plain_or_packed(self.path / "episodes.csv")
@@ -92,12 +83,11 @@ class RunDirectory:
     @property
     def is_occupied(self) -> bool:
         """Whether a process runs in the folder at this moment."""
-        return _is_locked(self.path) or _is_locked(self._lock)
-
-    @property
-    def damage(self) -> str | None:
-        """Why the run does not count, with the path of the file; None if it does."""
-        return integrity.damage(self.path)
+        try:
+            with open(self._lock) as file:
+                return not _flock(file, fcntl.LOCK_SH)
+        except (FileNotFoundError, NotADirectoryError):
+            return False
 
     @property
     def holds_a_run(self) -> bool:
@@ -111,9 +101,7 @@ class RunDirectory:
         Raises:
             KickbenchError: another process runs in it, or it cannot be made.
         """
-        self._make()
-        # That of a folder excludes processes of this machine, that of a file also others over NFS.
-        with _locked(self.path, os.O_RDONLY), _locked(self._lock, os.O_RDWR | os.O_CREAT):
+        with self._hold():
             try:
                 yield
             finally:
@@ -121,70 +109,51 @@ class RunDirectory:
                 with suppress(OSError):  # the folder is not empty
                     self.path.rmdir()
 
+    def _hold(self) -> IO[str]:
+        """The lock's file, locked."""
+        deadline = time.monotonic() + _PATIENCE
+        while True:
+            try:
+                self.path.mkdir(parents=True, exist_ok=True)
+                file = open(self._lock, "a")  # noqa: SIM115 (open as long as it is locked)
+            except OSError as error:
+                raise KickbenchError(f"{self.path}: cannot make the run's folder: {error.strerror}") from None
+            # Whoever had the lock before has removed the file.
+            if _flock(file, fcntl.LOCK_EX) and os.fstat(file.fileno()).st_nlink:
+                return file
+            file.close()
+            # `is_occupied` of another process may hold it for a moment.
+            if time.monotonic() > deadline:
+                raise KickbenchError(f"{self.path}: another process runs in it")
+            time.sleep(0.02)
+
     def reopen(self) -> None:
         """Prepare a run to go on: remove its result and what a kill left half written, keep its training."""
         for file in (self.metrics, self.episodes, self.policy, *self._mended_files()):
             file.unlink(missing_ok=True)
 
-    def prepare(self, force: bool = False) -> RunDirectory:
+    def prepare(self, force: bool = False) -> None:
         """Make room for a run.
 
         Args:
-            force: whether a run that is there, finished or not, is to be replaced.
-
-        Returns:
-            Where the run is made: this directory, or `beside` if a run is there, which stays as it is until
-            `take_over`.
+            force: whether a run that is there, finished or not, is removed.
 
         Raises:
-            KickbenchError: a run is there and `force` is not set, or the path is not a folder.
+            KickbenchError: a run is there and `force` is not set.
         """
-        self._make()
-        if not self.holds_a_run:
-            return self
-        if not force:
+        if self.holds_a_run and not force:
             words = "an unfinished run; --resume (resume=True) goes on, --force (force=True) starts again"
             if self.metrics.exists():
-                state = "damaged" if self.damage else "finished"
+                state = "damaged" if integrity.damage(self.path) else "finished"
                 words = f"a {state} run; --force (force=True) runs it again and overwrites it"
             raise KickbenchError(f"{self.path}: holds {words}")
-        self.beside.clear()
-        return self.beside
+        self.clear()
 
     def finish(self, metrics: Metrics) -> None:
         """Write the result, the last file of a run, after the sums of all files."""
         data = metrics_bytes(metrics)
         integrity.seal(self.path, upcoming={self.metrics.name: data})
         atomic_write_bytes(self.metrics, data)
-
-    def take_over(self, unfinished: bool = False) -> None:
-        """Put the finished run of `beside` in the place of the one that is here, or finish doing so.
-
-        A kill in between leaves a folder without a result, and the next call goes on. Files that kickbench
-        did not write stay.
-
-        Args:
-            unfinished: whether the run there may be without a result, too.
-        """
-        ready = self.path / _READY
-        if not ready.is_dir():
-            if not (unfinished or self.beside.metrics.is_file()):
-                return
-            self.clear()
-            self.beside.path.rename(ready)
-            sync_folder(self.path)
-        files = [file for file in ready.rglob("*") if not file.is_dir()]
-        for file in sorted(files, key=lambda file: file == ready / self.metrics.name):
-            place = self.path / file.relative_to(ready)
-            place.parent.mkdir(parents=True, exist_ok=True)
-            file.replace(place)
-        shutil.rmtree(ready)
-
-    def _make(self) -> None:
-        try:
-            self.path.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise KickbenchError(f"{self.path}: cannot make the run's folder: {error.strerror}") from None
 
     def clear(self) -> None:
         """Remove the run that is here; files that kickbench did not write stay."""
@@ -197,8 +166,8 @@ class RunDirectory:
                 os.rmdir(folder)
 
     def _own_files(self) -> Iterator[Path]:
-        models = integrity.written_model_files(self.path)
-        yield from (self.path / name for name in (*integrity.FIXED, *models, integrity.FILE))
+        yield from (self.path / name for name in (*integrity.FIXED, integrity.FILE))
+        yield from (file for file in self.model.rglob("*") if not file.is_dir())
         yield from self.tensorboard.glob("events.out.tfevents.*")
         yield from self.checkpoints.glob("iteration_*.pt")
         yield from self._mended_files()
@@ -210,39 +179,10 @@ class RunDirectory:
             yield from (file for file in folder.glob(f"{TEMPORARY_PREFIX}*") if not file.is_dir())
 
 
-@contextmanager
-def _locked(path: Path, flags: int) -> Iterator[None]:
-    """Holds the lock of a run's folder, or of the file in it."""
-    try:
-        descriptor = os.open(path, flags)
-    except OSError as error:
-        raise KickbenchError(f"{path}: cannot be locked: {error.strerror}") from None
-    deadline = time.monotonic() + _PATIENCE
-    try:
-        # `is_occupied` of another process may hold the lock for a moment.
-        while not _lock(descriptor, fcntl.LOCK_EX):
-            if time.monotonic() > deadline:
-                raise KickbenchError(f"{path.parent if path.is_file() else path}: another process runs in it")
-            time.sleep(0.02)
-        yield
-    finally:
-        os.close(descriptor)
-
-
-def _is_locked(path: Path) -> bool:
-    try:
-        descriptor = os.open(path, os.O_RDONLY)
-    except (FileNotFoundError, NotADirectoryError):
-        return False
-    try:
-        return not _lock(descriptor, fcntl.LOCK_SH)
-    finally:
-        os.close(descriptor)
-
-
-def _lock(descriptor: int, kind: int) -> bool:
+def _flock(file: IO[str], kind: int) -> bool:
+    """Takes a lock if nobody has one against it; whether it is taken."""
     with suppress(BlockingIOError):
-        fcntl.flock(descriptor, kind | fcntl.LOCK_NB)
+        fcntl.flock(file, kind | fcntl.LOCK_NB)
         return True
     return False
 
@@ -252,5 +192,4 @@ def find_begun_runs(root: Path | str) -> list[RunDirectory]:
     root = Path(root)
     folders = {file.parent for name in ("metrics.json", "progress.csv") for file in root.rglob(name)}
     folders |= {file.parent.parent for file in root.rglob("specs/method.yaml")}
-    # Without those of runs that are being made beside another.
-    return [RunDirectory(path) for path in sorted(folders) if path.name not in (_BESIDE, _READY)]
+    return [RunDirectory(path) for path in sorted(folders)]

@@ -1,13 +1,13 @@
 """Tables of runs that `kickbench table`, `run`, `eval`, `claims` and `compare` print, in plain fixed columns.
 
-And what stands below them: in what runs of one name differ, which repeat others, which do not count and why.
+And what stands below them: in what runs of one name differ, and which are left out and why.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import zip_longest
 from typing import Literal
 
@@ -15,20 +15,9 @@ import numpy as np
 import pandas as pd
 
 from kickbench.errors import KickbenchError, printable, shown
-from kickbench.results.frame import HOME, runs_of, unfinished_words
+from kickbench.results.frame import HOME, MOST_NON_FINITE
 from kickbench.results.metrics import GridCell
-from kickbench.results.quantities import (
-    ASYMMETRY,
-    COUNT,
-    DISTANCE,
-    KICK,
-    P_VALUE,
-    PERCENT,
-    SUCCESS,
-    Quantity,
-    Unit,
-    non_finite_note,
-)
+from kickbench.results.quantities import COUNT, METRES, P_VALUE, PERCENT, SUCCESS, Quantity, Unit
 from kickbench.results.store import RunDirectory
 
 NOTHING = "-"
@@ -86,72 +75,51 @@ def mean_and_spread(values: pd.Series, unit: Unit) -> tuple[str, str]:
     return mean, std
 
 
-@dataclass(frozen=True)
-class Column:
-    """A column of a table of runs.
-
-    Attributes:
-        title: Its heading.
-        of: The column of `pairs_of` that it shows, and how.
-        group: Heading of a group of columns that begins here.
-        non_finite: The column of the share of its episodes that became non-finite.
-    """
-
-    title: str
-    of: Quantity
-    group: str = ""
-    non_finite: str = ""
-
-    def cell(self, run: pd.Series) -> str:
-        """The figure of a run as text."""
-        return self.of.of_run(run, NOTHING) + non_finite_note(run.get(self.non_finite, 0.0))
-
-    def summary(self, runs: pd.DataFrame) -> tuple[str, str]:
-        """Mean and standard deviation over seeds as text; counts: the common value; p-values: nothing."""
-        values, unit = runs[self.of.column], self.of.unit
-        if unit is COUNT:
-            return unit.text(values.iloc[0]) if values.nunique() == 1 else NOTHING, ""
-        # A mean over some of the seeds would not belong beside a mean over all of them.
-        is_whole = unit is not P_VALUE and values.notna().all()
-        mean, spread = mean_and_spread(values if is_whole else values[:0], unit)
-        return mean + (non_finite_note(runs[self.non_finite].mean()) if self.non_finite else ""), spread
+def _summary(runs: pd.DataFrame, quantity: Quantity) -> tuple[str, str]:
+    """Mean and standard deviation over seeds as text; counts: the common value; p-values: nothing."""
+    values, unit = runs[quantity.column], quantity.unit
+    if unit is COUNT:
+        return unit.text(values.iloc[0]) if values.nunique() == 1 else NOTHING, ""
+    # A mean over some of the seeds would not belong beside a mean over all of them.
+    is_whole = unit is not P_VALUE and values.notna().all()
+    return mean_and_spread(values if is_whole else values[:0], unit)
 
 
-def _mirrored(quantity: Quantity) -> Quantity:
-    return replace(quantity, column=f"mirrored/{quantity.column}", ends="")
-
-
-MIRRORED_SUCCESS, MIRRORED_DISTANCE = _mirrored(SUCCESS), _mirrored(DISTANCE)
-GAP = Quantity("gap", "Gap", PERCENT)
+MIRRORED_SUCCESS = Quantity("mirrored/success_rate", "mirrored", PERCENT)
+MIRRORED_DISTANCE = Quantity("mirrored/mean_distance", "mirrored", METRES)
+GAP = Quantity("gap", "gap [pts]", PERCENT)
 """Columns of `pairs_of`."""
 _SUCCESS = (
-    Column("in-dist. [95 % CI]", SUCCESS, "success [%]", "non_finite"),
-    Column("mirrored", MIRRORED_SUCCESS, non_finite="mirrored/non_finite"),
-    Column("gap [pts]", GAP),
-    Column("in-dist.", replace(DISTANCE, ends=""), "mean distance [m]"),
-    Column("mirrored", MIRRORED_DISTANCE),
-    Column("iter.", Quantity("iterations", "", COUNT)),
-    Column("env steps", Quantity("env_steps", "", COUNT)),
+    replace(SUCCESS, title="in-dist. [95 % CI]", group="success [%]"),
+    *(MIRRORED_SUCCESS, GAP),
+    Quantity("mean_distance", "in-dist.", METRES, group="mean distance [m]"),
+    MIRRORED_DISTANCE,
+    Quantity("iterations", "iter.", COUNT),
+    Quantity("env_steps", "env steps", COUNT),
 )
-_ERROR, _SAME_SIDE, _LEFT_FOOT, _LEFT, _RIGHT, _PAIRS = ASYMMETRY
 _ASYMMETRY = (
-    Column("err. [%]", _ERROR, "equiv."),
-    Column("ball's side [95 % CI]", _SAME_SIDE, "kicks by foot [%]"),
-    Column("left foot [95 % CI]", _LEFT_FOOT),
-    Column("left", _LEFT, "success [%], ball"),
-    Column("right", _RIGHT),
-    Column("p", Quantity("success/p_value", "", P_VALUE)),
-    Column("alike [%]", replace(_PAIRS, ends=""), "pairs"),
+    Quantity("equivariance/relative", "err. [%]", Unit("%", 100.0, 2), group="equiv."),
+    Quantity("legs/same_side_share", "ball's side [95 % CI]", PERCENT, "legs/same_side", "kicks by foot [%]"),
+    Quantity("legs/left_foot_share", "left foot [95 % CI]", PERCENT, "legs/left_foot"),
+    Quantity("success/left_rate", "left", PERCENT, group="success [%], ball"),
+    Quantity("success/right_rate", "right", PERCENT),
+    Quantity("success/p_value", "p", P_VALUE),
+    Quantity("pairs/agreement", "alike [%]", PERCENT, group="pairs"),
 )
 """The equivariance error is relative to the size of the actions, over visited states. p is the two-proportion
 test's for success with the ball on the left against on the right. Pairs start from mirrored states and end
 the same way."""
-_KICK_TITLES = (
-    *("launch [m/s]", "aim error [deg]", "median", "bias", "touch [s]", "touches", "walked [m]"),
-    *("falls [%]", "non-finite [%]"),
-)
-_KICK = tuple(
-    Column(title, replace(quantity, ends="")) for title, quantity in zip(_KICK_TITLES, KICK, strict=True)
+_DEGREES, _FINE = Unit("deg", math.degrees(1.0), 1), Unit("", 1.0, 2)
+_KICK = (
+    Quantity("kick/mean_launch_speed", "launch [m/s]", _FINE),
+    Quantity("kick/mean_direction_error", "aim error [deg]", _DEGREES),
+    Quantity("kick/median_direction_error", "median", _DEGREES),
+    Quantity("kick/direction_bias", "bias", _DEGREES),
+    Quantity("kick/mean_time_to_touch", "touch [s]", _FINE),
+    Quantity("kick/mean_touches", "touches", _FINE),
+    Quantity("kick/mean_walked_after_touch", "walked [m]", _FINE),
+    Quantity("kick/falls", "falls [%]", PERCENT),
+    Quantity("kick/non_finite", "non-finite [%]", PERCENT),
 )
 
 
@@ -159,9 +127,8 @@ def render_table(frame: pd.DataFrame, columns: Literal["success", "kick"] = "suc
     """The tables of runs, no final newline: a block per setting, a line per run, seeds of a method together.
 
     Rates are in percent, the gap (in-distribution minus mirrored success) in percentage points, distances in
-    metres. Several seeds are followed by their mean and their sample standard deviation; a seed with a star
-    is not in them. Below the tables it says in what runs of one name differ, which runs repeat others, and
-    which have no result.
+    metres. Several seeds are followed by their mean and their sample standard deviation. Below the tables it
+    says in what runs of one name differ, and which are left out and why.
 
     Args:
         frame: runs; tasks and methods keep the order in which they first appear.
@@ -170,7 +137,7 @@ def render_table(frame: pd.DataFrame, columns: Literal["success", "kick"] = "suc
     """
     finished = frame[(frame.state == "finished") & (frame.evaluated_on == frame.task)]
     blocks = []
-    for name, rows in finished[finished.repeats.isna()].groupby("setting_name", sort=False):
+    for name, rows in finished[finished.counted].groupby("setting_name", sort=False):
         methods = [pairs_of(group) for _, group in rows.groupby("group", sort=False)]
         if columns == "kick":
             blocks.append(_block(f"task: {name}: kick", _KICK, methods, summary=False))
@@ -216,15 +183,14 @@ def render_grid(title: str, cells: Sequence[GridCell]) -> str:
 def pairs_of(rows: pd.DataFrame) -> pd.DataFrame:
     """A row per run, by seed, with the figures of its mirrored side in columns of the prefix `mirrored/`."""
     home, mirrored = rows[rows.side == HOME], rows[rows.side != HOME]
-    names = ["success_rate", "mean_distance", "non_finite"]
-    away = mirrored.set_index("path")[names].add_prefix("mirrored/")
+    away = mirrored.set_index("path")[["success_rate", "mean_distance"]].add_prefix("mirrored/")
     paired = home.join(away, on="path").sort_values("seed", kind="stable")
     paired["gap"] = paired.success_rate - paired["mirrored/success_rate"]
     return paired
 
 
 def _block(
-    title: str, columns: Sequence[Column], methods: Sequence[pd.DataFrame], summary: bool = True
+    title: str, columns: Sequence[Quantity], methods: Sequence[pd.DataFrame], summary: bool = True
 ) -> str:
     header = ("method", "seed", *(column.title for column in columns))
     groups = ("", "", *(column.group for column in columns))
@@ -232,26 +198,25 @@ def _block(
     return render_block(title, header, rows, groups) if rows else ""
 
 
-def _method_rows(columns: Sequence[Column], runs: pd.DataFrame, summary: bool) -> list[Row]:
+def _method_rows(columns: Sequence[Quantity], runs: pd.DataFrame, summary: bool) -> list[Row]:
     rows: list[Row] = [
-        (run.group, f"{run.seed}{'' if run.counted else '*'}", *(column.cell(run) for column in columns))
+        (run.group, str(run.seed), *(column.of_run(run, NOTHING) for column in columns))
         for _, run in runs.iterrows()
     ]
     if summary and len(rows) > 1:
-        counted = runs[runs.counted]
-        means, spreads = zip(*(column.summary(counted) for column in columns), strict=True)
+        means, spreads = zip(*(_summary(runs, column) for column in columns), strict=True)
         label = str(runs.group.iloc[0])
         rows += [(label, "mean", *means), (label, "std", *spreads)]
     return rows
 
 
 def remark_lines(frame: pd.DataFrame) -> list[str]:
-    """Below a table: in what runs of one name differ, which runs repeat others, and which have no result."""
+    """Below a table: in what runs of one name differ, and which are left out and why."""
     finished = frame[(frame.state == "finished") & (frame.evaluated_on == frame.task)]
     column = "equivariance/but_for"
     partial = finished[finished[column].notna()].groupby("group", sort=False)[column].first()
     exclusions = [f"{name}: equivariant but for: {', '.join(excluded)}" for name, excluded in partial.items()]
-    return [*difference_lines(finished), *exclusions, *repeat_lines(frame), *left_out_lines(frame)]
+    return [*difference_lines(finished), *exclusions, *left_out_lines(frame)]
 
 
 def difference_lines(finished: pd.DataFrame) -> list[str]:
@@ -282,33 +247,14 @@ def _specs(first: pd.DataFrame) -> list[str]:
 
 
 def _sizes(first: pd.DataFrame) -> list[str]:
-    scale = first.scale.fillna(1.0)
-    sizes = {
-        f"{' and '.join(f'{of:,.0f}' for of in first.iterations)} iterations": first.iterations,
-        f"scale {' and '.join(f'{of:g}' for of in scale)}": scale,
-    }
+    iterations = " and ".join(f"{of:,.0f}" for of in first.iterations)
+    scales = first.scale.fillna(1.0)
+    sizes = {f"{iterations} iterations": first.iterations, f"scale {' and '.join(map(str, scales))}": scales}
     return [words for words, values in sizes.items() if values.nunique() > 1]
 
 
-def repeat_lines(frame: pd.DataFrame) -> list[str]:
-    """A line for each run that repeats another."""
-    runs = runs_of(frame[frame.repeats.notna()])
-    return [
-        f"counted once: {shown(run.path)} is of the same identity and seed as {shown(run.repeats)}"
-        for _, run in runs.iterrows()
-    ]
-
-
-def unplanned_lines(frame: pd.DataFrame) -> list[str]:
-    """A line for each run that an experiment does not plan."""
-    return [
-        f"{run.deviation}, left out: {shown(run.path)}"
-        + ("" if run.state == "finished" else f": {unfinished_words(run)}")
-        for _, run in runs_of(frame[frame.condition.isna()]).iterrows()
-    ]
-
-
 def left_out_lines(frame: pd.DataFrame) -> list[str]:
-    """A line for each run, or result on a transfer task, that has no figures, and why."""
-    without = frame[(frame.state != "finished") & (frame.state != "missing")]
-    return [f"left out: {shown(row.path)}: {unfinished_words(row)}" for _, row in without.iterrows()]
+    """A line for each run, or result on a transfer task, that does not count or says little, and why."""
+    found = frame[~frame.counted & (frame.state != "missing") | (frame.non_finite > MOST_NON_FINITE)]
+    rows = [row for _, row in found.drop_duplicates(["path", "problem"]).iterrows()]
+    return [f"{'' if row.counted else 'left out: '}{shown(row.path)}: {row.problem}" for row in rows]

@@ -17,7 +17,7 @@ from pydantic import Field, TypeAdapter
 from kickbench.config.experiment import AnyClaim, Ratio
 from kickbench.results.atomic import Record
 from kickbench.results.contrast import Contrast, Estimated, Part, contrast_of, estimate, part_of
-from kickbench.results.quantities import Unit, lack_of, non_finite_note, non_finite_share, unit_of
+from kickbench.results.quantities import Unit, lack_of, unit_of
 from kickbench.results.statistics import Interval
 from kickbench.results.tables import NOTHING, Row, render_block
 from kickbench.trials.experiment import LoadedExperiment
@@ -128,7 +128,6 @@ def _judge(name: str, claim: AnyClaim, experiment: LoadedExperiment, measured: p
         outcome, reason = min(judged, key=lambda pair: ("not met", _NOT_ENOUGH, "met").index(pair[0]))
         outcome = _OF_POLICIES[outcome] if seeds < FEWEST_SEEDS and reason is None else outcome
         basis = f"worst of {len(compared)} seeds" if len(compared) > 1 else worst.basis
-        basis += _non_finite(contrast, measured)
     if lacks:
         outcome, reason = _NOT_ENOUGH, "; ".join(lacks)
     return Verdict(
@@ -162,14 +161,6 @@ def _found(claim: AnyClaim, contrast: Contrast, measured: pd.DataFrame) -> tuple
         for words, seeds in without.items():
             lacks.append(f"{condition} seed{'s' * (len(seeds) > 1)} {', '.join(seeds)}: {words}")
     return found, lacks
-
-
-def _non_finite(contrast: Contrast, measured: pd.DataFrame) -> str:
-    """A note on the run that has the largest share of non-finite episodes, if any has some."""
-    operands = [operand for _, operand in contrast.terms]
-    rows = measured[measured.counted & measured.condition.isin([operand.condition for operand in operands])]
-    runs = [run for _, run in rows.groupby("path", sort=False)]
-    return non_finite_note(max((non_finite_share(run, operands) for run in runs), default=0.0))
 
 
 def _outcome(contrast: Contrast, interval: Interval | None, is_one: bool) -> tuple[Outcome, str | None]:

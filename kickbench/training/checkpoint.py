@@ -5,16 +5,15 @@ Imports torch only where a file is written or loaded: `kickbench status` does no
 
 from __future__ import annotations
 
-import io
 import sys
 from collections.abc import Callable
 from pathlib import Path
 from pickle import UnpicklingError
 from typing import TYPE_CHECKING, Any
+from zipfile import ZipFile
 
 from kickbench.errors import KickbenchError, shown
-from kickbench.results.atomic import atomic_write_bytes
-from kickbench.results.integrity import with_sha256, without_sha256
+from kickbench.results.atomic import atomic_file
 
 if TYPE_CHECKING:
     from rsl_rl.models import MLPModel
@@ -23,8 +22,6 @@ FORMAT = 4
 """Version of a checkpoint's layout."""
 _POLICY_FORMAT = 2
 """Version of a policy's layout."""
-_CHECKED_FROM = 2
-"""Files of older versions do not end with their SHA-256."""
 
 
 class Checkpoints:
@@ -139,28 +136,25 @@ def iteration_of(file: Path) -> int:
 
 
 def is_whole(file: Path) -> bool:
-    """Whether a checkpoint ends with the SHA-256 of its content."""
+    """Whether a checkpoint is as it was written, by the CRC-32 of each member of its zip archive."""
     try:
-        return without_sha256(file.read_bytes()) is not None
-    except (OSError, ValueError):
+        with ZipFile(file) as archive:
+            return archive.testzip() is None
+    except Exception:  # damage can raise any
         return False
 
 
 def _write(path: Path, content: dict[str, Any]) -> None:
     import torch
 
-    buffer = io.BytesIO()
-    torch.save(content, buffer)
-    atomic_write_bytes(path, with_sha256(buffer.getvalue()))
+    with atomic_file(path) as file:
+        torch.save(content, file)
 
 
 def _read(path: Path) -> dict[str, Any]:
-    """Reads a file and checks its SHA-256."""
+    """Reads a file whose CRC-32s, which torch does not check, are right."""
     import torch
 
-    data = path.read_bytes()
-    body = without_sha256(data)
-    content = torch.load(io.BytesIO(data if body is None else body), weights_only=True, map_location="cpu")
-    if body is None and content["format"] >= _CHECKED_FROM:
-        raise ValueError("its SHA-256 is missing")
-    return content
+    if not is_whole(path):
+        raise ValueError("a CRC-32 of its content is wrong")
+    return torch.load(path, weights_only=True, map_location="cpu")

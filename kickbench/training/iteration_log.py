@@ -35,7 +35,7 @@ from typing import TextIO
 from kickbench.errors import KickbenchError
 from kickbench.evaluation.progress_bar import Steps, percent
 from kickbench.results.atomic import atomic_write_text
-from kickbench.results.progress_table import CHECK, checked_rows, row_check
+from kickbench.results.progress_table import whole_rows
 
 Record = Mapping[str, float]
 
@@ -171,7 +171,7 @@ def rows_before(path: Path, first_iteration: int) -> list[list[str]]:
     """
     if first_iteration == 0:
         return []
-    rows = checked_rows(path)[: first_iteration + 1]
+    rows = whole_rows(path)[: first_iteration + 1]
     if [row[:1] for row in rows] != [["iteration"], *([str(number)] for number in range(first_iteration))]:
         what = f"expected the row of iteration 0 to {first_iteration - 1} each, before the checkpoint"
         raise KickbenchError(f"{path}: {what}; --force (force=True) starts the run again")
@@ -179,10 +179,8 @@ def rows_before(path: Path, first_iteration: int) -> list[list[str]]:
 
 
 def _to_csv(columns: list[str], rows: list[list[str]], *, with_header: bool) -> str:
-    """Rows as text, each followed by its checksum. No name and no figure has a comma."""
-    header, *lines = (",".join(cells) for cells in (columns, *rows))
-    body = [f"{line},{row_check(header, line)}\n" for line in lines]
-    return "".join([f"{header},{CHECK}\n"] * with_header + body)
+    """Rows as text. No name and no figure has a comma."""
+    return "".join(f"{','.join(cells)}\n" for cells in ([columns, *rows] if with_header else rows))
 
 
 def _format(value: float | None) -> str:

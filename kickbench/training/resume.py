@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from operator import attrgetter
@@ -66,8 +65,8 @@ def take_up(
 ) -> Resume:
     """Checks that the run in a directory is this one, and finds where it stands.
 
-    A run that `--force` began beside another one goes on, if it is this one. A directory without a run, or
-    whose run was killed before its first checkpoint, is prepared for a new run; any other stays as it is.
+    A directory without a run, or whose run was killed before its first checkpoint, is prepared for a new run;
+    any other stays as it is.
 
     Args:
         directory: The run directory.
@@ -81,13 +80,6 @@ def take_up(
         SpecError: The run is another one; every key that differs is a problem.
         KickbenchError: No checkpoint can be read, or a file that the run needs is damaged or has gaps.
     """
-    if directory.beside.holds_a_run:
-        try:
-            return take_up(directory.beside, trial, seed, scale=scale, extend=extend, initial=initial)
-        except KickbenchError:
-            print(
-                f"{shown(directory.beside.path)}: another run that --force began is left out", file=sys.stderr
-            )
     if not directory.holds_a_run:
         return begin(directory, trial, initial)
     if words := damage(directory):

@@ -294,7 +294,7 @@ def test_a_damaged_result_is_told_and_left_out(runs, capsys, argv):
     assert main(argv) == 0
     printed = capsys.readouterr()
     (line,) = [line for line in printed.out.splitlines() if "a/seed2" in line]
-    assert line == "left out: a/seed2: SHA256SUMS: missing"
+    assert line == "left out: a/seed2: damaged (SHA256SUMS: missing)"
 
 
 def test_show_fields_prints_how_everything_that_is_seen_and_done_mirrors(printed):

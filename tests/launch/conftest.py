@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
+from zipfile import ZipFile
 
 import pytest
 
 from kickbench.results.atomic import atomic_write_bytes, atomic_write_text
 from kickbench.results.episode_table import EpisodeSides, EpisodeTable, episode_table
-from kickbench.results.integrity import with_sha256
 from kickbench.results.metrics import Metrics
-from kickbench.results.progress_table import row_check
 from kickbench.results.store import RunDirectory
 from kickbench.results.summary import summarise_sides
 from kickbench.trials.experiment import LoadedExperiment, load_experiment
@@ -58,7 +58,10 @@ def make_metrics(iterations: int, seconds: float = 100.0, **values) -> Metrics:
 
 def checkpoint(numbers: bytes = b"numbers") -> bytes:
     """A file as whole as a checkpoint."""
-    return with_sha256(numbers * 100)
+    file = io.BytesIO()
+    with ZipFile(file, "w") as archive:
+        archive.writestr("data", numbers * 100)
+    return file.getvalue()
 
 
 @pytest.fixture
@@ -71,8 +74,7 @@ def make_run(tmp_path):
         directory = RunDirectory(Path(tmp_path, name))
         if rows:
             lines = [f"{i},{100 + i},{i / 1000},1.5,0.5" for i in range(rows)]
-            checked = [f"{line},{row_check(HEADER, line)}" for line in lines]
-            atomic_write_text(directory.progress, "\n".join([f"{HEADER},crc32", *checked]) + "\n")
+            atomic_write_text(directory.progress, "\n".join([HEADER, *lines]) + "\n")
         for iteration in checkpoints:
             atomic_write_bytes(directory.checkpoints / f"iteration_{iteration:06d}.pt", checkpoint())
         if finished is not None:

@@ -53,7 +53,7 @@ def test_a_folder_without_a_plan_shows_what_is_there(make_run, tmp_path, capsys)
     assert main(["status", str(tmp_path)]) == 0
     _, _, _, *rows, counts, _ = lines(capsys)
     assert [" ".join(row) for row in rows] == [
-        "a/b/seed0 finished 3/- 40.0 % - - scaled down to 0.25",
+        "a/b/seed0 finished 3/- 40.0 % - - scaled to 0.25",
         "a/b/seed1 not begun 0/- - - -",
     ]
     assert " ".join(counts) == "1 finished, 1 not begun"

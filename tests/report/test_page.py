@@ -100,7 +100,7 @@ def test_links_lead_somewhere(folder):
 def test_every_picture_has_a_name_and_every_table_headings(whole):
     page, _ = whole
     pictures = [attributes for tag, attributes in page.tags if tag == "img"]
-    assert len(pictures) == 5
+    assert len(pictures) == 4
     for attributes in pictures:
         assert attributes["alt"]
         ElementTree.fromstring(base64.b64decode((attributes["src"] or "").partition(",")[2]))
@@ -111,21 +111,21 @@ def test_every_figure_is_there(whole):
     page, _ = whole
     for title in (
         "Success and distance", "Success on both sides", "Learning curves", "Where the balls stopped",
-        "Which foot kicks", "Left and right in figures", "Provenance",
+        "asymmetry: mini_home_field", "Provenance",
     ):  # fmt: skip
         assert title in page.text
-    assert "Equivariance error Not counted, or not measured: " in page.text
+    assert "Symmetry over time" not in page.text, "there are no data for it"
 
 
 def test_figures_stand_beside_what_they_rest_on(whole):
     page, _ = whole
     one = "66.7 (95 % [54.1, 77.3], 1 seed)"
-    assert f"equivariant: success in % {one} in distribution, {one} mirrored." in page.text
+    assert f"equivariant in distribution {one}" in page.text
+    assert f"equivariant mirrored {one}" in page.text
     assert "A Processor, 2 threads" in page.text
     assert "2,764,800" in page.text
-    assert "The kick in figures" in page.text
+    assert "task: mini_home_field: kick" in page.text
     assert "1.75" in page.text
-    assert "[1.75, 1.75]" in page.text
     assert "-14.0" in page.text, "the bias in degrees: a third of the balls is launched 0.75 rad to the right"
     assert "run by other code than this page's, commit 0123456789".lower() in page.text.lower()
 
@@ -133,14 +133,8 @@ def test_figures_stand_beside_what_they_rest_on(whole):
 def test_results_alone_make_a_page_that_says_what_is_missing(folder):
     folder.add("baseline", curves=None, table=False)
     page, _ = page_of(folder.path)
-    assert (
-        "Learning curves Not counted, or without a training curve (progress.csv): baseline seed 0."
-        in page.text
-    )
-    assert (
-        "Where the balls stopped Not counted, or without a table of episodes (episodes.csv): baseline seed 0."
-        in page.text
-    )
+    for file in ("progress.csv", "episodes.csv"):
+        assert f"Not in every figure, it has no {file}: baseline seed 0." in page.text
     assert "66.7" in page.text
 
 
@@ -152,17 +146,16 @@ def test_an_experiment_names_missing_unfinished_and_smaller_runs(folder):
     (unfinished / "progress.csv").write_text("iteration,mean_return\n0,1\n1,2\n")
     page, _ = page_of(folder.path, "--experiment", str(REPORTED))
     assert "2 of 25 runs are finished." in page.text
-    assert "Unfinished: 2 of 390 iterations, not evaluated: augmentation seed 2." in page.text
-    assert "Scaled to 0.1, 45 of 390 iterations, 60 of 2,000 episodes, another identity: equiv" in page.text
-    assert "60 of 2,000 episodes, another identity: baseline seed 0." in page.text
-    assert "Not counted: baseline seed 0, equivariant seed 0." in page.text
+    assert "Unfinished: 2 of 390 iterations: augmentation seed 2." in page.text
+    assert "Scaled to 0.1, 45 of 390 iterations, another identity: equiv" in page.text
+    assert "another identity: baseline seed 0." in page.text
     assert (
-        "Not run: baseline seeds 1, 2, 3 and 4, augmentation seeds 0, 1, 3 and 4, equivariant seeds 1, 2, 3 and 4, "
+        "Missing: baseline seeds 1, 2, 3 and 4, augmentation seeds 0, 1, 3 and 4, equivariant seeds 1, 2, 3 and 4, "
         "augmentation_stock seeds 0, 1, 2, 3 and 4, equivariant_matched seeds 0, 1, 2, 3 and 4." in page.text
     )
     assert re.search(r"Of (\d+) claims: \1 without enough data to say\.", page.text)
     assert "The baseline loses at least 15 points of success on the mirrored side" in page.text
-    assert "Learning curves As the thesis'" in page.text, "the unfinished run's"
+    assert "Learning curves Over" in page.text, "the unfinished run's"
 
 
 def test_a_run_in_its_first_iteration_has_no_curve_yet(folder):
@@ -171,7 +164,7 @@ def test_a_run_in_its_first_iteration_has_no_curve_yet(folder):
     (begun / "progress.csv").touch()
     page, _ = page_of(folder.path)
     assert "0 of 1 runs are finished." in page.text
-    assert "Learning curves As" not in page.text
+    assert "Learning curves" not in page.text
 
 
 def test_measured_results_of_the_repository_are_judged(tmp_path):
@@ -198,16 +191,15 @@ def test_a_damaged_result_is_told_and_not_shown(folder):
     (run / "metrics.json").write_text('{"schema_version": 1}')
     seal(run)
     page, _ = page_of(folder.path, "--experiment", str(REPORTED))
-    assert "Damaged, and not shown (metrics.json: no valid metrics: task: Field required; " in page.text
+    assert "Damaged (metrics.json: no valid metrics: task: Field required; " in page.text
     assert re.search(r"Of (\d+) claims: \1 without enough data to say\.", page.text)
-    assert str(folder.path) not in page.text
 
 
 def test_a_run_that_the_experiment_does_not_plan_is_named(folder):
     folder.add("baseline", 0, curves=None, table=False)
     folder.add("baseline", 7, curves=None, table=False)
     page, _ = page_of(folder.path, "--experiment", str(REPORTED))
-    assert "not planned by mini_home_field, left out: baseline/seed7" in page.text
+    assert "baseline/seed7: not planned by mini_home_field" in page.text
 
 
 def test_a_mean_says_of_how_many_seeds_it_is(folder):
@@ -219,7 +211,8 @@ def test_a_mean_says_of_how_many_seeds_it_is(folder):
     page, _ = page_of(folder.path, "--experiment", str(REPORTED))
     assert "3 of 25 runs are finished." in page.text
     two = "66.7 ± 0.0 (95 % [66.7, 66.7], 2 seeds)"
-    assert f"baseline: success in % {two} in distribution, {two} mirrored." in page.text
+    assert f"baseline in distribution {two}" in page.text
+    assert f"baseline mirrored {two}" in page.text
     assert "another identity: baseline seed 0." in page.text
 
 
@@ -231,11 +224,7 @@ def test_episodes_that_became_non_finite_are_told(folder):
     write_metrics(run / "metrics.json", metrics.model_copy(update={"evaluation": evaluation}))
     seal(run)
     page, _ = page_of(folder.path)
-    assert (
-        "1 seed (100.0 % non-finite)) in distribution, 66.7 (95 % [54.1, 77.3], 1 seed) mirrored."
-        in page.text
-    )
-    assert "Episodes in distribution: (100.0 % non-finite): baseline seed 0." in page.text
+    assert "100.0 % of its episodes became non-finite: baseline seed 0." in page.text
 
 
 def test_names_cannot_break_out_of_the_page(folder):
@@ -244,12 +233,15 @@ def test_names_cannot_break_out_of_the_page(folder):
     metrics["method"], metrics["task"] = "<script>alert(1)</script>", "a & b <i>"
     (run / "metrics.json").write_text(json.dumps(metrics))
     seal(run)
-    (run / "README.md").write_text("<img src=x onerror=alert(1)>")
     page, _ = page_of(folder.path)
     assert not {tag for tag, _ in page.tags} & {"script", "i"}
-    assert "x" not in page.attributes("src")
     assert "<script>alert(1)</script>" in page.text
-    assert "<img src=x onerror=alert(1)>" in page.text
+
+
+def test_a_note_beside_the_runs_is_pointed_at(folder):
+    (folder.add("baseline") / "README.md").write_text("mine")
+    page, _ = page_of(folder.path)
+    assert "baseline/seed0/README.md says more of these runs." in page.text
 
 
 def test_the_same_runs_make_the_same_page(folder):
@@ -260,7 +252,7 @@ def test_the_same_runs_make_the_same_page(folder):
 def test_a_single_run_has_a_page(folder):
     run = folder.add("baseline", curves=None, table=False)
     assert main(["report", str(run)]) == 0
-    assert "baseline: success in % 66.7" in Page((run / "report.html").read_text()).text
+    assert "baseline in distribution 66.7" in Page((run / "report.html").read_text()).text
 
 
 @pytest.mark.parametrize(

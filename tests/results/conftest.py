@@ -107,9 +107,9 @@ def make_measured(arms: dict[str, list[Metrics | None]], lack: str | None = None
         for seed, metrics in enumerate(found):
             rows = frame_of([metrics or make_metrics(make_side(0.5))])
             rows["condition"], rows["seed"], rows["path"] = arm, seed, Path("nowhere", arm, f"seed{seed}")
-            rows["deviation"] = pd.Series([lack] * len(rows), dtype=object)
+            rows["problem"] = pd.Series([lack] * len(rows), dtype=object)
             if metrics is None:
-                rows["state"], rows["counted"] = "missing", False
+                rows["state"], rows["counted"], rows["problem"] = "missing", False, "missing"
             tables.append(rows)
     return pd.concat(tables, ignore_index=True)
 

@@ -61,7 +61,7 @@ def test_a_copied_seed_counts_once(tmp_path, capsys) -> None:
     write_run(tmp_path / "two", "a", 0, 0.9)
     text = compare(tmp_path, capsys)
     assert rows(text, "a ") == rows(once, "a ")
-    (line,) = [line for line in text.splitlines() if line.startswith("counted once: ")]
+    (line,) = [line for line in text.splitlines() if line.startswith("left out: ")]
     assert line.endswith(f"as {tmp_path}/one/a/seed0")
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 import time
@@ -128,12 +127,6 @@ def test_an_identity_is_read_as_written_and_a_changed_one_is_refused(robot, tmp_
     write_identity(tmp_path, before)
     assert read_identity(tmp_path) == before
     file = tmp_path / "identity.json"
-    for part in ("task", "model"):
-        content = json.loads(before.model_dump_json())
-        content["parts"][part] = "0" * 64
-        file.write_text(json.dumps(content))
-        with pytest.raises(KickbenchError, match="not that of its parts"):
-            read_identity(tmp_path)
     file.write_text("{}")
     with pytest.raises(KickbenchError, match="damaged or of another version"):
         read_identity(tmp_path)

@@ -9,18 +9,14 @@ import shutil
 import subprocess
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from kickbench.cli import main
-from kickbench.errors import KickbenchError
 from kickbench.results import integrity
 from kickbench.results.integrity import (
     check,
     damage,
     read_sums,
-    with_sha256,
-    without_sha256,
     write_also,
 )
 
@@ -123,7 +119,7 @@ def test_a_damaged_run_is_not_gone_on_with(run, capsys):
         (run / name).write_bytes(whole.replace(old, new, 1))
         before = {file: file.read_bytes() for file in files_of(run)}
         assert main(command) == 2
-        assert f"{name}: " in (error := capsys.readouterr().err)
+        assert name in (error := capsys.readouterr().err)
         assert "--force" in error
         assert {file: file.read_bytes() for file in files_of(run)} == before
         (run / name).write_bytes(whole)
@@ -185,24 +181,3 @@ def test_figures_on_a_further_task_can_be_killed_at_any_moment(run, monkeypatch,
     write_also(run, name, data)
     assert damage(run) is None
     assert (run / name).read_bytes() == data
-
-
-@pytest.mark.parametrize("name", ["/etc/passwd", "../other/metrics.json", "specs/../../x"])
-def test_sums_of_files_elsewhere_are_damage(tmp_path, name):
-    (tmp_path / "SHA256SUMS").write_text(f"{'0' * 64}  {name}\n")
-    with pytest.raises(KickbenchError, match="line 1 is no SHA-256 of a file of the run"):
-        read_sums(tmp_path)
-
-
-def test_data_with_their_sha256_show_every_flip():
-    data = np.random.default_rng(0).bytes(300)
-    whole = with_sha256(data)
-    assert without_sha256(whole) == data
-    assert without_sha256(data) is None
-    for place in range(8 * len(whole)):
-        damaged = bytearray(whole)
-        damaged[place // 8] ^= 1 << place % 8
-        try:
-            assert without_sha256(bytes(damaged)) is None, "a flip in the mark of the SHA-256 leaves none"
-        except ValueError:
-            continue

@@ -35,8 +35,7 @@ def make_run(folder: Path, metrics: str = "{}") -> RunDirectory:
         run.specs / "mine.yaml",
     ):
         atomic_write_text(file, "x")
-    integrity.seal(run, upcoming={"specs/model/robot.xml": b"x"})
-    atomic_write_text(run.model / "mine.xml", "x")
+    integrity.seal(run)
     atomic_write_text(run.metrics, metrics)
     return run
 
@@ -97,7 +96,7 @@ def test_a_finished_run_is_not_overwritten_without_force(tmp_path: Path) -> None
     with pytest.raises(KickbenchError, match=r"finished run.*--force"):
         run.prepare()
     assert run.policy.exists()
-    assert run.damage is None
+    assert integrity.damage(run.path) is None
 
 
 def files_of(run: RunDirectory) -> list[str]:
@@ -108,62 +107,9 @@ def test_clearing_removes_what_kickbench_wrote_and_nothing_else(tmp_path: Path) 
     run = make_run(tmp_path / "run")
     (run.path / ".partial-policy.pt-0123").write_text("x")
     run.clear()
-    assert files_of(run) == ["notes.txt", "specs/mine.yaml", "specs/model/mine.xml"]
+    assert files_of(run) == ["notes.txt", "specs/mine.yaml"]
     assert not run.tensorboard.exists()
     assert not run.checkpoints.exists()
-
-
-def make_beside(run: RunDirectory) -> None:
-    """A finished run that is to replace the one of `run`."""
-    new = run.prepare(force=True)
-    assert new.path == run.beside.path
-    for file in (new.policy, new.checkpoints / "iteration_000007.pt", new.metrics):
-        atomic_write_text(file, "new")
-
-
-def test_a_forced_run_leaves_the_old_one_until_it_takes_its_place(tmp_path: Path) -> None:
-    run = make_run(tmp_path / "run")
-    before = files_of(run)
-    make_beside(run)
-    assert [name for name in files_of(run) if not name.startswith(".partial")] == before
-    assert [found.path for found in find_begun_runs(tmp_path)] == [run.path], "the one beside is not listed"
-    run.take_over()
-    new = {"policy.pt", "metrics.json", "checkpoints/iteration_000007.pt"}
-    assert set(files_of(run)) == {"notes.txt", "specs/mine.yaml", "specs/model/mine.xml", *new}
-    run.take_over()
-    assert run.metrics.read_text() == "new"
-
-
-@pytest.mark.parametrize("calls", range(1, 20))
-def test_taking_over_can_be_killed_at_any_moment(tmp_path: Path, monkeypatch, calls: int) -> None:
-    run = make_run(tmp_path / "run")
-    make_beside(run)
-    left = [calls]
-
-    def killing(name: str):
-        original = getattr(Path, name)
-
-        def method(self, *arguments, **named):
-            left[0] -= 1
-            if left[0] == 0:
-                raise KeyboardInterrupt
-            return original(self, *arguments, **named)
-
-        return method
-
-    with monkeypatch.context() as patch:
-        for name in ("unlink", "rename", "replace"):
-            patch.setattr(Path, name, killing(name))
-        try:
-            run.take_over()
-        except KeyboardInterrupt:
-            assert not run.metrics.exists() or (
-                run.metrics.read_text() == "{}" and run.policy.read_text() == "x"
-            )
-    run.take_over()
-    assert (run.metrics.read_text(), run.policy.read_text()) == ("new", "new")
-    assert not any(name.startswith(".partial") for name in files_of(run))
-    assert [file.name for file in run.checkpoints.iterdir()] == ["iteration_000007.pt"]
 
 
 def test_an_unfinished_run_is_not_overwritten_without_force(tmp_path: Path) -> None:
@@ -171,8 +117,8 @@ def test_an_unfinished_run_is_not_overwritten_without_force(tmp_path: Path) -> N
     run.metrics.unlink()
     with pytest.raises(KickbenchError, match=r"unfinished run.*--resume.*--force"):
         run.prepare()
-    assert run.prepare(force=True).path != run.path
-    assert run.policy.exists()
+    run.prepare(force=True)
+    assert files_of(run) == ["notes.txt", "specs/mine.yaml"]
 
 
 def test_a_folder_with_other_files_holds_no_run(tmp_path: Path) -> None:
@@ -196,7 +142,6 @@ def test_a_run_with_damaged_metrics_is_not_overwritten_without_force(tmp_path: P
     run = make_run(tmp_path / "run", metrics="{")
     with pytest.raises(KickbenchError, match=r"damaged.*--force"):
         run.prepare()
-    assert run.prepare(force=True).path != run.path
     assert run.policy.read_text() == "x"
 
 
@@ -226,7 +171,7 @@ def test_a_folder_that_another_machine_has_locked_is_occupied(tmp_path: Path) ->
 def test_a_file_in_the_place_of_the_folder_is_an_error(tmp_path: Path) -> None:
     (tmp_path / "run").write_text("")
     with pytest.raises(KickbenchError, match="cannot make the run's folder: File exists"):
-        RunDirectory(tmp_path / "run").prepare(force=True)
+        RunDirectory(tmp_path / "run").occupied().__enter__()
 
 
 def test_runs_are_found_in_the_order_of_their_paths(tmp_path: Path) -> None:

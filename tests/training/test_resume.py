@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -20,7 +21,6 @@ from kickbench.envs.engines import make_engine
 from kickbench.envs.env import KickEnv
 from kickbench.errors import KickbenchError
 from kickbench.launch import run as runner
-from kickbench.results import specs
 from kickbench.results.identity import read_identity
 from kickbench.results.integrity import check
 from kickbench.results.metrics import load_metrics
@@ -228,13 +228,17 @@ def test_no_bit_of_a_checkpoint_flips_unseen(tmp_path):
     checkpoints = checkpoints_of(tmp_path, 50)
     file = tmp_path / "iteration_000050.pt"
     assert checkpoints.load() is not None
-    data = file.read_bytes()
-    for place in np.random.default_rng(0).integers(len(data), size=200):
+    data, whole, seen = file.read_bytes(), checkpoints.load(), 0
+    for place in np.random.default_rng(0).integers(len(data), size=400):
         damaged = bytearray(data)
         damaged[place] ^= 1 << int(place % 8)
         file.write_bytes(damaged)
-        with pytest.raises(KickbenchError, match="every checkpoint is damaged"):
-            checkpoints.load()
+        try:  # of what fills the archive up nothing depends
+            loaded = checkpoints.load()
+            assert (loaded["iteration"], loaded["numbers"].tolist()) == (50, whole["numbers"].tolist())
+        except KickbenchError as error:
+            seen += "every checkpoint is damaged" in str(error)
+    assert seen > 200
 
 
 def test_nothing_but_damaged_ones_is_an_error(tmp_path):
@@ -426,9 +430,9 @@ def test_another_order_of_terms_and_another_robot_are_other_experiments(copy, tm
     arguments = [str(task) if argument == TASK else argument for argument in command(copy, "--resume")]
     assert main(arguments) == 2
     error = capsys.readouterr().err
-    assert "rewards: the run has them in another order" in error
-    assert "model: not the model of the run" in error
-    assert "has changed body_inertia, body_ipos, body_mass" in error
+    assert re.search(r"yaml:\d+:\d+: rewards.order: \[.*\], but the run has \[", error)
+    assert "the compiled model of the robot: not that of the run" in error
+    assert "model: has changed body_inertia, body_ipos, body_mass" in error
 
 
 def test_a_run_in_the_way_is_an_error_that_names_both_ways_on(copy, capsys):
@@ -437,6 +441,18 @@ def test_a_run_in_the_way_is_an_error_that_names_both_ways_on(copy, capsys):
     error = capsys.readouterr().err
     assert "--resume" in error
     assert "--force" in error
+
+
+def test_a_forced_run_takes_the_place_of_the_old_one(copy, capsys):
+    (copy / "notes.txt").write_text("mine")
+    assert main(command(copy, "--set", "algorithm.gamma=0.9", "--force", iterations=2)) == 0
+    assert yaml.safe_load((copy / "specs/method.yaml").read_text())["algorithm"]["gamma"] == 0.9
+    assert [file.name for file in (copy / "checkpoints").iterdir()] == [
+        "iteration_000000.pt",
+        "iteration_000002.pt",
+    ]
+    assert (copy / "notes.txt").read_text() == "mine"
+    check(copy)
 
 
 def test_a_resume_of_nothing_begins_and_one_without_checkpoints_is_refused(tmp_path, capsys):
@@ -453,50 +469,6 @@ def test_resume_and_force_exclude_each_other(tmp_path, capsys):
     with pytest.raises(SystemExit):
         main(command(tmp_path / "run", "--resume", "--force"))
     assert "not allowed with" in capsys.readouterr().err
-
-
-def snapshot(run: Path) -> dict[str, bytes]:
-    """The files of a run, without what is made beside it and the lock, which a kill leaves open."""
-    files = {str(file.relative_to(run)): file.read_bytes() for file in run.rglob("*") if file.is_file()}
-    return {name: data for name, data in files.items() if not name.startswith((".partial", ".lock"))}
-
-
-def test_a_killed_forced_run_leaves_the_old_one_whole_and_goes_on(copy, undisturbed, capsys):
-    (copy / "notes.txt").write_text("mine")
-    before = snapshot(copy)
-    forced = command(copy, "--set", "algorithm.gamma=0.9")
-    run_and_kill("kickbench.training.iteration_log:RunProgress.update", 53, [*forced, "--force"])
-    assert snapshot(copy) == before
-    for verb in ("table", "status"):
-        assert main([verb, str(copy.parent)]) == 0
-        assert ".partial" not in capsys.readouterr().out
-    assert main(command(copy, "--resume")) == 0, "the old run is as it was"
-    assert "nothing left to do" in capsys.readouterr().out
-    assert main([*forced, "--resume"]) == 0
-    assert "left out" not in capsys.readouterr().err
-    assert yaml.safe_load((copy / "specs/method.yaml").read_text())["algorithm"]["gamma"] == 0.9
-    assert len(untimed_rows(copy / "progress.csv")) == 53
-    assert (copy / "notes.txt").read_text() == "mine"
-    assert not list(copy.glob(".partial*"))
-    check(copy)
-
-
-def test_a_forced_run_that_cannot_begin_leaves_the_old_one(copy, tmp_path, monkeypatch, capsys):
-    before = snapshot(copy)
-    monkeypatch.setattr(specs, "_MODEL_SIZE", 10)
-    assert main(command(copy, "--force")) == 2
-    assert "MB" in capsys.readouterr().err
-    assert snapshot(copy) == before
-
-
-def test_a_killed_process_before_the_swap_leaves_it_to_the_next(copy, capsys):
-    forced = command(copy, "--set", "algorithm.gamma=0.9")
-    run_and_kill("kickbench.results.store:RunDirectory.take_over", 2, [*forced, "--force"])
-    check(copy)
-    assert main([*forced, "--resume"]) == 0
-    assert "nothing left to do" in capsys.readouterr().out
-    assert yaml.safe_load((copy / "specs/method.yaml").read_text())["algorithm"]["gamma"] == 0.9
-    check(copy)
 
 
 def cut_short(lines: list[str]) -> list[str]:
@@ -589,7 +561,7 @@ def test_the_policy_that_a_run_began_with_is_part_of_its_identity(begun, capsys)
     out = ["--out", str(folder / "third")]
     assert main([*command, "--init-from", str(folder / "first"), *out]) == 0
     assert main([*command, *out, "--resume"]) == 2
-    assert "began with another policy" in capsys.readouterr().err
+    assert "the policy begun with: not that of the run" in capsys.readouterr().err
     assert main([*command, "--init-from", str(folder / "first"), *out, "--resume"]) == 0
 
 
