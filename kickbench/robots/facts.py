@@ -33,7 +33,7 @@ _AT_LIMIT = 1e-3
 _ROOM = 0.2
 """Around the places of the bodies, m: what their geoms may take."""
 _FEET_TERMS = ("observations.critic.foot_position", "observations.critic.foot_ball_contact")
-_TOPICS = {"floor": "lowest point", "pose": "pose", "soles": "soles", "sides": "left and right"}
+_TOPICS = {"floor": "lowest point", "pose": "pose", "soles": "soles"}
 _HEADER = ("", "value", "verdict", "")
 
 Verdict = Literal["ok", "warn", "FAIL", ""]
