@@ -14,7 +14,6 @@ from rich.table import Table
 
 from kickbench.results.atomic import Record
 from kickbench.results.provenance import Provenance
-from kickbench.sim.engine import EngineLoad
 
 _MIB = 2**20
 
@@ -38,7 +37,9 @@ class SizeFigures(Record):
 
     num_envs: PositiveInt
     timings: tuple[Timing, ...]
-    room: EngineLoad | None = Field(description="use of the engine's room; null if it has no limit")
+    short_share: float | None = Field(
+        description="share of the control steps in which contacts did not fit; null if there is no limit"
+    )
     memory: dict[str, NonNegativeInt] = Field(
         description="bytes: peak of the process so far; on a GPU peak of torch, and in use by all processes"
     )
@@ -47,7 +48,7 @@ class SizeFigures(Record):
 class BenchReport(Record):
     """The file that `kickbench bench --json` writes."""
 
-    schema_version: Literal[3] = 3
+    schema_version: Literal[4] = 4
     task: str
     device: str = Field(description="torch device")
     rounds: PositiveInt = Field(description="counted rounds, in each of which everything has its turn")
@@ -76,8 +77,6 @@ def print_report(report: BenchReport) -> None:
 
 def _remarks(size: SizeFigures) -> list[str]:
     remarks = [f"{name} {value / _MIB:,.0f} MiB" for name, value in size.memory.items()]
-    if (room := size.room) is not None:
-        remarks.append(f"contacts an env at most {room.contacts:.1f} of {room.contact_room}")
-        remarks.append(f"constraints at most {room.constraints} of {room.constraint_room}")
-        remarks.append(f"overflow in {room.short_share:.2%} of the control steps")
+    if size.short_share is not None:
+        remarks.append(f"overflow in {size.short_share:.2%} of the control steps")
     return remarks

@@ -157,7 +157,7 @@ def measure_size(trials: Mapping[str, Trial], device: str, threads: int, rounds:
     return SizeFigures(
         num_envs=stage.env.num_envs,
         timings=tuple(_timings(stage, methods)),
-        room=stage.env.engine.take_load(),
+        short_share=stage.env.engine.take_short_share(),
         memory=_memory(torch.device(device)),
     )
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import closing
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,18 +61,18 @@ def stand(task: CompiledTask, seed: int = 0) -> Standing:
     up, seconds, interval = torch.ones(ENVS, dtype=torch.bool), torch.zeros(ENVS), simulation.control_interval
     target = torch.as_tensor(layout.default_target).expand(ENVS, -1)
     speed = torch.zeros(len(layout.joint_qvel))
-    with closing(CpuEngine(task.scene.model, ENVS, simulation.decimation)) as engine:
-        engine.reset(torch.ones_like(up), *_disturbed(task, torch.Generator().manual_seed(seed)))
-        for step in range(1, round(SECONDS / interval) + 1):
-            engine.step(target)
-            up &= ~engine.failed & _upright(layout, engine.qpos)
-            seconds[up] = step * interval
-            if engine.failed.any() or not up.any():
-                break
-            if step * interval >= _SETTLED:
-                moving = engine.qvel[up][:, layout.joint_qvel].abs().amax(dim=0)
-                speed = torch.maximum(speed, moving.float())
-        unstable, last = int(engine.failed.sum()), engine.qpos[0].numpy().copy()
+    engine = CpuEngine(task.scene.model, ENVS, simulation.decimation)
+    engine.reset(torch.ones_like(up), *_disturbed(task, torch.Generator().manual_seed(seed)))
+    for step in range(1, round(SECONDS / interval) + 1):
+        engine.step(target)
+        up &= ~engine.failed & _upright(layout, engine.qpos)
+        seconds[up] = step * interval
+        if engine.failed.any() or not up.any():
+            break
+        if step * interval >= _SETTLED:
+            moving = engine.qvel[up][:, layout.joint_qvel].abs().amax(dim=0)
+            speed = torch.maximum(speed, moving.float())
+    unstable, last = int(engine.failed.sum()), engine.qpos[0].numpy().copy()
     return Standing(simulation, seconds.numpy(), unstable, speed.numpy(), last)
 
 

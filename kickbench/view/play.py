@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from contextlib import closing
 from typing import Any
 
 # pyright: reportAttributeAccessIssue=false
@@ -14,7 +13,6 @@ from kickbench.envs.compiled_task import CompiledTask
 from kickbench.envs.episode import FOOT_NAMES
 from kickbench.errors import KickbenchError
 from kickbench.nets.actor_critic import torch_threads
-from kickbench.sim.silence import silent
 from kickbench.view.session import Session
 from kickbench.view.stage import dress
 
@@ -89,7 +87,6 @@ class Player:
         camera.lookat[:] = [0.3 * reach, 0.25 * reach, 0.2]
         camera.distance, camera.azimuth, camera.elevation = 1.5 + 0.8 * reach, 20.0, -22.0
 
-    @silent()
     def update(self, viewer: Any) -> None:
         """Lets the time since the last frame pass, and places robot, ball and target."""
         now = time.monotonic()
@@ -171,7 +168,7 @@ def slider_limits(task: CompiledTask) -> np.ndarray:
 
 
 def play(session: Session, host: str, port: int, browser: bool | None) -> None:
-    """Shows a session in a browser until Ctrl-C, and closes it.
+    """Shows a session in a browser until Ctrl-C.
 
     Args:
         session: A session, whose title is that of page and window.
@@ -182,7 +179,7 @@ def play(session: Session, host: str, port: int, browser: bool | None) -> None:
     Raises:
         KickbenchError: MuJoCo has no viewer that can be guarded, or `studio.show` fails.
     """
-    with closing(session), torch_threads(1):
+    with torch_threads(1):
         try:
             from kickbench.view.studio import show
         except (ImportError, AttributeError) as error:
