@@ -36,7 +36,7 @@ ROOMS = (
 )
 RANK = {name: rank for rank, room in enumerate(ROOMS) for name in room}
 WITHOUT_LIBRARIES = {"", "errors", "config", "symmetry"}
-ENGINES = {"engine", "cpu", "frames", "warp", "warp_contacts"}
+ENGINES = {"engine", "cpu", "frames", "silence", "warp", "warp_contacts"}
 HEAVY = {"torch", "tensordict", "rsl_rl", "mujoco", "mujoco_warp", "warp"}
 
 

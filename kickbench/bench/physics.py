@@ -17,6 +17,7 @@ from kickbench.envs.env import KickEnv
 from kickbench.envs.graph import recorded_call
 from kickbench.sim.cpu import CpuEngine
 from kickbench.sim.engine import Engine
+from kickbench.sim.silence import silent
 
 
 def physics_alone(env: KickEnv, threads: int) -> Callable[[list[Tensor]], Callable[[], None]]:
@@ -96,6 +97,7 @@ class _RawPhysics:
             self._steps.append(_ControlStep(state, *self._engine.full_control()))
         return self
 
+    @silent()
     def __call__(self) -> None:
         for step in self._steps:
             self._pool.rollout(

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from kickbench.sim.engine import HUGE, INERTIAL_FIELDS, Engine, ModelField, frame_size, usable_cores
 from kickbench.sim.frames import FrameModel
+from kickbench.sim.silence import silent
 
 _State = mujoco.mjtState
 _STATE = int(_State.mjSTATE_WARMSTART) - 1
@@ -75,10 +76,8 @@ class CpuEngine(Engine):
 
     def _allocate_controls(self, pushed_body: int | None) -> None:
         """External forces travel with the controls; a task without pushes does not pay for them."""
-        spec = (
-            _State.mjSTATE_CTRL if pushed_body is None else _State.mjSTATE_CTRL | _State.mjSTATE_XFRC_APPLIED
-        )
-        self._spec, first = int(spec), self.model.nu + 6 * (pushed_body or 0)
+        pushes = 0 if pushed_body is None else _State.mjSTATE_XFRC_APPLIED
+        self._spec, first = int(_State.mjSTATE_CTRL | pushes), self.model.nu + 6 * (pushed_body or 0)
         size = mujoco.mj_stateSize(self.model, self._spec)
         self._control = np.zeros((self.num_envs, self.decimation, size))
         forces = torch.from_numpy(self._control)[:, :, first : first + 3]
@@ -89,9 +88,10 @@ class CpuEngine(Engine):
         of_substeps = targets if targets.dim() == 3 else targets.unsqueeze(1)
         self._control[:, :, : self.model.nu] = of_substeps.numpy()
         self._batch.bind("time")[:] = self._batch.bind("qacc_warmstart")[:] = 0.0
-        self._batch.rollout(
-            self.decimation, self._control, self._spec, record=["sensordata"], out=self._sensed
-        )
+        with silent():
+            self._batch.rollout(
+                self.decimation, self._control, self._spec, record=["sensordata"], out=self._sensed
+            )
         self._find_failures()
         self._latch_contacts(self._sensed["sensordata"][:, :, self._contacts])
         self._sense_frames(slice(None))
@@ -114,7 +114,8 @@ class CpuEngine(Engine):
             padded = np.zeros((packs * _COPIES, values.shape[1]))
             padded[:count] = values
             self._sensing.bind(name)[:packs] = padded.reshape(packs, -1)
-        self._sensing.forward(np.arange(packs), mujoco.mjtStage.mjSTAGE_VEL)
+        with silent():
+            self._sensing.forward(np.arange(packs), mujoco.mjtStage.mjSTAGE_VEL)
         sensed = self._sensing.bind("sensordata")[:packs].reshape(packs * _COPIES, -1)
         self.sensors.numpy()[rows, self._frames] = sensed[:count]
 

@@ -10,11 +10,13 @@ import numpy as np
 
 from kickbench.config.base import Vector3
 from kickbench.config.robot import ActuatorSpec, FootSpec
+from kickbench.sim.silence import silent
 
 _FREE = mujoco.mjtJoint.mjJNT_FREE
 _Geom = mujoco.mjtGeom
 
 
+@silent()
 def posed(
     model: mujoco.MjModel, position: Vector3 | None, joints: Mapping[str, float], prefix: str = ""
 ) -> mujoco.MjData:

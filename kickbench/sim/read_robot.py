@@ -13,7 +13,7 @@ import numpy as np
 from kickbench.config.load import Loaded
 from kickbench.config.robot import RobotSpec
 from kickbench.errors import KeyPath, SpecError, nearest
-from kickbench.sim.carried import read_mjcf, unfit_parts
+from kickbench.sim.carried import lost_parts, read_mjcf, unfit_parts
 from kickbench.sim.layout import SceneLayout
 from kickbench.sim.pose import touching_geoms
 from kickbench.sim.sensors import SIDES, robot_feet
@@ -46,7 +46,9 @@ def read_robot(robot: Loaded[RobotSpec]) -> tuple[mujoco.MjSpec, mujoco.MjModel]
     raise_problems(robot, chain(unfit, _unknown_names(robot.spec, spec), _unmatched_joints(robot.spec, spec)))
     # A misspelt joint would seem to lack a drive.
     raise_problems(robot, chain(_drive_problems(robot.spec), _mirrored_pose_problems(robot.spec)))
-    return spec, compiled(spec.copy(), robot, "this model")
+    native = compiled(spec.copy(), robot, "this model")
+    raise_problems(robot, ((("model",), what) for what in lost_parts(spec)))
+    return spec, native
 
 
 def compiled(spec: mujoco.MjSpec, robot: Loaded[RobotSpec], what: str) -> mujoco.MjModel:

@@ -20,6 +20,7 @@ from kickbench.sim.layout import coordinates_of
 from kickbench.sim.mirror_image import twin_models
 from kickbench.sim.pose import posed
 from kickbench.sim.read_parts import read_parts
+from kickbench.sim.silence import silent
 from kickbench.symmetry.derive import Derivation, derive
 from kickbench.symmetry.mirror import Coordinate, mirror_qpos, mirror_qvel
 from kickbench.symmetry.representation import Representation
@@ -101,6 +102,7 @@ class Twins:
             self._set(self.image, image, *there, mirrored, time + half_period)
             yield original, image
 
+    @silent()
     def motion_error(self, original: mujoco.MjData, image: mujoco.MjData) -> float:
         """Relative error of the velocities some steps after a state and its mirror image."""
         mujoco.mj_step(self.model, original, _STEPS)
@@ -108,6 +110,7 @@ class Twins:
         off = np.abs(self.qvel.mirror(original.qvel) - image.qvel).max(initial=0.0)
         return float(off / max(1.0, np.abs(image.qvel).max(initial=0.0)))
 
+    @silent()
     def _set(
         self,
         model: mujoco.MjModel,
@@ -122,6 +125,7 @@ class Twins:
         data.ctrl[:] = self.default + self.scale * action
         mujoco.mj_forward(model, data)
 
+    @silent()
     def _random_state(
         self, draws: np.random.Generator, data: mujoco.MjData, action: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:

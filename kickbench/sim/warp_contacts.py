@@ -25,6 +25,7 @@ from mujoco_warp import Data, OverflowType
 
 from kickbench.errors import KickbenchError
 from kickbench.sim.engine import frame_size
+from kickbench.sim.silence import silent
 
 HEADROOM = 1.5
 """Room over the measured 95th percentile."""
@@ -51,6 +52,7 @@ class Capacity:
     allowed_share: float = 1e-3
 
 
+@silent()
 def measure_capacity(
     model: mujoco.MjModel, qpos: np.ndarray, targets: Sequence[np.ndarray], decimation: int
 ) -> Capacity:

@@ -13,6 +13,7 @@ from kickbench.envs.compiled_task import CompiledTask
 from kickbench.envs.episode import FOOT_NAMES
 from kickbench.errors import KickbenchError
 from kickbench.nets.actor_critic import torch_threads
+from kickbench.sim.silence import silent
 from kickbench.view.session import Session
 from kickbench.view.stage import dress
 
@@ -87,6 +88,7 @@ class Player:
         camera.lookat[:] = [0.3 * reach, 0.25 * reach, 0.2]
         camera.distance, camera.azimuth, camera.elevation = 1.5 + 0.8 * reach, 20.0, -22.0
 
+    @silent()
     def update(self, viewer: Any) -> None:
         """Lets the time since the last frame pass, and places robot, ball and target."""
         now = time.monotonic()
