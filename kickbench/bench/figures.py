@@ -6,7 +6,6 @@ valid on a machine whose speed drifts, absolute figures are not.
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from typing import Literal
 
 import pandas as pd
@@ -14,7 +13,6 @@ from pydantic import Field, NonNegativeInt, PositiveFloat, PositiveInt
 
 from kickbench.results.atomic import Record
 from kickbench.results.provenance import Provenance
-from kickbench.sim.engine import EngineLoad
 
 _COLUMNS = {
     "what": str,
@@ -48,8 +46,8 @@ class SizeFigures(Record):
 
     num_envs: PositiveInt
     timings: tuple[Timing, ...]
-    room: EngineLoad | None
-    """Use of the engine's room; null if it has no limit."""
+    short_share: float | None = None
+    """Share of the control steps in which contacts did not fit; null if there is no limit."""
     memory: dict[str, NonNegativeInt]
     """Bytes: peak of the process so far; on a GPU peak of torch, and in use by all processes."""
 
@@ -57,7 +55,7 @@ class SizeFigures(Record):
 class BenchReport(Record):
     """The file that `kickbench bench --json` writes."""
 
-    schema_version: Literal[3] = 3
+    schema_version: Literal[4] = 4
     task: str
     device: str
     """Torch device."""
@@ -73,7 +71,8 @@ def print_report(report: BenchReport) -> None:
     print(f"{report.task} on {origin.device}, {origin.num_threads} threads, {report.rounds} rounds")
     for size in report.sizes:
         remarks = [f"{name} {value / 2**20:,.0f} MiB" for name, value in size.memory.items()]
-        remarks += [f"{name} {value:.4g}" for name, value in asdict(size.room).items()] if size.room else []
+        if size.short_share is not None:
+            remarks.append(f"overflow in {size.short_share:.2%} of the control steps")
         print(f"\n{size.num_envs:,} envs: {', '.join(remarks)}")
         table = pd.DataFrame([timing.model_dump() for timing in size.timings]).fillna({"method": ""})
         print(table.to_string(index=False, columns=list(_COLUMNS), formatters=_COLUMNS, na_rep=""))

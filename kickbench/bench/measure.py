@@ -127,7 +127,7 @@ def measure_size(trials: Mapping[str, Trial], device: str, threads: int, rounds:
     return SizeFigures(
         num_envs=bench.env.num_envs,
         timings=timings(bench.rows),
-        room=bench.env.engine.take_load(),
+        short_share=bench.env.engine.take_short_share(),
         memory=_memory(torch.device(device)),
     )
 

@@ -84,10 +84,6 @@ class KickVectorEnv(VectorEnv):
             infos = self._add_info(infos, {"final_obs": final[env], "final_info": facts}, env)
         return infos
 
-    def close_extras(self, **kwargs: Any) -> None:
-        """Ends the threads of the physics."""
-        self.env.engine.close()
-
 
 def _array(tensor: torch.Tensor) -> np.ndarray:
     """A copy, which nobody else writes to."""

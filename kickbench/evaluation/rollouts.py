@@ -115,7 +115,6 @@ class _Evaluation:
         schedule = _Schedule(self.initial_states, self.seed, len(rows), begun=count)
         smaller = self._make_env(schedule)
         smaller.restore(self.env.snapshot().take(rows))
-        self.env.engine.close()
         # Last: making and restoring the envs has drawn numbers and asked for initial states.
         schedule.running = old.running[rows]
         schedule.draws.streams[:] = [old.draws.streams[row] for row in rows.tolist()]

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 Looks = Mapping[Any, Look]
 """The look of each condition."""
 
-_LEAST_WINDOW, _POINTS = 9, 300
+_LEAST_WINDOW, _POINTS = 9, 150
 _OUTSIDE = 0.002
 """Share of the balls, at each edge of the pitch, that may be left out so that the others are seen."""
 QUANTITIES = {

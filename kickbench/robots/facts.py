@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import closing
 from dataclasses import asdict, dataclass
 from itertools import product
 from pathlib import Path
@@ -41,7 +40,7 @@ _BALL = 5.0
 _ROOM = 0.2
 """Around the places of the bodies, m: what their geoms may take."""
 _FEET_TERMS = ("observations.critic.foot_position", "observations.critic.foot_ball_contact")
-_TOPICS = {"floor": "lowest point", "pose": "pose", "soles": "soles", "sides": "left and right"}
+_TOPICS = {"floor": "lowest point", "pose": "pose", "soles": "soles"}
 _HEADER = ("", "value", "verdict", "")
 
 Verdict = Literal["ok", "warn", "FAIL", ""]
@@ -218,18 +217,18 @@ def stand(task: CompiledTask, seed: int = 0) -> Standing:
     up, seconds, interval = torch.ones(ENVS, dtype=torch.bool), torch.zeros(ENVS), simulation.control_interval
     draws = torch.Generator().manual_seed(seed)
     target = torch.as_tensor(layout.default_target).expand(ENVS, -1)
-    with closing(CpuEngine(task.scene.model, ENVS, simulation.decimation)) as engine:
-        qpos = torch.as_tensor(default_pose(task)).repeat(ENVS, 1)
-        qpos[:, layout.joint_qpos] += _SHIFT * torch.randn(ENVS, len(layout.joint_qpos), generator=draws)
-        qvel = _SPEED * torch.randn(ENVS, task.scene.model.nv, generator=draws)
-        engine.reset(torch.ones_like(up), qpos, qvel)
-        for step in range(1, round(SECONDS / interval) + 1):
-            engine.step(target)
-            up &= ~engine.failed & _upright(layout, engine.qpos)
-            seconds[up] = step * interval
-            if engine.failed.any() or not up.any():
-                break
-        unstable, last = int(engine.failed.sum()), engine.qpos[0].numpy().copy()
+    engine = CpuEngine(task.scene.model, ENVS, simulation.decimation)
+    qpos = torch.as_tensor(default_pose(task)).repeat(ENVS, 1)
+    qpos[:, layout.joint_qpos] += _SHIFT * torch.randn(ENVS, len(layout.joint_qpos), generator=draws)
+    qvel = _SPEED * torch.randn(ENVS, task.scene.model.nv, generator=draws)
+    engine.reset(torch.ones_like(up), qpos, qvel)
+    for step in range(1, round(SECONDS / interval) + 1):
+        engine.step(target)
+        up &= ~engine.failed & _upright(layout, engine.qpos)
+        seconds[up] = step * interval
+        if engine.failed.any() or not up.any():
+            break
+    unstable, last = int(engine.failed.sum()), engine.qpos[0].numpy().copy()
     return Standing(simulation, seconds.numpy(), unstable, last)
 
 

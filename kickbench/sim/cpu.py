@@ -1,4 +1,4 @@
-"""The CPU engine: MuJoCo C over all cores through `mujoco.rollout`, zero-copy into torch."""
+"""The CPU engine: MuJoCo C over all cores through `mujoco.batch`, zero-copy into torch."""
 
 from __future__ import annotations
 
@@ -7,29 +7,31 @@ from collections.abc import Sequence
 
 # pyright: reportAttributeAccessIssue=false
 import mujoco
-import mujoco.rollout
 import numpy as np
 import torch
+from mujoco.batch import Batch
 from torch import Tensor
 
-from kickbench.sim.engine import HUGE, INERTIAL_FIELDS, Engine, ModelField, usable_cores
-from kickbench.sim.frames import FrameSensing, runs
+from kickbench.sim.engine import HUGE, INERTIAL_FIELDS, Engine, ModelField, frame_size, usable_cores
+from kickbench.sim.frames import FrameModel
 from kickbench.sim.silence import silent
 
-_FULL = mujoco.mjtState.mjSTATE_FULLPHYSICS
-_CTRL = mujoco.mjtState.mjSTATE_CTRL
-_WRENCH = mujoco.mjtState.mjSTATE_XFRC_APPLIED
+_State = mujoco.mjtState
+_STATE = int(_State.mjSTATE_WARMSTART) - 1
+"""What comes first in a row of a batch: time, qpos, qvel, act and history."""
+_COPIES = 8
+"""Envs in one frame model: a call of MuJoCo's functions takes longer than the kinematics of one env."""
 
 
 class CpuEngine(Engine):
-    """Steps B envs with a thread pool.
+    """Steps B envs by MuJoCo's `Batch`, with a thread pool.
 
     A control step is one rollout of `decimation` substeps from every env's state, with MuJoCo's warm start
     cleared at its beginning: the outcome is a function of state and controls alone, which resuming and
     mirroring rely on.
 
     MuJoCo evaluates sensors before it integrates, so the sensors of the last substep are one substep old.
-    Instead of a full final forward pass, `FrameSensing` evaluates the frame sensors in the final state, at a
+    Instead of a full final forward pass, a second batch evaluates the frame sensors in the final state, at a
     fraction of the cost. Contacts are latched over the substeps and need no such pass.
     """
 
@@ -45,7 +47,7 @@ class CpuEngine(Engine):
         """Allocates the envs in the model's reference pose.
 
         Args:
-            model: Compiled model, shared by all envs until `set_model` makes copies.
+            model: Compiled model, shared by all envs until `set_model` varies a field.
             num_envs: Number of envs B.
             decimation: Physics substeps per control step.
             contact_forces: Places of contact sensors in sensordata that are averaged over the substeps; the
@@ -53,69 +55,69 @@ class CpuEngine(Engine):
             pushed_body: Id of the body that `push` acts on; None: nothing can be pushed.
             num_threads: Threads; default: the cores this process may use.
         """
-        self.model = model
-        self._stepped = _without_frame_sensors(model)
-        self.num_envs, self.decimation = num_envs, decimation
-        self.num_threads = num_threads or usable_cores()
+        self.model, self.num_envs, self.decimation = model, num_envs, decimation
         self.device = torch.device("cpu")
-        self._forces = runs(sorted(contact_forces))
-        self._models = [self._stepped] * num_envs
-        # External forces travel with the controls; a task without pushes does not pay for them.
-        self._spec = int(_CTRL if pushed_body is None else _CTRL | _WRENCH)
-        self._sense_frames = FrameSensing(model, self.num_threads)
-        self._frames = slice(0, self._sense_frames.size)
-        self._contacts = slice(self._sense_frames.size, model.nsensordata)
-        self._data = [mujoco.MjData(model) for _ in range(self.num_threads)]
-        self._pool = mujoco.rollout.Rollout(nthread=self.num_threads if self.num_threads > 1 else 0)
-        self._allocate()
-        first = model.nu + 6 * (pushed_body or 0)
-        control = torch.from_numpy(self._control)
-        self._force = None if pushed_body is None else control[:, :, first : first + 3]
-        qpos = torch.from_numpy(np.tile(model.qpos0, (num_envs, 1)))
-        self.reset(torch.ones(num_envs, dtype=torch.bool), qpos, torch.zeros(num_envs, model.nv))
+        frames, threads = FrameModel(model, _COPIES), num_threads or usable_cores()
+        self._batch = Batch(_without_frame_sensors(model), num_envs, threads)
+        self._sensing = Batch(frames.model, -(-num_envs // _COPIES), threads)
+        self._taken = {"qpos": frames.qpos, "qvel": frames.qvel}
+        self._frames = slice(0, frame_size(model))
+        self._contacts = slice(frame_size(model), model.nsensordata)
+        self._is_force = np.isin(np.arange(model.nsensordata)[self._contacts], contact_forces)
+        self._sensed = {"sensordata": np.zeros((num_envs, decimation, model.nsensordata))}
+        self._state = self._batch.state[:, : mujoco.mj_stateSize(model, _STATE)]
+        others = {name: self._batch.bind(name) for name in ("plugin_state", "plastic")}
+        self._parts = {"state": self._state} | {name: part for name, part in others.items() if part.size}
+        self.qpos, self.qvel = (torch.from_numpy(self._batch.bind(name)) for name in self._taken)
+        self.sensors = torch.zeros(num_envs, model.nsensordata, dtype=torch.float64)
+        self.failed = torch.zeros(num_envs, dtype=torch.bool)
+        self._allocate_controls(pushed_body)
+        self._sense_frames(slice(None))
 
-    def _allocate(self) -> None:
-        model, envs, steps = self.model, self.num_envs, self.decimation
-        nstate = mujoco.mj_stateSize(model, _FULL)
-        self._state = np.zeros((envs, nstate))
-        self._trajectory = np.zeros((envs, steps, nstate))
-        self._control = np.zeros((envs, steps, mujoco.mj_stateSize(model, self._spec)))
-        self._sensed = np.zeros((envs, steps, model.nsensordata))
-        self._sensors = np.zeros((envs, model.nsensordata))
-        # Full physics state: time, qpos, qvel, act, ...
-        self.qpos = torch.from_numpy(self._state)[:, 1 : 1 + model.nq]
-        self.qvel = torch.from_numpy(self._state)[:, 1 + model.nq : 1 + model.nq + model.nv]
-        self.sensors = torch.from_numpy(self._sensors)
-        self.failed = torch.zeros(envs, dtype=torch.bool)
+    def _allocate_controls(self, pushed_body: int | None) -> None:
+        """External forces travel with the controls; a task without pushes does not pay for them."""
+        pushes = 0 if pushed_body is None else _State.mjSTATE_XFRC_APPLIED
+        self._spec, first = int(_State.mjSTATE_CTRL | pushes), self.model.nu + 6 * (pushed_body or 0)
+        size = mujoco.mj_stateSize(self.model, self._spec)
+        self._control = np.zeros((self.num_envs, self.decimation, size))
+        forces = torch.from_numpy(self._control)[:, :, first : first + 3]
+        self._force = None if pushed_body is None else forces
 
     def step(self, targets: Tensor) -> None:
         """See `Engine.step`."""
         of_substeps = targets if targets.dim() == 3 else targets.unsqueeze(1)
         self._control[:, :, : self.model.nu] = of_substeps.numpy()
-        self._state[:, 0] = 0.0
+        self._batch.bind("time")[:] = self._batch.bind("qacc_warmstart")[:] = 0.0
         with silent():
-            self._pool.rollout(
-                self._models, self._data, self._state, self._control, control_spec=self._spec,
-                skip_checks=True, nstep=self.decimation, state=self._trajectory, sensordata=self._sensed,
-            )  # fmt: skip
-        self._state[:] = self._trajectory[:, -1]
+            self._batch.rollout(
+                self.decimation, self._control, self._spec, record=["sensordata"], out=self._sensed
+            )
         self._find_failures()
-        self._latch_contacts()
-        self._sensors[:, self._frames] = self._sense_frames(self._state)
+        self._latch_contacts(self._sensed["sensordata"][:, :, self._contacts])
+        self._sense_frames(slice(None))
 
-    def _latch_contacts(self) -> None:
+    def _latch_contacts(self, sensed: np.ndarray) -> None:
         """Counts keep their maximum over the substeps, forces their mean."""
-        latched = self._sensors[:, self._contacts]
-        latched[:] = self._sensed[:, 0, self._contacts]
+        largest, total = sensed[:, 0].copy(), sensed[:, 0][:, self._is_force]
         # Substep by substep: a reduction along the middle of an array is slower.
         for substep in range(1, self.decimation):
-            np.maximum(latched, self._sensed[:, substep, self._contacts], out=latched)
-        for forces in self._forces:
-            mean = self._sensors[:, forces]
-            mean[:] = self._sensed[:, 0, forces]
-            for substep in range(1, self.decimation):
-                mean += self._sensed[:, substep, forces]
-            mean /= self.decimation
+            np.maximum(largest, sensed[:, substep], out=largest)
+            total += sensed[:, substep][:, self._is_force]
+        largest[:, self._is_force] = total / self.decimation
+        self.sensors.numpy()[:, self._contacts] = largest
+
+    def _sense_frames(self, rows: np.ndarray | slice) -> None:
+        """Evaluates the frame sensors in the current states of some envs."""
+        for name, taken in self._taken.items():
+            values = self._batch.bind(name)[rows][:, taken]
+            count, packs = len(values), -(-len(values) // _COPIES)
+            padded = np.zeros((packs * _COPIES, values.shape[1]))
+            padded[:count] = values
+            self._sensing.bind(name)[:packs] = padded.reshape(packs, -1)
+        with silent():
+            self._sensing.forward(np.arange(packs), mujoco.mjtStage.mjSTAGE_VEL)
+        sensed = self._sensing.bind("sensordata")[:packs].reshape(packs * _COPIES, -1)
+        self.sensors.numpy()[rows, self._frames] = sensed[:count]
 
     def _find_failures(self) -> None:
         """Finds envs that MuJoCo cut short with a warning (the clock is late), and NaN or infinite states."""
@@ -135,32 +137,29 @@ class CpuEngine(Engine):
         rows = np.flatnonzero(mask.numpy())
         if not len(rows):
             return
-        self._state[rows] = 0.0
-        self.qpos[mask], self.qvel[mask] = qpos[mask].double(), qvel[mask].double()
-        self._sensors[rows] = 0.0
-        self._sensors[rows, self._frames] = self._sense_frames(self._state[rows])
+        for part in self._parts.values():
+            part[rows] = 0.0
+        for name, values in (("qpos", qpos), ("qvel", qvel)):
+            self._batch.bind(name)[rows] = values.numpy()[rows]
+        self.sensors.numpy()[rows] = 0.0
+        self._sense_frames(rows)
         self.failed[rows] = False
 
     def set_model(self, mask: Tensor, fields: Sequence[ModelField]) -> None:
-        """See `Engine.set_model`. The first call gives every env a model of its own."""
-        if self._models[0] is self._stepped:
-            self._models = [copy.copy(self._stepped) for _ in range(self.num_envs)]
+        """See `Engine.set_model`."""
         rows = np.flatnonzero(mask.numpy())
         for field in fields:
-            ids, values = field.ids.numpy(), field.values.numpy()
-            place = ids if field.column is None else (ids, field.column)
-            for row in rows:
-                getattr(self._models[row], field.name)[place] = values[row]
-        if any(field.name in INERTIAL_FIELDS for field in fields):
-            for row in rows:
-                mujoco.mj_setConst(self._models[row], self._data[0])
+            values, column = field.values[mask].numpy(), () if field.column is None else (field.column,)
+            self._batch.expand(field.name)[(rows[:, None], field.ids.numpy(), *column)] = values
+        if len(rows) and any(field.name in INERTIAL_FIELDS for field in fields):
+            self._batch.set_const(rows)
 
     def _physics(self) -> dict[str, Tensor]:
-        return {"state": torch.from_numpy(self._state)}
+        return {name: torch.from_numpy(part) for name, part in self._parts.items()}
 
     def full_state(self) -> np.ndarray:
         """A copy of the full physics state [B, nstate]."""
-        return self._state.copy()
+        return torch.cat([*self._physics().values()], dim=1).numpy()
 
     def full_control(self) -> tuple[np.ndarray, int]:
         """A copy of the last step's controls [B, decimation, n], and their `control_spec` for a rollout."""
@@ -168,17 +167,14 @@ class CpuEngine(Engine):
 
     def model_field(self, name: str) -> np.ndarray:
         """See `Engine.model_field`."""
-        return np.stack([getattr(model, name) for model in self._models])
-
-    def close(self) -> None:
-        """See `Engine.close`: ends the threads."""
-        self._pool.close()
-        self._sense_frames.close()
+        values = self._batch.expanded(name)
+        return np.stack([getattr(self.model, name)] * self.num_envs) if values is None else values.copy()
 
 
 def _without_frame_sensors(model: mujoco.MjModel) -> mujoco.MjModel:
-    """A copy whose frame sensors belong to no stage of the computation: `FrameSensing` evaluates them."""
+    """A copy whose frame sensors belong to no stage of the computation: another batch evaluates them."""
     quiet = copy.copy(model)
-    frames = model.sensor_type != mujoco.mjtSensor.mjSENS_CONTACT
-    quiet.sensor_needstage[frames] = mujoco.mjtStage.mjSTAGE_NONE
+    quiet.sensor_needstage[model.sensor_type != mujoco.mjtSensor.mjSENS_CONTACT] = (
+        mujoco.mjtStage.mjSTAGE_NONE
+    )
     return quiet

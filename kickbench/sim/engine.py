@@ -43,25 +43,6 @@ class ModelField:
     column: int | None = None
 
 
-@dataclass(frozen=True)
-class EngineLoad:
-    """Use of an engine's room for contacts and constraints since the last call.
-
-    Attributes:
-        contacts: Most contacts in a substep, per env on average.
-        constraints: Most constraint rows of any env in a substep.
-        contact_room: Contacts there is room for, per env on average.
-        constraint_room: Constraint rows there is room for in every env.
-        short_share: Share of the control steps, over all envs, in which something did not fit.
-    """
-
-    contacts: float
-    constraints: int
-    contact_room: int
-    constraint_room: int
-    short_share: float
-
-
 class Engine(ABC):
     """Owns the physical state of B envs and advances it by control steps.
 
@@ -156,16 +137,15 @@ class Engine(ABC):
         """
         return nullcontext()
 
-    def take_load(self) -> EngineLoad | None:
-        """Use of the room for contacts since the last call; None: there is no limit. Waits for the device.
+    def take_short_share(self) -> float | None:
+        """Share of the control steps, over all envs, since the last call in which contacts did not fit.
+
+        None: there is no limit. Waits for the device.
 
         Raises:
-            KickbenchError: Too often something did not fit and was left out of the physics.
+            KickbenchError: It is too large: what does not fit is left out of the physics.
         """
         return None
-
-    def close(self) -> None:  # noqa: B027 (not every engine holds something)
-        """Frees what the engine holds: it cannot be used any more."""
 
 
 def frame_size(model: mujoco.MjModel) -> int:

@@ -1,4 +1,4 @@
-"""Findings of `validate` and `robot check` in a robot file: pose, floor, soles, sides, gains."""
+"""Findings of `validate` and `robot check` in a robot file: reflection, pose, floor, soles, gains."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from kickbench.config.load import Loaded
 from kickbench.config.robot import RobotSpec
 from kickbench.config.task import SimulationSpec
-from kickbench.errors import KeyPath, Problem
+from kickbench.errors import KeyPath, Problem, shown
 from kickbench.sim.pose import (
     apparent_inertia,
     base_joint,
@@ -23,16 +23,17 @@ from kickbench.sim.pose import (
     touching_geoms,
     underside,
 )
-from kickbench.sim.read_robot import pose_problems, read_robot
+from kickbench.sim.read_parts import read_parts
+from kickbench.sim.read_robot import Complaint, declared_joints, pose_problems, read_robot
 from kickbench.sim.sensors import robot_feet
+from kickbench.symmetry.derive import Derivation, derive
+from kickbench.symmetry.representation import image_words
 
 _OFF, _FAR = 0.01, 0.05
 """Distances from floor and foot that are noted and that are errors, m."""
-_UNEQUAL = 1e-3
-"""Difference of a joint's position from its mirror image's that is noted, rad or m."""
 SAFE = 0.5
 """Share of the way to instability in discrete time up to which a servo is fine."""
-_OF_A_SERVO = ("kind", "kp", "kd", "effort", "velocity_limit", "friction_loss", "scale")
+_UNUSED_OPTIONS = ("gravity", "wind", "density", "viscosity", "magnetic")
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ class Finding:
     """Something about a robot file that is wrong or odd.
 
     Attributes:
-        topic: What it is about: "floor", "pose", "soles", "sides".
+        topic: What it is about: "floor", "pose", "soles", "symmetry", "options".
         problem: What it is, and where.
         surely: Whether it is wrong; else it may be meant.
     """
@@ -67,8 +68,6 @@ def findings(robot: Loaded[RobotSpec], model: mujoco.MjModel | None = None) -> I
     for topic, path, distance, what in (*_floor(model, data), *_soles(spec, model, data)):
         if abs(distance) > _OFF:
             yield Finding(topic, robot.document.problem(path, what), abs(distance) > _FAR)
-    for path, what in (*_unequal_pose(spec, data), *_unequal_servos(spec)):
-        yield Finding("sides", robot.document.problem(path, what), False)
 
 
 def _floor(model: mujoco.MjModel, data: mujoco.MjData) -> Iterator[tuple[str, KeyPath, float, str]]:
@@ -93,34 +92,63 @@ def _soles(
             yield "soles", ("feet", side, "offset"), distance, what
 
 
-def _partners(robot: RobotSpec) -> Iterator[tuple[str, str, int]]:
-    """Every joint or pair of joints once, with the sign of the reflection."""
-    seen: set[str] = set()
-    for joint, (partner, sign) in robot.symmetry.image().items():
-        if partner not in seen:
-            yield joint, partner, sign
-        seen.add(joint)
+# The declared reflection against the one that follows from the geometry
 
 
-def _unequal_pose(robot: RobotSpec, data: mujoco.MjData) -> Iterator[tuple[KeyPath, str]]:
-    for joint, partner, sign in _partners(robot):
-        mine, theirs = (float(data.joint(name).qpos[0]) for name in (joint, partner))
-        if abs(mine - sign * theirs) > _UNEQUAL:
-            path = ("initial", "joints", joint) if joint in robot.pose else ("initial",)
-            mirrored = "0" if joint == partner else f"{sign * theirs:zg}, the mirror image of '{partner}'"
-            yield path, f"the joint '{joint}' begins at {mine:g}; a symmetric pose has {mirrored}"
+def symmetry_findings(robot: Loaded[RobotSpec]) -> Iterator[Finding]:
+    """Compares a robot's declared joint table and feet with its geometry, and looks for options not used.
+
+    Raises:
+        SpecError: The MJCF cannot be read or compiled.
+    """
+    body, native = read_robot(robot)
+    derivation, symmetry = derive(read_parts(native)), ("symmetry",)
+    for what in _unused_options(body):
+        yield Finding("options", robot.document.problem(("model",), what), False)
+    for match in derivation.unclear:
+        what = f"joint '{match.name}': its mirror image is not derived: {match.reason}"
+        yield Finding("symmetry", robot.document.problem(symmetry, what), False)
+    for found in (*_contradicted_joints(robot.spec, derivation), *_contradicted_feet(robot.spec, derivation)):
+        yield Finding("symmetry", robot.document.problem(*found), True)
 
 
-def _unequal_servos(robot: RobotSpec) -> Iterator[tuple[KeyPath, str]]:
-    servos = {spec.joint: (name, spec) for name, spec in robot.actuators.items()}
-    for joint, partner, _ in _partners(robot):
-        if joint in servos and partner in servos:
-            (name, mine), (other, theirs) = servos[joint], servos[partner]
-            for key in _OF_A_SERVO:
-                here, there = getattr(mine, key), getattr(theirs, key)
-                if here != there:
-                    what = f"{key} is {here}, that of its mirror image '{other}' {there}"
-                    yield ("actuators", name, key), what
+def _unused_options(spec: mujoco.MjSpec) -> Iterator[str]:
+    default = mujoco.MjSpec().option
+    for name in _UNUSED_OPTIONS:
+        own, usual = (np.ravel(getattr(option, name)) for option in (spec.option, default))
+        if not np.array_equal(own, usual):
+            values = " ".join(f"{value:g}" for value in own)
+            yield f"the MJCF's option {name}=\"{values}\" is not used: options of physics are the task's"
+
+
+def _contradicted_joints(robot: RobotSpec, derivation: Derivation) -> Iterator[Complaint]:
+    declared, derived = robot.symmetry.image(), derivation.image
+    hint: str | None = (
+        f"`kickbench symmetry derive {shown(robot.model)}` prints the table that the geometry gives"
+    )
+    for path, joint in declared_joints(robot):
+        # The left joint of a pair stands for both.
+        if "right" not in path and joint in derived and declared[joint] != derived[joint]:
+            here, there = (image_words(joint, *table[joint]) for table in (declared, derived))
+            what = f"the joint '{joint}' is declared {here}, but by its geometry it is {there}"
+            yield path, what, hint
+            hint = None  # once is enough
+
+
+def _contradicted_feet(robot: RobotSpec, derivation: Derivation) -> Iterator[Complaint]:
+    feet, places = robot_feet(robot), {body.name: body.place for body in derivation.parts.bodies}
+    images = {match.name: match.partner for match in derivation.bodies}
+    for left, right in zip([*feet][::2], [*feet][1::2], strict=True):
+        mine, theirs = feet[left].body, feet[right].body
+        if images[mine] not in (None, theirs):
+            what = f"'{theirs}' is declared the {right.replace('_', ' ')} foot"
+            yield (
+                ("feet", right, "body"),
+                f"{what}, but the mirror image of the left one is '{images[mine]}'",
+            )
+        for side, body, sign in ((left, mine, 1), (right, theirs, -1)):
+            if sign * places[body][1] < 0.0:
+                yield ("feet", side, "body"), f"'{body}' lies on the other side: left is y > 0"
 
 
 @dataclass(frozen=True)

@@ -1,10 +1,9 @@
-"""Reads a robot's MJCF and checks the robot file against it: names, parts, default pose, reflection."""
+"""Reads a robot's MJCF and checks the robot file against it: names, parts, default pose."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 from itertools import chain
 
 # pyright: reportAttributeAccessIssue=false
@@ -12,15 +11,12 @@ import mujoco
 import numpy as np
 
 from kickbench.config.load import Loaded
-from kickbench.config.robot import FootSpec, RobotSpec
-from kickbench.errors import KeyPath, Problem, SpecError, nearest, shown
+from kickbench.config.robot import RobotSpec
+from kickbench.errors import KeyPath, SpecError, nearest
 from kickbench.sim.carried import lost_parts, read_mjcf, unfit_parts
 from kickbench.sim.layout import SceneLayout
 from kickbench.sim.pose import touching_geoms
-from kickbench.sim.read_parts import read_parts
 from kickbench.sim.sensors import SIDES, robot_feet
-from kickbench.symmetry.derive import Derivation, derive
-from kickbench.symmetry.representation import image_words
 
 _LEFT_TOLERANCE = 0.02
 """Angle between the base's y axis and the left, rad: a manufacturer's frames may be off by rounding."""
@@ -28,7 +24,6 @@ _PITCH_TOLERANCE = math.pi / 4
 """Angle between the base's x axis and straight ahead, rad: a trunk may lean."""
 _AT_LIMIT = 1e-6
 """How far beyond its range a joint may start, rad or m."""
-_UNUSED_OPTIONS = ("gravity", "wind", "density", "viscosity", "magnetic")
 _FREE = mujoco.mjtJoint.mjJNT_FREE
 
 Complaint = tuple[KeyPath, str, *tuple[str | None, ...]]
@@ -105,10 +100,10 @@ def _names(robot: RobotSpec) -> Iterator[tuple[KeyPath, str, str]]:
     for name, actuator in robot.actuators.items():
         if actuator.joint is not None:
             yield ("actuators", name, "joint"), "joint", actuator.joint
-    yield from ((path, "joint", joint) for path, joint in _declared_joints(robot))
+    yield from ((path, "joint", joint) for path, joint in declared_joints(robot))
 
 
-def _declared_joints(robot: RobotSpec) -> Iterator[tuple[KeyPath, str]]:
+def declared_joints(robot: RobotSpec) -> Iterator[tuple[KeyPath, str]]:
     """Where the symmetry table names each joint."""
     table = robot.symmetry
     lists: dict[KeyPath, tuple[str, ...]] = {("trivial",): table.trivial, ("sign",): table.sign}
@@ -229,91 +224,3 @@ def feet_problems(robot: RobotSpec, model: mujoco.MjModel, layout: SceneLayout) 
         elif all({(0, body), (body, 0)} & excluded for body in owners):
             what = f"a contact exclusion keeps the foot '{foot.body}' from touching the floor"
             yield ("feet", place), what
-
-
-# The declared reflection against the one that follows from the geometry
-
-
-@dataclass(frozen=True)
-class Agreement:
-    """How a declared reflection agrees with the derived one.
-
-    Attributes:
-        problems: Contradictions, each where it is declared.
-        notes: Joints whose image does not follow from the geometry; physics options that a scene ignores.
-    """
-
-    problems: tuple[Problem, ...]
-    notes: tuple[str, ...]
-
-
-def check_symmetry(robot: Loaded[RobotSpec]) -> Agreement:
-    """Compares a robot's declared joint table and feet with its geometry.
-
-    Raises:
-        SpecError: The MJCF cannot be read or compiled.
-    """
-    body, native = read_robot(robot)
-    derivation = derive(read_parts(native))
-    notes = list(_option_notes(body))
-    notes += [f"joint '{m.name}': its mirror image is not derived: {m.reason}" for m in derivation.unclear]
-    found = chain(_contradicted_joints(robot.spec, derivation), _contradicted_feet(robot.spec, derivation))
-    return Agreement(tuple(robot.document.problem(*one) for one in found), tuple(notes))
-
-
-def _option_notes(spec: mujoco.MjSpec) -> Iterator[str]:
-    default = mujoco.MjSpec().option
-    for name in _UNUSED_OPTIONS:
-        own, usual = (np.ravel(getattr(option, name)) for option in (spec.option, default))
-        if not np.array_equal(own, usual):
-            values = " ".join(f"{value:g}" for value in own)
-            yield f"the MJCF's option {name}=\"{values}\" is not used: options of physics are the task's"
-
-
-def _contradicted_joints(robot: RobotSpec, derivation: Derivation) -> Iterator[Complaint]:
-    declared, derived = robot.symmetry.image(), derivation.image
-    hint: str | None = (
-        f"`kickbench symmetry derive {shown(robot.model)}` prints the table that the geometry gives"
-    )
-    for path, joint in _declared_joints(robot):
-        # The left joint of a pair stands for both.
-        if "right" not in path and joint in derived and declared[joint] != derived[joint]:
-            here, there = (image_words(joint, *table[joint]) for table in (declared, derived))
-            what = f"the joint '{joint}' is declared {here}, but by its geometry it is {there}"
-            yield path, what, hint
-            hint = None  # once is enough
-
-
-def _contradicted_feet(robot: RobotSpec, derivation: Derivation) -> Iterator[Complaint]:
-    feet, places = robot_feet(robot), {b.name: b.place for b in derivation.parts.bodies}
-    for left, right in zip([*feet][::2], [*feet][1::2], strict=True):
-        yield from _contradicted_pair(feet[left], feet[right], right, derivation)
-    for index, (place, foot) in enumerate(feet.items()):
-        if (1, -1)[index % 2] * float(places[foot.body][1]) < 0.0:
-            yield ("feet", place, "body"), f"'{foot.body}' lies on the other side: left is y > 0"
-    for (front, foot), (hind, other) in zip([*feet.items()][:2], [*feet.items()][2:], strict=False):
-        if places[foot.body][0] < places[other.body][0]:
-            which = f"'{other.body}', the {hind.replace('_', ' ')} foot"
-            yield ("feet", front, "body"), f"'{foot.body}' lies behind {which}: ahead is x > 0"
-
-
-def _contradicted_pair(
-    left: FootSpec, right: FootSpec, place: str, derivation: Derivation
-) -> Iterator[Complaint]:
-    parts, side = derivation.parts, place.replace("_", " ")
-    bodies = {match.name: match.partner for match in derivation.bodies}
-    shapes = {match.name: match.partner for match in derivation.shapes}
-
-    def geoms(foot: FootSpec) -> set[str]:
-        whole = {s.name for s in parts.shapes if s.touches and parts.bodies[s.body].name == foot.body}
-        return set(foot.geoms) or whole
-
-    partner = bodies.get(left.body)
-    if partner not in (None, right.body):
-        what = f"'{right.body}' is declared the {side} foot"
-        yield ("feet", place, "body"), f"{what}, but the mirror image of the left one is '{partner}'"
-    images, found = {shapes.get(geom) for geom in geoms(left)}, geoms(right)
-    if None not in images and images != found:
-        theirs, wanted = (", ".join(sorted(map(str, names))) for names in (found, images))
-        what = f"the {side} foot's geoms are {theirs}; the mirror image of the left one's: {wanted}"
-        yield ("feet", place), what

@@ -19,8 +19,8 @@ import warp as wp
 from torch import Tensor
 
 from kickbench.errors import KickbenchError
-from kickbench.sim.engine import HUGE, INERTIAL_FIELDS, Engine, EngineLoad, ModelField, frame_size
-from kickbench.sim.warp_contacts import Capacity, ContactLatch, LoadWatch
+from kickbench.sim.engine import HUGE, INERTIAL_FIELDS, Engine, ModelField, frame_size
+from kickbench.sim.warp_contacts import Capacity, ContactLatch, OverflowWatch
 
 wp.config.log_level = wp.LOG_WARNING
 _DERIVED = ("body_subtreemass", "body_invweight0", "dof_invweight0", "actuator_acc0")
@@ -83,7 +83,7 @@ class WarpEngine(Engine):
                     view.opt.deterministic = int(mjw.DeterminismType.ALL)
             self._data = mjw.make_data(model, num_envs, nconmax=capacity.contacts, njmax=capacity.constraints)
             self._latch = ContactLatch(model, num_envs, decimation, contact_forces)
-            self._watch = LoadWatch(capacity, self._data)
+            self._watch = OverflowWatch(capacity, self._data)
             self._allocate()
         everywhere = torch.ones(num_envs, dtype=torch.bool, device=self.device)
         self.reset(everywhere, self.qpos.clone(), torch.zeros_like(self.qvel))
@@ -142,7 +142,6 @@ class WarpEngine(Engine):
                 data.ctrl = control
                 mjw.step(self._model.substep, data)
                 self._latch.sense(data, substep)
-                self._watch.note()
             self._watch.count()
             self._latch.latch(self.sensors)
             self._sense_frames()
@@ -177,8 +176,8 @@ class WarpEngine(Engine):
         with self._on_stream():
             self._model.set(mask, fields, self._data)
 
-    def take_load(self) -> EngineLoad:
-        """See `Engine.take_load`."""
+    def take_short_share(self) -> float:
+        """See `Engine.take_short_share`."""
         with self._on_stream():
             return self._watch.take()
 

@@ -1,8 +1,7 @@
 """Contacts on the device: how much room they need, and which sensors count them, latched over the substeps.
 
 mujoco_warp allocates contacts for all envs together and constraint rows for each env; what does not fit is
-left out of the physics. The room needed is measured, its use is watched, and a run that is short of room too
-often ends.
+left out of the physics. The room needed is measured, and a run that is short of room too often ends.
 
 In every substep, mujoco_warp's own contact sensors search all contacts once per sensor, and keep up to 64 of
 them per env and sensor. Here every contact finds the sensors that count it in a table of geom pairs and adds
@@ -21,10 +20,11 @@ import mujoco
 import numpy as np
 import torch
 import warp as wp
+from mujoco.batch import Batch
 from mujoco_warp import Data, OverflowType
 
 from kickbench.errors import KickbenchError
-from kickbench.sim.engine import EngineLoad, frame_size
+from kickbench.sim.engine import frame_size
 from kickbench.sim.silence import silent
 
 HEADROOM = 1.5
@@ -67,17 +67,11 @@ def measure_capacity(
         targets: Control targets of the control steps, each [N, nu].
         decimation: Substeps of a control step.
     """
-    data, seen = mujoco.MjData(model), []
-    for world, start in enumerate(qpos):
-        mujoco.mj_resetData(model, data)
-        data.qpos[:] = start
-        for target in targets:
-            data.ctrl[:] = target[world]
-            for _ in range(decimation):
-                mujoco.mj_step(model, data)
-                seen.append((data.ncon, data.nefc))
-    contacts, constraints = (_size(np.array(values)) for values in zip(*seen, strict=True))
-    return Capacity(contacts, constraints)
+    batch = Batch(model, len(qpos))
+    batch.bind("qpos")[:] = qpos
+    controls = np.repeat(np.stack(targets, axis=1), decimation, axis=1)
+    seen = batch.rollout(controls.shape[1], controls, record=("ncon", "nefc"))
+    return Capacity(_size(seen["ncon"]), _size(seen["nefc"]))
 
 
 def _size(seen: np.ndarray) -> int:
@@ -85,22 +79,14 @@ def _size(seen: np.ndarray) -> int:
     return _STEP_OF_SIZES * math.ceil(wanted / _STEP_OF_SIZES)
 
 
-class LoadWatch:
-    """Watches on the device how much room the envs use; the host looks at it once in a while."""
+class OverflowWatch:
+    """Counts on the device the envs that run short of room; the host looks at it once in a while."""
 
     def __init__(self, capacity: Capacity, data: Data) -> None:
         """Allocates the counters beside the engine's data."""
-        self.capacity = capacity
-        self._used = wp.to_torch(data.nacon), wp.to_torch(data.nefc)
-        self._most = tuple(torch.zeros_like(used) for used in self._used)
-        self._overflow = wp.to_torch(data.overflow)
+        self._capacity, self._overflow = capacity, wp.to_torch(data.overflow)
         self._short_steps = torch.zeros_like(self._overflow)
-        self._steps = torch.zeros_like(self._used[0])
-
-    def note(self) -> None:
-        """Records what a substep has used."""
-        for most, used in zip(self._most, self._used, strict=True):
-            torch.maximum(most, used, out=most)
+        self._steps = torch.zeros(1, device=self._overflow.device)
 
     def count(self) -> None:
         """Counts the envs that ran short in a control step, and clears mujoco_warp's overflow bits."""
@@ -108,44 +94,23 @@ class LoadWatch:
         self._overflow.zero_()
         self._steps += 1
 
-    def take(self) -> EngineLoad:
-        """What has been seen since the last call; waits for the device.
+    def take(self) -> float:
+        """Share of the control steps since the last call that ran short; waits for the device.
 
         Raises:
-            KickbenchError: Something did not fit too often; the message names the figure to raise.
+            KickbenchError: It is too large.
         """
-        load = EngineLoad(
-            contacts=float(self._most[0]) / len(self._overflow),
-            constraints=int(self._most[1].max()),
-            contact_room=self.capacity.contacts,
-            constraint_room=self.capacity.constraints,
-            short_share=float(self._short_steps.float().mean()) / max(int(self._steps), 1),
-        )
-        for counter in (*self._most, self._steps, self._short_steps):
-            counter.zero_()
-        allowed = self.capacity.allowed_share
-        if load.short_share > allowed:
+        share = float(self._short_steps.float().mean()) / max(int(self._steps), 1)
+        self._short_steps.zero_()
+        self._steps.zero_()
+        room = self._capacity
+        if share > room.allowed_share:
             raise KickbenchError(
-                f"in {load.short_share:.2%} of the control steps an env ran out of room for contacts or "
-                f"constraints, which were left out of its physics ({allowed:.2%} are allowed): "
-                f"{_advice(load)}"
+                f"in {share:.2%} of the control steps an env ran out of room for contacts or constraints, "
+                f"which were left out of its physics ({room.allowed_share:.2%} are allowed): raise "
+                f"max_contacts from {room.contacts} or max_constraints from {room.constraints}"
             )
-        return load
-
-
-def _advice(load: EngineLoad) -> str:
-    use = {
-        "max_contacts": (load.contact_room, math.ceil(load.contacts)),
-        "max_constraints": (load.constraint_room, load.constraints),
-    }
-    raised = [
-        f"{name} from {room} to {_size(np.array([needed]))}"
-        for name, (room, needed) in use.items()
-        if needed > room
-    ]
-    return (
-        f"raise {' and '.join(raised)}" if raised else "collisions need more than mujoco_warp's own buffers"
-    )
+        return share
 
 
 @wp.kernel(enable_backward=False)

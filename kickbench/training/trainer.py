@@ -314,9 +314,8 @@ class Trainer:
         return self._evaluate(self.ppo.get_policy())
 
     def _load(self) -> dict[str, float]:
-        load = self.env.engine.take_load()
-        names = ("contacts", "constraints", "short_share") if load is not None else ()
-        return {f"load/{name}": getattr(load, name) for name in names}
+        share = self.env.engine.take_short_share()
+        return {} if share is None else {"load/short_share": share}
 
     def _residual_shares(self) -> dict[str, float]:
         networks = {"actor": self.ppo.get_policy(), "critic": self.ppo.critic}

@@ -20,8 +20,7 @@ from kickbench.config.yamltree import RENAMED
 from kickbench.envs.catalog import catalog, model_of_task, task_model
 from kickbench.envs.compiled_task import CompiledTask, compile_task, own_representations
 from kickbench.errors import Mark, Problem, collected, did_you_mean
-from kickbench.sim.plausible import findings, step_warnings
-from kickbench.sim.read_robot import check_symmetry
+from kickbench.sim.plausible import findings, step_warnings, symmetry_findings
 from kickbench.symmetry.field_table import resolve_expression
 from kickbench.trials.experiment import load_experiment
 from kickbench.trials.trial import symmetry_of
@@ -149,10 +148,7 @@ def _load(path: Path, report: Report, overrides: Sequence[str]) -> CompiledTask 
     else:
         load(RepresentationSpec, path, overrides)
     for robot in robots:
-        agreement = check_symmetry(robot)
-        report.problems += agreement.problems
-        report.notes += agreement.notes
-        for finding in findings(robot):
+        for finding in (*symmetry_findings(robot), *findings(robot)):
             if not finding.surely:
                 report.notes.append(str(finding.problem))
             elif finding.problem not in report.problems:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from contextlib import closing
 from typing import Any
 
 # pyright: reportAttributeAccessIssue=false
@@ -171,7 +170,7 @@ def slider_limits(task: CompiledTask) -> np.ndarray:
 
 
 def play(session: Session, host: str, port: int, browser: bool | None) -> None:
-    """Shows a session in a browser until Ctrl-C, and closes it.
+    """Shows a session in a browser until Ctrl-C.
 
     Args:
         session: A session, whose title is that of page and window.
@@ -182,7 +181,7 @@ def play(session: Session, host: str, port: int, browser: bool | None) -> None:
     Raises:
         KickbenchError: MuJoCo has no viewer that can be guarded, or `studio.show` fails.
     """
-    with closing(session), torch_threads(1):
+    with torch_threads(1):
         try:
             from kickbench.view.studio import show
         except (ImportError, AttributeError) as error:

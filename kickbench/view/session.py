@@ -142,7 +142,3 @@ class Session:
             names = [bound.name for bound in env.task.terminations]
             fired = int(outcome.terminated[0].int().argmax())
             self.ending = NON_FINITE if outcome.failed[0] else names[fired]
-
-    def close(self) -> None:
-        """Frees the engine."""
-        self.env.engine.close()

@@ -56,7 +56,7 @@ def test_all_is_tried_and_written_whatever_fails(monkeypatch, elsewhere, trials,
 def test_engines_that_differ_fail_the_parity(monkeypatch, trials):
     def heavier(task, num_envs, device):
         engine = make_engine(task, num_envs, device)
-        engine._stepped.opt.gravity[2] *= 1.5
+        engine._batch.expand("opt.gravity")[:, 2] *= 1.5
         return engine
 
     monkeypatch.setattr(proof, "make_warp_engine", heavier)

@@ -93,7 +93,7 @@ class Drift:
     def capturing(self) -> AbstractContextManager[None]:
         return nullcontext()
 
-    def take_load(self) -> None:
+    def take_short_share(self) -> None:
         """There are no contacts to find room for."""
 
     def _state(self) -> dict[str, Tensor]:

@@ -86,7 +86,7 @@ def test_heavier_robots_press_harder_on_the_floor():
 
 def torque(env: KickEnv, world: int, *, lead: float, speed: float) -> np.ndarray:
     """Torques of all joints of a world whose targets lead by an angle while they turn [22]."""
-    layout, model = env.task.scene.layout, env.engine._models[world]
+    layout, model = env.task.scene.layout, env.engine._batch.get_model(world)
     data = mujoco.MjData(model)
     data.qpos[:], data.qvel[layout.joint_qvel] = layout.default_qpos, speed
     data.ctrl[:] = layout.default_target + lead

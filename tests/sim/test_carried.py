@@ -11,7 +11,7 @@ import pytest
 
 from kickbench.config.load import load
 from kickbench.config.robot import RobotSpec
-from kickbench.sim.read_robot import check_symmetry
+from kickbench.sim.plausible import symmetry_findings
 
 MJCF = """
 <mujoco><compiler angle="radian"/>{settings}
@@ -250,8 +250,8 @@ def test_mujocos_warnings_of_attaching_reach_nobody(build, capfd):
 def test_physics_options_that_are_not_used_are_noted(tmp_path):
     Path(tmp_path, "robot.xml").write_text(mjcf(settings='<option gravity="0 0 -3.7" density="1.2"/>'))
     Path(tmp_path, "robot.yaml").write_text(robot())
-    notes = check_symmetry(load(RobotSpec, tmp_path / "robot.yaml")).notes
-    assert [note.split(" is not used")[0] for note in notes] == [
+    found = symmetry_findings(load(RobotSpec, tmp_path / "robot.yaml"))
+    assert [finding.problem.message.split(" is not used")[0] for finding in found if not finding.surely] == [
         'the MJCF\'s option gravity="0 0 -3.7"',
         'the MJCF\'s option density="1.2"',
     ]

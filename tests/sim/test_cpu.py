@@ -144,7 +144,6 @@ def test_the_number_of_threads_changes_nothing(task):
         for seed in range(4):
             engine.step(random_targets(task, WORLDS, seed))
         results.append((engine.qpos.clone(), engine.sensors.clone()))
-        engine.close()
     for other in results[1:]:
         torch.testing.assert_close(other, results[0], rtol=0, atol=0)
 

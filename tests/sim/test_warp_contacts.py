@@ -15,7 +15,7 @@ import warp as wp
 from mujoco_warp import OverflowType
 
 from kickbench.envs.engines import rehearsal
-from kickbench.sim.warp_contacts import Capacity, ContactLatch, LoadWatch, measure_capacity
+from kickbench.sim.warp_contacts import Capacity, ContactLatch, OverflowWatch, measure_capacity
 
 RESTING = """<mujoco><option cone="elliptic"/><worldbody><geom type="plane" size="0 0 1"/>
   <body pos="0 0 0.0499"><freejoint/><geom type="box" size=".05 .05 .05"/></body></worldbody></mujoco>"""
@@ -54,21 +54,15 @@ def test_a_rehearsal_starts_where_the_task_does_and_moves_every_actuator(experim
     np.testing.assert_allclose(spread, task.scene.layout.action_scale, rtol=0.1)
 
 
-def test_the_most_that_was_used_is_kept_and_envs_that_ran_short_are_counted():
-    data = SimpleNamespace(
-        nacon=wp.zeros(1, dtype=int), nefc=wp.zeros(2, dtype=int), overflow=wp.zeros(2, dtype=int)
-    )
-    watch = LoadWatch(Capacity(8, 24, allowed_share=0.6), data)
-    for contacts, rows, overflow in ((3, [9, 12], [0, 0]), (5, [6, 30], [0, int(OverflowType.NEFC)])):
-        data.nacon.fill_(contacts)
-        data.nefc.assign(rows)
+def test_envs_that_ran_short_are_counted():
+    data = SimpleNamespace(overflow=wp.zeros(2, dtype=int))
+    watch = OverflowWatch(Capacity(8, 24, allowed_share=0.6), data)
+    for overflow in ([0, 0], [0, int(OverflowType.NEFC)]):
         data.overflow.assign(overflow)
-        watch.note()
         watch.count()
-    load = watch.take()
-    assert (load.contacts, load.constraints, load.short_share) == (2.5, 30, 0.25)
+    assert watch.take() == 0.25
     assert not data.overflow.numpy().any()
-    assert watch.take().constraints == 0, "every look begins anew"
+    assert watch.take() == 0.0, "every look begins anew"
 
 
 LATCHED = """<mujoco><worldbody><geom name="floor" type="plane" size="0 0 1"/><body name="b"><freejoint/>

@@ -87,7 +87,7 @@ def test_a_recorded_step_and_reset_do_what_they_do_one_kernel_at_a_time(task):
     with torch.cuda.graph(graph, capture_error_mode="thread_local"), engine.capturing():
         whole_step()
     torch.testing.assert_close(run(graph.replay), expected, rtol=0, atol=0)
-    assert engine.take_load() is not None
+    assert engine.take_short_share() is not None
 
 
 def test_torchs_part_of_a_step_waits_for_nothing(task):

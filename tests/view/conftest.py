@@ -56,9 +56,7 @@ def session(task):
     """A session of all episodes of the task's evaluation, with a policy that drives forward."""
     from kickbench.view.session import Session
 
-    session = Session(task, drive_forward, 7, task.spec.evaluation.episodes)
-    yield session
-    session.close()
+    return Session(task, drive_forward, 7, task.spec.evaluation.episodes)
 
 
 @pytest.fixture

@@ -115,14 +115,12 @@ def test_without_a_policy_the_robot_stands_until_time_is_out(task):
     moved = np.abs(session.qpos - before)
     assert np.delete(moved, range(ball, ball + 7)).max() < 0.05
     assert moved[ball : ball + 2].max() < 0.02
-    session.close()
 
 
 def test_a_policy_runs_on_another_task_of_the_same_robot(task, trained):
     session = Session(task, load_run(trained.path).policy_for(task), 7, 1)
     session.step()
     assert session.outcome is not None
-    session.close()
 
 
 def test_a_policy_that_sees_other_fields_is_refused(trained):
