@@ -12,11 +12,12 @@ from PIL import Image, ImageDraw, ImageFont
 
 from kickbench.envs.compiled_task import CompiledTask
 from kickbench.evaluation.progress_bar import tracked
+from kickbench.evaluation.rollouts import evaluation_initial_states
 from kickbench.results.atomic import atomic_file
 from kickbench.results.metrics import load_metrics
 from kickbench.results.store import RunDirectory
 from kickbench.training.trained import load_run
-from kickbench.view.session import Session, evaluation_initial_states
+from kickbench.view.session import Session
 from kickbench.view.stage import Stage
 
 _INK, _PAPER, _PALE, _WHITE = (32, 38, 44), (250, 250, 248), (104, 112, 120), (255, 255, 255)

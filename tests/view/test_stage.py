@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from kickbench.errors import KickbenchError
+from kickbench.evaluation.rollouts import evaluation_initial_states
 from kickbench.view import backend
-from kickbench.view.session import evaluation_initial_states
 from kickbench.view.stage import dress, fit_camera
 
 ASPECT = 4 / 3
