@@ -32,15 +32,14 @@ class Player:
         paused: Whether time stands still.
         speed: Simulated over real time.
         repeat: Whether an episode is followed by one from the same initial state instead of the next.
-        tallies: Successes and ended episodes, from initial states as drawn and from their mirror images.
     """
 
     def __init__(self, session: Session) -> None:
         """Takes the session, whose title is that of the window."""
         self.session, self._blocked = session, False
-        self.paused, self.repeat, self.speed, self.tallies = False, False, 1.0, ([0, 0], [0, 0])
+        self.paused, self.repeat, self.speed = False, False, 1.0
         self._limits = slider_limits(session.env.task)
-        self._before: float | None = None
+        self._before = time.monotonic()
         self._credit, self._hold = 0.0, 0
 
     def elapse(self, seconds: float) -> None:
@@ -62,10 +61,7 @@ class Player:
                 session.restart() if self.repeat else session.show(session.number + 1)
             return
         session.step()
-        if session.ending and session.outcome is not None:
-            self._hold = round(_HOLD / session.interval)
-            tally = self.tallies[session.mirrored]
-            tally[:] = tally[0] + int(session.outcome.success[0]), tally[1] + 1
+        self._hold = round(_HOLD / session.interval)
 
     def lines(self) -> list[str]:
         """Lines of text about the episode."""
@@ -73,14 +69,12 @@ class Player:
         steps, foot = (int(out.steps[0]), FOOT_NAMES[int(out.record.kick_foot[0])]) if out else (0, "none")
         distance = float(np.linalg.norm(session.ball - session.start.target[0].numpy()))
         success = " (success)" if out and out.success[0] else ""
-        home, mirrored = (f"{successes} of {episodes}" for successes, episodes in self.tallies)
         return [
             f"{'mirror image of ' if session.mirrored else ''}initial state {session.number}, "
             f"{steps * session.interval:.2f} s",
             f"foot that touched the ball first: {foot}",
             f"ball to target: {distance:.2f} m",
             f"ended: {session.ending}{success}" if session.ending else "paused" if self.paused else "running",
-            f"success: {home}, mirrored {mirrored} episodes",
         ]
 
     def prepare(self, viewer: Any) -> None:
@@ -93,7 +87,7 @@ class Player:
     def update(self, viewer: Any) -> None:
         """Lets the time since the last frame pass, and places robot, ball and target."""
         now = time.monotonic()
-        self.elapse(0.0 if self._before is None else now - self._before)
+        self.elapse(now - self._before)
         self._before = now
         viewer.data.qpos[:] = self.session.qpos
         viewer.data.mocap_pos[viewer.model.body("target").mocapid[0], :2] = self.session.start.target[0]
@@ -176,8 +170,8 @@ def play(session: Session, host: str, port: int, browser: bool | None) -> None:
     Args:
         session: A session, whose title is that of page and window.
         host: Interface to bind.
-        port: Port; if it is taken, one of the next.
-        browser: Whether to open a browser; None: if there is one.
+        port: Port; 0: any.
+        browser: Whether to open a browser; None: if there is a screen.
 
     Raises:
         KickbenchError: MuJoCo has no viewer that can be guarded, or `studio.show` fails.
