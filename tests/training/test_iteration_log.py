@@ -267,6 +267,7 @@ def test_everything_is_closed_even_when_one_place_fails(tmp_path, monkeypatch):
     progress = quiet(tmp_path / "progress.csv")
     monkeypatch.setattr("torch.utils.tensorboard.writer.SummaryWriter.close", fail)
     progress.start(2, 0)
+    progress.update(FIRST)
     with pytest.raises(OSError, match="disk full"):
         progress.close()
     assert progress._table.closed
@@ -295,9 +296,9 @@ def test_any_flipped_bit_of_a_row_or_of_a_column_name_is_found(tmp_path):
 
 def test_rows_of_an_older_table_get_their_checks_on_a_resume(tmp_path):
     path = tmp_path / "progress.csv"
-    write_rows(path, range(2))
+    write_rows(path, range(3))
     whole = path.read_text()
     path.write_text("".join(line.rpartition(",")[0] + "\n" for line in whole.splitlines()))
-    assert len(checked_rows(path)) == 3
-    write_rows(path, [], first=2)
+    assert len(checked_rows(path)) == 4
+    write_rows(path, [2], first=2)
     assert path.read_text() == whole
