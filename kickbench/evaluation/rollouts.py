@@ -33,6 +33,9 @@ from kickbench.trials.trial import Symmetry, state_symmetry
 Policy = Callable[[TensorDict], Tensor]
 """Observations {group: [B, width]} -> actions [B, nu]."""
 
+_BUSY_SHARE, _FEWEST_ENVS = 0.75, 8
+"""Share of busy envs below which the idle ones are dropped, and number of envs that are always kept."""
+
 
 def draw_initial_states(task: CompiledTask, episodes: int, seed: int) -> InitialStates:
     """Draws the initial states of an evaluation; the same seed gives the same ones on every machine."""
@@ -76,8 +79,8 @@ class _Schedule:
         draws: Random numbers of the running episodes.
     """
 
-    def __init__(self, initial_states: InitialStates, seed: int, num_envs: int) -> None:
-        self._initial_states, self._seed, self._begun = initial_states, seed, 0
+    def __init__(self, initial_states: InitialStates, seed: int, num_envs: int, begun: int = 0) -> None:
+        self._initial_states, self._seed, self._begun = initial_states, seed, begun
         self.running = torch.full((num_envs,), -1)
         self.draws = EpisodeDraws(num_envs)
 
@@ -96,13 +99,36 @@ class _Schedule:
                 self.draws.begin(env, (self._seed, episode))
         return self._initial_states.take(self.running.clamp(min=0))
 
+    def busy(self) -> Tensor | None:
+        """Envs to go on with, where idle ones cost more than new envs; None: all of them."""
+        idle = self.running < 0
+        count = max(len(idle) - int(idle.sum()), _FEWEST_ENVS)
+        return None if count > _BUSY_SHARE * len(idle) else idle.int().argsort(stable=True)[:count]
+
+    def make_env(self, task: CompiledTask, num_threads: int | None) -> KickEnv:
+        """Envs that run the episodes."""
+        source = {"initial_states": self, "draws": self.draws}
+        return evaluation_env(task, len(self.running), self._seed, num_threads, **source)
+
+    def go_on(self, env: KickEnv, envs: Tensor, num_threads: int | None) -> tuple[_Schedule, KickEnv]:
+        """Goes on with some envs alone, once every episode has begun: an engine steps all that it has."""
+        fewer = _Schedule(self._initial_states, self._seed, len(envs), begun=len(self._initial_states))
+        smaller = fewer.make_env(env.task, num_threads)
+        smaller.restore(env.snapshot().take(envs))
+        smaller.tensors.observations.copy_(env.tensors.observations.take(envs))
+        env.engine.close()
+        # Last: making and restoring the envs has drawn numbers and asked for initial states.
+        fewer.running = self.running[envs]
+        fewer.draws.streams[:] = [self.draws.streams[place] for place in envs.tolist()]
+        return fewer, smaller
+
 
 def run_episodes(
     task: CompiledTask,
     policy: Policy,
     initial_states: InitialStates,
     seed: int,
-    num_envs: int = 128,
+    num_envs: int = 512,
     num_threads: int | None = None,
     probe: EquivarianceProbe | None = None,
     note: Callable[[int], None] | None = None,
@@ -130,10 +156,10 @@ def run_episodes(
     """
     schedule, ended = _Schedule(initial_states, seed, min(num_envs, len(initial_states))), []
     with torch.inference_mode(), torch_threads(1):
-        source = {"initial_states": schedule, "draws": schedule.draws}
-        env = evaluation_env(task, len(schedule.running), seed, num_threads, **source)
-        kick = KickRecord.empty(env.num_envs)
+        env, kick = schedule.make_env(task, num_threads), KickRecord.empty(len(schedule.running))
         while (schedule.running >= 0).any():
+            if (busy := schedule.busy()) is not None:
+                (schedule, env), kick = schedule.go_on(env, busy, num_threads), kick.take(busy)
             observations, running = env.get_observations(), schedule.running
             actions = policy(observations)
             if probe is not None:

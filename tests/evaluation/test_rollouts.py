@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 import torch
 
+from kickbench.envs.env import KickEnv
 from kickbench.evaluation.rollouts import draw_initial_states, mirror_initial_states, run_episodes, run_sides
 from kickbench.nets.actor_critic import build_actor
 from kickbench.results.summary import summarise
@@ -85,6 +86,17 @@ def test_an_episode_is_the_same_among_others_and_alone(short):
     table = run_episodes(short.task, kicker(short), starts, 0, num_envs=16)
     alone = run_episodes(short.task, kicker(short), starts.take(torch.arange(20, 28)), 0)
     assert_equal(alone, table[20:28].reset_index(drop=True))
+
+
+def test_few_steps_are_spent_on_envs_without_an_episode(short, monkeypatch):
+    stepped = []
+    advance = KickEnv.advance
+    monkeypatch.setattr(
+        KickEnv, "advance", lambda env, actions: (stepped.append(env.num_envs), advance(env, actions))[1]
+    )
+    table = run_episodes(short.task, kicker(short), draw_initial_states(short.task, 400, 0), 0, num_envs=100)
+    assert len(set(table.steps.tolist())) > 10
+    assert table.steps.sum() <= sum(stepped) < 1.1 * table.steps.sum()
 
 
 def test_a_seed_names_the_starts(short):
