@@ -100,7 +100,7 @@ def play(
     path: Path = cli.argument(_PLAYED, "RUN|TASK", autocompletion=cli.names_of("task")),
     task: Path | None = cli.option("Another task for the run's policy.", **cli.TASK),
     seed: cli.TaskSeed = None,
-    port: int = cli.option("Port; 0: any that is free (default: 8080).", default=8080, min=0, max=2**16 - 1),
+    port: int = cli.option("Port, or the next free (default: 8080).", default=8080, min=0, max=2**16 - 1),
     host: str = cli.option("Interface; who reaches it controls the page.", default="127.0.0.1"),
     browser: bool | None = cli.option("Open a browser (default: if there is one).", "--browser/--no-browser"),
     trust_code: cli.Trust = False,

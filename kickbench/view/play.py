@@ -32,12 +32,13 @@ class Player:
         paused: Whether time stands still.
         speed: Simulated over real time.
         repeat: Whether an episode is followed by one from the same initial state instead of the next.
+        tallies: Successes and ended episodes, from initial states as drawn and from their mirror images.
     """
 
     def __init__(self, session: Session) -> None:
         """Takes the session, whose title is that of the window."""
         self.session, self._blocked = session, False
-        self.paused, self.repeat, self.speed = False, False, 1.0
+        self.paused, self.repeat, self.speed, self.tallies = False, False, 1.0, ([0, 0], [0, 0])
         self._limits = slider_limits(session.env.task)
         self._before = time.monotonic()
         self._credit, self._hold = 0.0, 0
@@ -62,6 +63,9 @@ class Player:
             return
         session.step()
         self._hold = round(_HOLD / session.interval)
+        if session.ending and session.outcome is not None:
+            tally = self.tallies[session.mirrored]
+            tally[:] = tally[0] + int(session.outcome.success[0]), tally[1] + 1
 
     def lines(self) -> list[str]:
         """Lines of text about the episode."""
@@ -69,12 +73,14 @@ class Player:
         steps, foot = (int(out.steps[0]), FOOT_NAMES[int(out.record.kick_foot[0])]) if out else (0, "none")
         distance = float(np.linalg.norm(session.ball - session.start.target[0].numpy()))
         success = " (success)" if out and out.success[0] else ""
+        home, mirrored = (f"{successes} of {episodes}" for successes, episodes in self.tallies)
         return [
             f"{'mirror image of ' if session.mirrored else ''}initial state {session.number}, "
             f"{steps * session.interval:.2f} s",
             f"foot that touched the ball first: {foot}",
             f"ball to target: {distance:.2f} m",
             f"ended: {session.ending}{success}" if session.ending else "paused" if self.paused else "running",
+            f"success: {home}, mirrored {mirrored} episodes",
         ]
 
     def prepare(self, viewer: Any) -> None:
@@ -170,8 +176,8 @@ def play(session: Session, host: str, port: int, browser: bool | None) -> None:
     Args:
         session: A session, whose title is that of page and window.
         host: Interface to bind.
-        port: Port; 0: any.
-        browser: Whether to open a browser; None: if there is a screen.
+        port: Port; if it is taken, one of the next.
+        browser: Whether to open a browser; None: if there is one.
 
     Raises:
         KickbenchError: MuJoCo has no viewer that can be guarded, or `studio.show` fails.

@@ -7,6 +7,7 @@ is served.
 
 from __future__ import annotations
 
+import errno
 import ipaddress
 import logging
 import os
@@ -16,6 +17,7 @@ import sys
 import threading
 import webbrowser
 from collections.abc import Collection
+from contextlib import suppress
 from http import HTTPStatus
 from typing import Any
 from urllib.parse import urlsplit
@@ -29,6 +31,8 @@ from mujoco.studio.web import web_server
 from kickbench.errors import KickbenchError
 from kickbench.view.play import Player
 
+_PORTS = 20
+"""Number of ports that are tried, from the requested one on."""
 _CLOSING = 5.0
 """Longest time that closing may take after an interrupt, s."""
 _PATIENCE = 30.0
@@ -43,16 +47,17 @@ def show(model: mujoco.MjModel, player: Player, host: str, port: int, browser: b
         model: What is shown.
         player: Its state and controls; the title of its session is that of the page.
         host: Interface to bind.
-        port: Port; 0: any.
-        browser: Whether to open a browser; None: if there is a screen.
+        port: Port; if it is taken, one of the next.
+        browser: Whether to open a browser; None: if there is one.
 
     Raises:
-        KickbenchError: The port is taken, or Studio cannot be guarded.
+        KickbenchError: There is no port, no browser though one is asked for, or Studio cannot be guarded.
     """
     for module, name in _REPLACED:
         if not hasattr(module, name):
             found = f"MuJoCo {mujoco.__version__} has no {module.__name__}.{name}"
             raise KickbenchError(f"{found}, so its viewer cannot be guarded: pip install 'mujoco==4.0.*'")
+    opened = None if browser is False else _find_browser(required=bool(browser))
     server = listen(host, port)
     address, taken = server.getsockname()[:2]
     own = {host.lower(), socket.gethostname().lower(), socket.getfqdn().lower()}
@@ -67,9 +72,9 @@ def show(model: mujoco.MjModel, player: Player, host: str, port: int, browser: b
         try:
             if not serving.wait(_PATIENCE):
                 raise KickbenchError(f"MuJoCo {mujoco.__version__}: its web viewer does not begin to serve")
-            _announce(_url(address, taken), taken, names is None)
-            if browser or (browser is None and _has_screen()):
-                threading.Thread(target=webbrowser.open, args=(_url(address, taken),), daemon=True).start()
+            _announce(_url(address, taken), port, taken, names is None)
+            if opened:
+                threading.Thread(target=opened.open, args=(_url(address, taken),), daemon=True).start()
             viewer_protocol.run_viewer_loop(viewer)
         except KeyboardInterrupt:
             pass
@@ -108,20 +113,23 @@ class _Plugin:
 
 
 def listen(host: str, port: int) -> socket.socket:
-    """Opens a listening socket.
+    """Opens a listening socket on a port, or on the next one that is free.
 
     Args:
         host: Name or address of an interface.
-        port: Port; 0: any.
+        port: The requested port; 0: any.
 
     Raises:
-        KickbenchError: The host is not an address of this machine, or the port is taken.
+        KickbenchError: The host is not an address of this machine, or none of 20 ports is free.
     """
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    try:
-        return socket.create_server((host, port), family=family)
-    except OSError as error:
-        raise KickbenchError(f"--host {host} --port {port}: {error.strerror or error}") from None
+    for candidate in range(port, min(port + _PORTS, 2**16)):
+        try:
+            return socket.create_server((host, candidate), family=family)
+        except OSError as error:
+            if error.errno != errno.EADDRINUSE:
+                raise KickbenchError(f"--host {host} --port {candidate}: {error.strerror or error}") from None
+    raise KickbenchError(f"--port {port}: this port and the {_PORTS - 1} after it are taken")
 
 
 def refusal(headers: Any, names: Collection[str] | None) -> str | None:
@@ -181,11 +189,19 @@ def _url(address: str, port: int) -> str:
     return f"http://[{address}]:{port}/" if ":" in address else f"http://{address}:{port}/"
 
 
-def _has_screen() -> bool:
-    return sys.platform != "linux" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+def _find_browser(*, required: bool) -> webbrowser.BaseBrowser | None:
+    """A browser with a window, or None."""
+    if sys.platform != "linux" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
+        with suppress(webbrowser.Error):
+            return webbrowser.get()
+    if required:
+        raise KickbenchError("--browser: no browser was found here; --no-browser serves the page without one")
+    return None
 
 
-def _announce(url: str, port: int, local: bool) -> None:
+def _announce(url: str, requested: int, port: int, local: bool) -> None:
+    if requested and port != requested:
+        print(f"port {requested} is taken: {port} is used")
     if not local:
         what = f"everyone who reaches port {port} of this machine sees this page and controls it"
         print(f"warning: {what}", file=sys.stderr)

@@ -82,6 +82,17 @@ def test_the_end_of_an_episode_stays_in_sight_and_then_the_next_begins(player, s
         assert not np.array_equal(session.qpos, last)
 
 
+def test_successes_are_counted_on_each_side(player, session):
+    for _ in range(2):
+        run_to_end(player)
+        session.mirror()
+    assert [episodes for _, episodes in player.tallies] == [1, 1]
+    successes, _ = player.tallies[0]
+    session.show(0)
+    run_to_end(player)
+    assert player.tallies[0] == [successes + int(session.outcome.success[0]), 2]
+
+
 class Gui:
     """Dear ImGui as the controls use it: presses what it is told to, and keeps every text."""
 
@@ -156,10 +167,11 @@ def test_a_slider_places_the_target_or_says_that_there_is_no_room(session, drawn
     assert "no room" not in " ".join(drawn(slider=("ball x", 0.4)))
 
 
-def test_the_window_reports_rewards_and_foot(player, session, drawn):
+def test_the_window_reports_rewards_foot_and_success(player, session, drawn):
     run_to_end(player)
     texts = drawn()
     assert f"ended: {session.ending}" in " ".join(texts)
+    assert f"success: {player.tallies[0][0]} of 1, mirrored 0 of 0 episodes" in texts
     for bound, _ in session.env.task.rewards:
         assert bound.name in texts
     assert any(text.startswith("foot that touched the ball first: ") for text in texts)
@@ -298,11 +310,14 @@ def test_another_interface_is_served_with_a_warning_to_addresses_and_own_names_o
         )
 
 
-def test_a_taken_port_is_named():
+def test_a_taken_port_leads_to_the_next_one(monkeypatch):
     with studio.listen("127.0.0.1", 0) as first:
-        taken = first.getsockname()[1]
-        with pytest.raises(KickbenchError, match=rf"--port {taken}: Address already in use"):
-            studio.listen("127.0.0.1", taken)
+        wished = first.getsockname()[1]
+        with studio.listen("127.0.0.1", wished) as second:
+            assert wished < second.getsockname()[1] < wished + 20
+        monkeypatch.setattr(studio, "_PORTS", 1)
+        with pytest.raises(KickbenchError, match=rf"--port {wished}: .* taken"):
+            studio.listen("127.0.0.1", wished)
 
 
 def test_a_host_of_another_machine_is_refused():
@@ -347,6 +362,13 @@ def test_a_folder_that_is_no_run_is_named(tmp_path, capsys):
 
 def test_a_missing_file_is_named(tmp_path, capsys):
     assert "nowhere.yaml" in complaint(capsys, tmp_path / "nowhere.yaml")
+
+
+def test_a_missing_browser_is_said_where_one_is_asked_for(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "platform", "linux")
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    assert "--no-browser serves the page" in complaint(capsys, TASK, "--browser")
 
 
 def test_a_missing_viewer_is_named(monkeypatch, capsys):
