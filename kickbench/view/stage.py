@@ -62,7 +62,7 @@ class Stage:
         ball = qpos[self._ball : self._ball + 2]
         side = target[0] * ball[1] - target[1] * ball[0]  # positive: the ball is to the left of the line
         heading = np.degrees(np.arctan2(target[1], target[0])) - np.copysign(_ASIDE, side)
-        return look_at([*0.4 * target, 0.3], 2.0 + 0.65 * np.linalg.norm(target), heading)
+        return look_at([*0.4 * target, 0.3], 2.0 + 0.65 * float(np.linalg.norm(target)), heading)
 
     def portrait(self, half: float, height: float) -> mujoco.MjvCamera:
         """A camera that has a box around the origin in the picture, seen from ahead and the left.
