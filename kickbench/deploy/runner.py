@@ -19,7 +19,7 @@ class Policy:
     take batches: `observation`, the call itself, `targets`, and `mirror`.
 
     Attributes:
-        contract: What `policy.json` holds (`kickbench.deploy.contract.Contract` describes it).
+        contract: What `policy.json` holds (`kickbench.deploy.contract` describes it).
         action: The last action of `step` [nu].
     """
 

@@ -8,9 +8,10 @@ that no env has taken. An episode does not depend on when it runs, or in which e
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 import torch
 from tensordict import TensorDict
 from torch import Tensor
@@ -19,7 +20,7 @@ from kickbench.envs.compiled_task import CompiledTask
 from kickbench.envs.disturbances import EpisodeDraws
 from kickbench.envs.engines import make_engine
 from kickbench.envs.env import KickEnv
-from kickbench.envs.episode import FOOT_NAMES
+from kickbench.envs.episode import FOOT_NAMES, Outcome
 from kickbench.envs.initial_states import InitialStates, InitialStateSampler
 from kickbench.evaluation.probes import EquivarianceProbe, KickRecord, StateTrack, twin_distances
 from kickbench.evaluation.progress_bar import EVALUATING, Steps
@@ -42,9 +43,32 @@ def draw_initial_states(task: CompiledTask, episodes: int, seed: int) -> Initial
     return InitialStateSampler(task, generator).sample(episodes)
 
 
+def evaluation_initial_states(task: CompiledTask, count: int, seed: int) -> InitialStates:
+    """The first initial states of the task's evaluation with a seed; state k is row k of `episodes.csv`."""
+    # All of them are drawn: which numbers of the generator one gets depends on their count.
+    initial = draw_initial_states(task, max(count, task.spec.evaluation.episodes), seed)
+    return initial.take(torch.arange(count))
+
+
 def mirror_initial_states(task: CompiledTask, initial_states: InitialStates) -> InitialStates:
     """The exact mirror images of the given initial states."""
     return initial_states.mirrored(*(Mirror(representation) for representation in state_symmetry(task)))
+
+
+def evaluation_env(
+    task: CompiledTask, num_envs: int, seed: int, num_threads: int | None, **source: Any
+) -> KickEnv:
+    """Envs with the observation noise and the pushes of a task's evaluation, on the CPU.
+
+    Args:
+        task: Compiled task.
+        num_envs: Number of envs.
+        seed: Seed of whatever `source` does not draw.
+        num_threads: Physics threads.
+        source: `initial_states` and `draws` of `KickEnv`.
+    """
+    engine, protocol = make_engine(task, num_envs, num_threads=num_threads), task.spec.evaluation
+    return KickEnv(task, engine, seed, noise=protocol.observation_noise, pushes=protocol.pushes, **source)
 
 
 class _Schedule:
@@ -56,7 +80,7 @@ class _Schedule:
     """
 
     def __init__(self, initial_states: InitialStates, seed: int, num_envs: int, begun: int = 0) -> None:
-        self.initial_states, self._seed, self._begun = initial_states, seed, begun
+        self._initial_states, self._seed, self._begun = initial_states, seed, begun
         self.running = torch.full((num_envs,), -1)
         self.draws = EpisodeDraws(num_envs)
 
@@ -67,74 +91,35 @@ class _Schedule:
         """
         envs = mask.nonzero().squeeze(1)
         given = torch.arange(self._begun, self._begun + len(envs))
-        given[given >= len(self.initial_states.qpos)] = -1
+        given[given >= len(self._initial_states.qpos)] = -1
         self._begun += len(envs)
         self.running = self.running.index_put((envs,), given)
         for env, episode in zip(envs.tolist(), given.tolist(), strict=True):
             if episode >= 0:
                 self.draws.begin(env, (self._seed, episode))
-        return self.initial_states.take(self.running.clamp(min=0))
+        return self._initial_states.take(self.running.clamp(min=0))
 
     def busy(self) -> Tensor | None:
-        """Envs to go on with, where idle ones cost more than a smaller engine; None: all of them."""
+        """Envs to go on with, where idle ones cost more than new envs; None: all of them."""
         idle = self.running < 0
         count = max(len(idle) - int(idle.sum()), _FEWEST_ENVS)
-        if count > _BUSY_SHARE * len(idle):
-            return None
-        return idle.int().argsort(stable=True)[:count]
+        return None if count > _BUSY_SHARE * len(idle) else idle.int().argsort(stable=True)[:count]
 
+    def make_env(self, task: CompiledTask, num_threads: int | None) -> KickEnv:
+        """Envs that run the episodes."""
+        source = {"initial_states": self, "draws": self.draws}
+        return evaluation_env(task, len(self.running), self._seed, num_threads, **source)
 
-class _Evaluation:
-    """Running episodes: envs, their schedule and records, and the observations of the next step."""
-
-    def __init__(
-        self,
-        task: CompiledTask,
-        initial_states: InitialStates,
-        seed: int,
-        num_envs: int,
-        num_threads: int | None,
-    ) -> None:
-        self.task, self.initial_states, self.seed, self.num_threads = task, initial_states, seed, num_threads
-        self.schedule = _Schedule(initial_states, seed, num_envs)
-        self.env, self.kick = self._make_env(self.schedule), KickRecord.empty(num_envs)
-        self.observations = self.env.get_observations()
-
-    def _make_env(self, schedule: _Schedule) -> KickEnv:
-        engine = make_engine(self.task, len(schedule.running), num_threads=self.num_threads)
-        protocol, source = self.task.spec.evaluation, {"initial_states": schedule, "draws": schedule.draws}
-        noise, pushes = protocol.observation_noise, protocol.pushes
-        return KickEnv(self.task, engine, self.seed, noise=noise, pushes=pushes, **source)
-
-    def shrink(self) -> None:
-        """Goes on with fewer envs where many are idle: engines step all of them."""
-        rows = self.schedule.busy()
-        if rows is None:
-            return
-        old, count = self.schedule, len(self.initial_states.qpos)
-        schedule = _Schedule(self.initial_states, self.seed, len(rows), begun=count)
-        smaller = self._make_env(schedule)
-        smaller.restore(self.env.snapshot().take(rows))
+    def go_on(self, env: KickEnv, envs: Tensor, num_threads: int | None) -> tuple[_Schedule, KickEnv]:
+        """Goes on with some envs alone, once every episode has begun: an engine steps all that it has."""
+        fewer = _Schedule(self._initial_states, self._seed, len(envs), begun=len(self._initial_states.qpos))
+        smaller = fewer.make_env(env.task, num_threads)
+        smaller.restore(env.snapshot().take(envs))
+        smaller.tensors.observations.copy_(env.tensors.observations.take(envs))
         # Last: making and restoring the envs has drawn numbers and asked for initial states.
-        schedule.running = old.running[rows]
-        schedule.draws.streams[:] = [old.draws.streams[row] for row in rows.tolist()]
-        self.env, self.schedule, self.kick = smaller, schedule, self.kick.take(rows)
-        self.observations = self.observations[rows]
-
-    def step(self, actions: Tensor, track: StateTrack | None = None) -> dict[str, np.ndarray]:
-        """Advances all envs by one control step; the columns of the episodes that it has ended."""
-        env, running, before = self.env, self.schedule.running, self.env.state()
-        last = before.ball_pos[:, :2], before.target_distance  # now: the step changes the episodes
-        state = env.advance(actions)
-        self.kick.note(before, state, env.engine.failed, self.task.spec.simulation.control_interval)
-        if track is not None:
-            track.note(env.engine.qpos, env.episode.step, running, env.engine.failed)
-        self.observations = env.finish(state)[0]
-        columns = self.kick.columns(self.task.spec.episode.stop_speed)
-        ended = _ended(env, running, last, columns)
-        assert env.outcome is not None
-        self.kick.reset(env.outcome.done)
-        return ended
+        fewer.running = self.running[envs]
+        fewer.draws.streams[:] = [self.draws.streams[place] for place in envs.tolist()]
+        return fewer, smaller
 
 
 def run_episodes(
@@ -168,20 +153,20 @@ def run_episodes(
     Returns:
         Row i is the episode from initial state i.
     """
-    ended: list[dict[str, np.ndarray]] = []
+    schedule, ended = _Schedule(initial_states, seed, min(num_envs, len(initial_states.qpos))), []
     with torch.inference_mode(), torch_threads(1):
-        running = _Evaluation(
-            task, initial_states, seed, min(num_envs, len(initial_states.qpos)), num_threads
-        )
-        while (running.schedule.running >= 0).any():
-            running.shrink()
-            actions = policy(running.observations)
+        env, kick = schedule.make_env(task, num_threads), KickRecord.empty(len(schedule.running))
+        while (schedule.running >= 0).any():
+            if (busy := schedule.busy()) is not None:
+                (schedule, env), kick = schedule.go_on(env, busy, num_threads), kick.take(busy)
+            observations, running = env.get_observations(), schedule.running
+            actions = policy(observations)
             if probe is not None:
-                probe(running.observations, actions, running.env.episode.step, running.schedule.running >= 0)
-            ended.append(running.step(actions, track))
+                probe(observations, actions, env.episode.step, running >= 0)
+            ended.append(_step(env, actions, running, kick, track))
             if note is not None:
-                note(len(ended[-1]["running"]))
-    return _table(task, initial_states, ended)
+                note(len(ended[-1]))
+    return _table(task, initial_states, pd.concat(ended))
 
 
 class PolicySymmetry(NamedTuple):
@@ -242,28 +227,42 @@ def _sides(task: CompiledTask, home: InitialStates) -> dict[str, InitialStates]:
 def success_by_side(task: CompiledTask, policy: Policy, num_threads: int | None = None) -> dict[str, float]:
     """Success by side of a policy in the first `every_episodes` episodes of the task's evaluation."""
     protocol = task.spec.evaluation
-    initial_states = draw_initial_states(task, max(protocol.episodes, protocol.every_episodes), protocol.seed)
-    home = initial_states.take(torch.arange(protocol.every_episodes))
+    home = evaluation_initial_states(task, protocol.every_episodes, protocol.seed)
     return {
         side: float(run_episodes(task, policy, of, protocol.seed, num_threads=num_threads).success.mean())
         for side, of in _sides(task, home).items()
     }
 
 
+def _step(
+    env: KickEnv, actions: Tensor, running: Tensor, kick: KickRecord, track: StateTrack | None
+) -> pd.DataFrame:
+    """Advances all envs by one control step; rows of the recorded episodes that it has ended."""
+    before, spec = env.state(), env.task.spec
+    last = before.ball_pos[:, :2], before.target_distance  # now: the step changes the episodes
+    state = env.advance(actions)
+    kick.note(before, state, env.engine.failed, spec.simulation.control_interval)
+    if track is not None:
+        track.note(env.engine.qpos, env.episode.step, running, env.engine.failed)
+    env.finish(state)
+    assert env.outcome is not None
+    ended = _ended(env.outcome, running, last, kick.columns(spec.episode.stop_speed))
+    kick.reset(env.outcome.done)
+    return ended
+
+
 def _ended(
-    env: KickEnv, running: Tensor, last: tuple[Tensor, Tensor], kick: dict[str, Tensor]
-) -> dict[str, np.ndarray]:
-    """Columns of the recorded episodes that ended in the last step.
+    outcome: Outcome, running: Tensor, last: tuple[Tensor, Tensor], kick: dict[str, Tensor]
+) -> pd.DataFrame:
+    """Rows of the recorded episodes that ended in the last step.
 
     Args:
-        env: The environments.
+        outcome: What the step led to.
         running: Episode that each env ran in that step, -1: none [B].
         last: Ball positions [B, 2] and distances to the target [B] before the step, kept for envs whose state
             has NaN or infinite numbers.
         kick: Columns of the kick.
     """
-    outcome = env.outcome
-    assert outcome is not None
     record, envs = outcome.record, torch.nonzero(outcome.done & (running >= 0)).squeeze(1)
     ball = torch.where(outcome.failed.unsqueeze(1), last[0], outcome.ball)
     # The first termination in the task's order names the ending; an env that failed has a name of its own.
@@ -282,35 +281,20 @@ def _ended(
         "peak_ball_speed": record.peak_ball_speed,
         **kick,
     }
-    return {name: column[envs].numpy() for name, column in columns.items()}
+    return pd.DataFrame({name: column[envs].numpy() for name, column in columns.items()})
 
 
-def _table(
-    task: CompiledTask, initial_states: InitialStates, ended: list[dict[str, np.ndarray]]
-) -> EpisodeTable:
+def _table(task: CompiledTask, initial_states: InitialStates, ended: pd.DataFrame) -> EpisodeTable:
     """Episodes in the order of their initial states; terminations and feet by name."""
-    merged = {name: np.concatenate([chunk[name] for chunk in ended]) for name in ended[0]}
-    order = np.argsort(merged["running"])
-    rows = {name: column[order] for name, column in merged.items()}
-    assert (rows.pop("running") == np.arange(len(initial_states.qpos))).all(), (
-        "every episode is counted exactly once"
-    )
-    place = task.scene.layout.ball_qpos
-    start_ball, target = initial_states.qpos[:, place : place + 2].numpy(), initial_states.target.numpy()
+    rows, layout = ended.sort_values("running", ignore_index=True), task.scene.layout
+    assert rows["running"].equals(pd.Series(range(len(initial_states.qpos)))), "every episode is counted once"
+    start_ball = initial_states.qpos[:, layout.ball_qpos : layout.ball_qpos + 2].numpy()
+    target = initial_states.target.numpy()
+    if layout.goal_qpos is None:  # in double precision; of a goal it is that to the nearest point of its line
+        final = rows[["final_ball_x", "final_ball_y"]].to_numpy(np.float64)
+        rows["distance"] = np.linalg.norm(final - target, axis=1)
     endings = np.array([*(bound.name for bound in task.terminations), NON_FINITE])
-    nearest = rows.pop("distance")
-    final = np.stack([rows["final_ball_x"], rows["final_ball_y"]], axis=1).astype(np.float64)
-    names = {
-        "termination": endings[rows["termination"]],
-        "kick_foot": np.array(FOOT_NAMES)[rows["kick_foot"]],
-    }
-    # In double precision; of a goal it is that to the nearest point of its line.
-    to_point = np.linalg.norm(final - target, axis=1)
-    return episode_table(
-        start_ball_x=start_ball[:, 0],
-        start_ball_y=start_ball[:, 1],
-        target_x=target[:, 0],
-        target_y=target[:, 1],
-        distance=to_point if task.scene.layout.goal_qpos is None else nearest.astype(np.float64),
-        **{**rows, **names},
-    )
+    rows["termination"] = endings[rows["termination"]]
+    rows["kick_foot"] = np.array(FOOT_NAMES)[rows["kick_foot"]]
+    rows[["start_ball_x", "start_ball_y"]], rows[["target_x", "target_y"]] = start_ball, target
+    return episode_table(**rows)

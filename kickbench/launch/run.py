@@ -189,7 +189,8 @@ def _open(
         refusal = error
     if ranks.any(refusal is not None):
         raise refusal or SystemExit(2)  # rank 0 says why
-    return replace(taken, **ranks.broadcast({"state": taken.state, "finished": taken.finished}))
+    found = {"state": taken.state, "finished": taken.finished} if ranks.is_main else {}
+    return replace(taken, **ranks.gather(found)[0])
 
 
 @dataclass(frozen=True)
@@ -251,9 +252,9 @@ class _Part:
 
     def _restore(self, trainer: Trainer) -> None:
         if self.initial is not None:
-            trainer.ppo.get_policy().load_state_dict(self.initial.policy.state_dict())
+            trainer.ppo.get_policy().load_state_dict(self.initial.actor)
             if self.initial.critic is not None:
-                trainer.ppo.critic.load_state_dict(self.initial.critic.state_dict())
+                trainer.ppo.critic.load_state_dict(self.initial.critic)
         if self.taken.state:
             trainer.load_state_dict(self.taken.state)
             if self.ranks.is_main:
@@ -265,7 +266,7 @@ class _Part:
         # Wherever a policy was trained, the CPU's engine evaluates it: figures compare, and `eval` gives them
         # again.
         policy, task, made = trainer.ppo.get_policy().eval().cpu(), self.trial.task, self.taken.directory
-        save_policy(made.policy, policy, trainer.ppo.critic)
+        save_policy(made.policy, policy.state_dict(), trainer.ppo.critic.state_dict())
         try:
             sides, symmetry = run_sides(task, policy, self.trial.symmetry, num_threads=self.threads)
         except KeyboardInterrupt:

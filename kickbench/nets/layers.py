@@ -173,10 +173,6 @@ class EquivariantLinear(nn.Module):
         layer.bias.copy_(bias)
         return layer
 
-    def extra_repr(self) -> str:
-        """Representations, for ``print(model)``."""
-        return f"{self.in_representation} -> {self.out_representation}"
-
 
 def _is_hidden(representation: Representation) -> bool:
     """Whether it is that of a hidden layer, ``[left | right]``."""
@@ -234,10 +230,6 @@ class RelaxedLinear(EquivariantLinear):
         """:math:`W^T` with the bias as its last row, ``[n + 1, m]``, differentiable."""
         return super().matrix() + self.residual_scale * self.rest(self.residual)
 
-    def extra_repr(self) -> str:
-        """Representations and scale, for ``print(model)``."""
-        return f"{super().extra_repr()}, residual_scale={self.residual_scale}"
-
 
 @torch.no_grad()
 def residual_share(module: nn.Module) -> Tensor | None:
@@ -285,11 +277,11 @@ class EquivariantMLP(nn.Sequential):
         hidden = [regular(width // 2) for width in hidden_dims]
         layers: list[nn.Module] = []
         for before, after in pairwise([in_representation, *hidden, out_representation]):
-            plain = residual_scale is None
-            linear = (
-                EquivariantLinear(before, after) if plain else RelaxedLinear(before, after, residual_scale)
-            )
-            layers += [linear, resolve_nn_activation(activation)]
+            if residual_scale is None:
+                layers.append(EquivariantLinear(before, after))
+            else:
+                layers.append(RelaxedLinear(before, after, residual_scale))
+            layers.append(resolve_nn_activation(activation))
         super().__init__(*layers[:-1])
 
     def to_plain(self) -> nn.Sequential:

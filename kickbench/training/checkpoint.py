@@ -6,9 +6,8 @@ Imports torch only where a file is written or loaded: `kickbench status` does no
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Mapping
 from pathlib import Path
-from pickle import UnpicklingError
 from typing import TYPE_CHECKING, Any
 from zipfile import ZipFile
 
@@ -74,59 +73,47 @@ class Checkpoints:
         return None
 
 
-def save_policy(path: Path, policy: MLPModel, critic: MLPModel | None = None) -> None:
-    """Writes a policy: normaliser, network, standard deviation; and the critic, for a run that begins so."""
-    content = {"format": _POLICY_FORMAT, "actor_state_dict": policy.state_dict()}
-    _write(path, content if critic is None else {**content, "critic_state_dict": critic.state_dict()})
+def save_policy(path: Path, actor: Mapping[str, Any], critic: Mapping[str, Any] | None = None) -> None:
+    """Writes a policy: normaliser, network, standard deviation; and the critic, for a run that begins so.
+
+    Args:
+        path: The file.
+        actor: State of the policy.
+        critic: State of the critic.
+    """
+    content = {"format": _POLICY_FORMAT, "actor_state_dict": actor}
+    _write(path, content if critic is None else {**content, "critic_state_dict": critic})
 
 
-def drop_critic(path: Path) -> None:
-    """Rewrites a policy's file without the critic."""
-    _write(path, {name: part for name, part in _read(path).items() if name != "critic_state_dict"})
-
-
-def load_policy(path: Path, policy: MLPModel) -> None:
-    """Loads a policy's weights into a network of the same method.
+def read_policy(path: Path) -> dict[str, Any]:
+    """Reads what `save_policy` wrote: `actor_state_dict` and, if it was kept, `critic_state_dict`.
 
     Raises:
-        KickbenchError: The file is missing, damaged or of another network.
+        KickbenchError: The file is missing or damaged.
     """
     if not path.exists():
         raise KickbenchError(f"{path}: no policy: the run is not finished, or was kept without it")
-    _load(path, policy, lambda: _read(path)["actor_state_dict"])
-
-
-def load_critic(path: Path, critic: MLPModel) -> bool:
-    """Loads the critic that a policy was stored with; False: it was stored without one.
-
-    Raises:
-        KickbenchError: It is of another network.
-    """
-    weights = _read(path).get("critic_state_dict")
-    if weights is not None:
-        _load(path, critic, lambda: weights)
-    return weights is not None
-
-
-def load_unfinished(checkpoints: Checkpoints, policy: MLPModel) -> int:
-    """Loads the policy of a run's last checkpoint into a network of the same method; returns its iteration.
-
-    Raises:
-        KickbenchError: There is no checkpoint that can be read, or it is of another network.
-    """
-    folder, state = checkpoints.folder, checkpoints.load()
-    if state is None:
-        raise KickbenchError(f"{shown(folder.parent)}: no policy and no checkpoint; train it first")
-    _load(folder, policy, lambda: state["learner"]["actor_state_dict"])
-    return state["iteration"]
-
-
-def _load(where: Path, policy: MLPModel, weights: Callable[[], dict[str, Any]]) -> None:
     try:
-        policy.load_state_dict(weights())
-    except (RuntimeError, LookupError, TypeError, ValueError, EOFError, OSError, UnpicklingError) as error:
-        raise KickbenchError(f"{shown(where)}: this policy cannot be loaded: {error}") from None
-    policy.eval()
+        return _read(path)
+    except Exception as error:  # damage can raise any exception while the file is read
+        raise KickbenchError(f"{shown(path)}: this policy cannot be read: {error}") from None
+
+
+def load_policy(path: Path, state: Mapping[str, Any], policy: MLPModel) -> None:
+    """Loads the policy of a file, or of a checkpoint's learner, into a network of the same method.
+
+    Args:
+        path: Where the state comes from, for the message.
+        state: What has the `actor_state_dict`.
+        policy: The network.
+
+    Raises:
+        KickbenchError: The state is that of another network.
+    """
+    try:
+        policy.load_state_dict(state["actor_state_dict"])
+    except (RuntimeError, LookupError, TypeError) as error:
+        raise KickbenchError(f"{shown(path)}: this policy cannot be loaded: {error}") from None
 
 
 def iteration_of(file: Path) -> int:

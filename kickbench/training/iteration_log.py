@@ -90,23 +90,14 @@ class RunProgress(Progress):
         """
         from torch.utils.tensorboard.writer import SummaryWriter  # slow to import
 
-        header, *kept = rows_before(self._path, first_iteration) or [[]]
-        self._begin(header, kept)
+        self._columns, *self._kept = rows_before(self._path, first_iteration) or [[]]
+        self._table: TextIO | None = None
         self._events = SummaryWriter(str(self._folder), purge_step=first_iteration)
         self._open.callback(self._events.close)
         resumed = f", resumed at {first_iteration}" if first_iteration else ""
         print(f"training: {total_iterations} iterations{resumed}", file=self._stream, flush=True)
         steps = Steps("training", "iterations", total_iterations, first_iteration, self._stream)
         self._steps = self._open.enter_context(steps)
-
-    def _begin(self, columns: list[str], kept: list[list[str]]) -> None:
-        """Writes the header and the rows that are kept, and opens the table to append to them."""
-        self._columns = columns
-        self._kept: list[list[str]] | None = kept
-        rows = [[*row, *[""] * (len(columns) - len(row))] for row in kept]
-        atomic_write_text(self._path, _to_csv(columns, rows, with_header=True) if columns else "")
-        table = open(self._path, "a", encoding="utf-8", newline="")  # noqa: SIM115 (open until close())
-        self._table = self._open.enter_context(table)
 
     def update(self, record: Record) -> None:
         """Appends a row and one event for each figure that is known, and shows the iteration."""
@@ -121,15 +112,22 @@ class RunProgress(Progress):
 
     def _append(self, record: Record) -> None:
         """Writes a row. New names become columns in the first row since the start, and are an error later."""
-        if unknown := [name for name in record if name not in self._columns]:
-            if self._kept is None:
-                raise KickbenchError(f"{self._path}: no column for {', '.join(unknown)}")
-            self._begin([*self._columns, *unknown], self._kept)
-        self._kept = None
+        unknown = [name for name in record if name not in self._columns]
+        if self._table is None:
+            self._table = self._begun([*self._columns, *unknown])
+        elif unknown:
+            raise KickbenchError(f"{self._path}: no column for {', '.join(unknown)}")
         row = [_format(record.get(name)) for name in self._columns]
         self._table.write(_to_csv(self._columns, [row], with_header=False))
         self._table.flush()
         os.fsync(self._table.fileno())
+
+    def _begun(self, columns: list[str]) -> TextIO:
+        """Writes the header and the rows that are kept; the table, open to append to them."""
+        self._columns = columns
+        rows = [[*row, *[""] * (len(columns) - len(row))] for row in self._kept]
+        atomic_write_text(self._path, _to_csv(columns, rows, with_header=True))
+        return self._open.enter_context(open(self._path, "a", encoding="utf-8", newline=""))
 
     def close(self) -> None:
         """Closes all of them, even if one fails."""

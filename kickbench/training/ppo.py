@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any
 
 import torch
@@ -34,14 +33,26 @@ class BoundedPPO(PPO):
     def __init__(
         self, *args: Any, learning_rate_range: tuple[float, float], tf32: bool = False, **kwargs: Any
     ) -> None:
-        """As PPO; `learning_rate_range`: lowest and highest learning rate; `tf32`: as in `tf32_products`."""
+        """As PPO; `learning_rate_range`: lowest and highest learning rate; `tf32`: see `update`."""
         self._bounds, self._tf32 = learning_rate_range, tf32
         super().__init__(*args, **kwargs)
 
     def update(self) -> dict[str, float]:
-        """See `PPO.update`."""
-        with tf32_products(self._tf32):
+        """See `PPO.update`. A GPU may multiply float32 matrices in TF32 meanwhile, if the method says so.
+
+        Updates change free parameters, so tied weights stay equal to the bit however a gradient was rounded,
+        and a policy that acts in float32 stays equivariant. A policy that acted in TF32 would not. Rounding
+        is odd and concerns one factor at a time, so it commutes with the mirror. But the hidden activations
+        of a sample and of its mirror image differ by the order of float32 sums. Where a rounding boundary
+        lies between the two, that difference of 1e-7 becomes one of 1e-3 in the next layer (4e-5 in the
+        actions of a 256-256 network, with the rounding simulated on a CPU).
+        """
+        matmul = torch.backends.cuda.matmul
+        before, matmul.allow_tf32 = matmul.allow_tf32, self._tf32
+        try:
             return super().update()
+        finally:
+            matmul.allow_tf32 = before
 
     @property
     def learning_rate(self) -> float:
@@ -51,26 +62,6 @@ class BoundedPPO(PPO):
     @learning_rate.setter
     def learning_rate(self, value: float) -> None:
         self._learning_rate = min(max(value, self._bounds[0]), self._bounds[1])
-
-
-@contextmanager
-def tf32_products(enabled: bool) -> Iterator[None]:
-    """Within the block, a GPU may multiply float32 matrices in TF32.
-
-    For updates only. Updates change free parameters, so tied weights stay equal to the bit however a gradient
-    was rounded, and a policy that acts in float32 stays equivariant. A policy that acted in TF32 would not.
-    Rounding is odd and concerns one factor at a time, so it commutes with the mirror. But the hidden
-    activations of a sample and of its mirror image differ by the order of float32 sums. Where a rounding
-    boundary lies between the two, that difference of 1e-7 becomes one of 1e-3 in the next layer (4e-5 in the
-    actions of a 256-256 network, with the rounding simulated on a CPU).
-    """
-    matmul = torch.backends.cuda.matmul
-    before = matmul.allow_tf32
-    matmul.allow_tf32 = enabled
-    try:
-        yield
-    finally:
-        matmul.allow_tf32 = before
 
 
 class GatheredRollout(RolloutStorage):
@@ -85,22 +76,18 @@ class GatheredRollout(RolloutStorage):
             yield from map(copy.copy, batches)
 
 
-class _MirrorLoss(Symmetry):
-    """rsl_rl's symmetry extension, whose mirror loss leaves excluded actions out."""
+class _Symmetry(Symmetry):
+    """rsl_rl's symmetry extension; its mirror loss leaves excluded actions out, or is not computed at all."""
 
     def compute_loss(self, actor: MLPModel, batch: RolloutStorage.Batch, original_batch_size: int) -> Tensor:
+        if not self.use_mirror_loss:
+            return torch.zeros((), device=next(actor.parameters()).device)
+
         def kept_actions(seen: TensorDict) -> Tensor:
             actions = actor(seen)
             return self.data_augmentation_func.actions.to(actions.device).held(actions)
 
         return super().compute_loss(kept_actions, batch, original_batch_size)  # type: ignore[arg-type]
-
-
-class _AugmentationOnly(Symmetry):
-    """rsl_rl's symmetry extension without the forward pass for a mirror loss."""
-
-    def compute_loss(self, actor: MLPModel, batch: RolloutStorage.Batch, original_batch_size: int) -> Tensor:
-        return torch.zeros((), device=next(actor.parameters()).device)
 
 
 def build_ppo(
@@ -131,8 +118,7 @@ def _build_symmetry(spec: SymmetrySpec, reflection: Reflection) -> Symmetry | No
     if not spec.augmentation and not spec.mirror_loss_coefficient:
         return None
     tables = {name: table.representation for name, table in reflection.groups.items()}
-    extension = _MirrorLoss if spec.mirror_loss_coefficient else _AugmentationOnly
-    return extension(
+    return _Symmetry(
         None,  # type: ignore[arg-type]
         Augmentation(tables, reflection.actions),
         use_data_augmentation=spec.augmentation,
@@ -142,20 +128,17 @@ def _build_symmetry(spec: SymmetrySpec, reflection: Reflection) -> Symmetry | No
 
 
 def _settings(spec: AlgorithmSpec) -> dict[str, Any]:
+    alike = ("gamma", "learning_rate", "learning_rate_range", "schedule", "desired_kl")
     return {
+        **{name: getattr(spec, name) for name in alike},
         "num_learning_epochs": spec.epochs,
         "num_mini_batches": spec.mini_batches,
         "clip_param": spec.clip,
-        "gamma": spec.gamma,
         "lam": spec.gae_lambda,
         "value_loss_coef": spec.value_coefficient,
         "entropy_coef": spec.entropy_coefficient,
-        "learning_rate": spec.learning_rate,
-        "learning_rate_range": spec.learning_rate_range,
         "max_grad_norm": spec.max_gradient_norm,
         "use_clipped_value_loss": spec.clip_value_loss,
-        "schedule": spec.schedule,
-        "desired_kl": spec.desired_kl,
         "tf32": spec.matmul == "tf32",
     }
 
@@ -172,39 +155,35 @@ def check_samples(ppo: PPO, env: KickEnv, iteration: int) -> None:
     raise KickbenchError(f"iteration {iteration}: not finite: {culprit}")
 
 
-@contextmanager
-def checked_update(ppo: PPO, iteration: int) -> Iterator[None]:
-    """Checks the networks after an update, also after one that failed because of NaN or infinity.
+def check_parameters(ppo: PPO, iteration: int) -> None:
+    """Checks the networks.
 
     Raises:
         KickbenchError: A parameter is NaN or infinite.
     """
-    try:
-        yield
-    finally:
-        networks: dict[str, nn.Module] = {"actor": ppo.get_policy(), "critic": ppo.critic}
-        for owner, network in networks.items():
-            for name, parameter in network.named_parameters():
-                if not parameter.isfinite().all():
-                    raise KickbenchError(f"iteration {iteration}: not finite: the parameter {owner}.{name}")
+    networks: dict[str, nn.Module] = {"actor": ppo.get_policy(), "critic": ppo.critic}
+    for owner, network in networks.items():
+        for name, parameter in network.named_parameters():
+            if not parameter.isfinite().all():
+                raise KickbenchError(f"iteration {iteration}: not finite: the parameter {owner}.{name}")
 
 
 def _samples(ppo: PPO, env: KickEnv) -> Iterator[str]:
-    storage = ppo.storage
-    tables = {
-        f"the observation '{field.name}' of the {group}": storage.observations[group][
-            ..., field.first : field.first + field.size
-        ]
-        for group, fields in env.task.groups.items()
-        for field in fields
-    }
-    tables["the action that the network gives"] = storage.actions
-    tables["the value that the network gives"] = storage.values
+    """What of the samples is not finite, causes first."""
+    storage, tables = ppo.storage, dict[str, Tensor]()
+    for group, fields in env.task.groups.items():
+        for field in fields:
+            values = storage.observations[group][..., field.first : field.first + field.size]
+            tables[f"the observation '{field.name}' of the {group}"] = values
     # Of episodes that run, or have ended since the last reading.
     sums = (env.totals.by_reward_raw + env.record.by_reward_raw.sum(dim=0)) * env.totals.weights
-    wrong_rewards = [bound.name for bound, s in zip(env.task.rewards, sums, strict=True) if not s.isfinite()]
-    tables["the reward" + "".join(f" '{name}'" for name in wrong_rewards[:1])] = storage.rewards
+    wrong = [bound.name for bound, s in zip(env.task.rewards, sums, strict=True) if not s.isfinite()]
+    tables |= {
+        "the action that the network gives": storage.actions,
+        "the value that the network gives": storage.values,
+        "the reward" + "".join(f" '{name}'" for name in wrong[:1]): storage.rewards,
+    }
     for what, values in tables.items():  # [steps, B, ...]
-        wrong = (~values.isfinite()).flatten(2).any(dim=2).nonzero()
-        if len(wrong):
-            yield f"{what}, first in step {int(wrong[0, 0])} of env {int(wrong[0, 1])}"
+        places = (~values.isfinite()).flatten(2).any(dim=2).nonzero()
+        if len(places):
+            yield f"{what}, first in step {int(places[0, 0])} of env {int(places[0, 1])}"

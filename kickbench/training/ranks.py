@@ -20,7 +20,6 @@ from typing import Any
 import numpy as np
 import torch
 import torch.distributed
-from torch import nn
 
 from kickbench.errors import KickbenchError
 
@@ -83,21 +82,12 @@ class Ranks:
 
     def gather(self, state: Mapping[str, Any]) -> list[Mapping[str, Any]]:
         """The states of all processes, tensors and plain values, in the order of their ranks."""
-        return [self.broadcast(state, rank) for rank in range(self.size)]
-
-    def broadcast(self, state: Mapping[str, Any], source: int = 0) -> Mapping[str, Any]:
-        """The state that one process has, by its rank; those that the others pass are ignored."""
         if self.size == 1:
-            return state
-        buffer = io.BytesIO()
-        torch.save(dict(state) if self.rank == source else {}, buffer)
-        packed = torch.frombuffer(bytearray(buffer.getvalue()), dtype=torch.uint8).to(self.device)
-        length = torch.tensor([len(packed)], device=self.device)
-        torch.distributed.broadcast(length, src=source)
-        if self.rank != source:
-            packed = torch.empty(int(length), dtype=torch.uint8, device=self.device)
-        torch.distributed.broadcast(packed, src=source)
-        return torch.load(io.BytesIO(packed.cpu().numpy().tobytes()), weights_only=True, map_location="cpu")
+            return [state]
+        buffer, packed = io.BytesIO(), [b""] * self.size
+        torch.save(dict(state), buffer)
+        torch.distributed.all_gather_object(packed, buffer.getvalue())
+        return [torch.load(io.BytesIO(of), weights_only=True, map_location="cpu") for of in packed]
 
 
 ALONE = Ranks()
@@ -147,10 +137,10 @@ def joined(ranks: Ranks) -> Iterator[None]:
         torch.distributed.destroy_process_group()
 
 
-def fingerprint(*modules: nn.Module) -> str:
-    """SHA-256 of all parameters and buffers that are kept: equal only if every bit is."""
+def fingerprint(*states: Mapping[str, torch.Tensor]) -> str:
+    """SHA-256 of all parameters and buffers that modules keep: equal only if every bit is."""
     digest = hashlib.sha256()
-    for module in modules:
-        for tensor in module.state_dict().values():
+    for state in states:
+        for tensor in state.values():
             digest.update(tensor.detach().cpu().contiguous().view(-1).view(torch.uint8).numpy().tobytes())
     return digest.hexdigest()

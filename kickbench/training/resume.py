@@ -8,18 +8,16 @@ from operator import attrgetter
 from typing import Any
 
 import torch
-from rsl_rl.models import MLPModel
 
 from kickbench.config.load import load_method
 from kickbench.errors import KickbenchError, Problem, SpecError, shown
-from kickbench.nets.actor_critic import build_actor, build_critic
 from kickbench.results.identity import ITERATIONS, read_identity
 from kickbench.results.integrity import damage, seal
 from kickbench.results.metrics import load_metrics
 from kickbench.results.provenance import InitialRef
 from kickbench.results.specs import spec_differences, write_specs
 from kickbench.results.store import RunDirectory
-from kickbench.training.checkpoint import Checkpoints, load_critic, save_policy
+from kickbench.training.checkpoint import Checkpoints, read_policy, save_policy
 from kickbench.training.iteration_log import rows_before
 from kickbench.training.ranks import fingerprint
 from kickbench.training.trained import Run
@@ -46,7 +44,7 @@ def begin(directory: RunDirectory, trial: Trial, initial: Initial | None = None)
     try:
         write_specs(directory, trial)
         if initial is not None:
-            save_policy(directory.initial_policy, initial.policy, initial.critic)
+            save_policy(directory.initial_policy, initial.actor, initial.critic)
             seal(directory)
     except BaseException:
         directory.clear()
@@ -150,13 +148,13 @@ class Initial:
     """What a run begins with.
 
     Attributes:
-        policy: Network, observation statistics, action noise.
+        actor: State of the policy: network, observation statistics, action noise.
         critic: Likewise; None: a new one.
         ref: Where they come from.
     """
 
-    policy: MLPModel
-    critic: MLPModel | None
+    actor: Mapping[str, torch.Tensor]
+    critic: Mapping[str, torch.Tensor] | None
     ref: InitialRef
 
 
@@ -178,24 +176,22 @@ def begin_from(trial: Trial, run: Run, std: float | None) -> tuple[Trial, Initia
         raise KickbenchError(
             f"{shown(run.directory.path)}: its policy cannot begin this run: {', '.join(misfits)}"
         )
-    symmetry = trial.symmetry
-    own = build_actor(trial.method.spec, symmetry.groups["actor"], symmetry.actions)
-    own.load_state_dict(run.policy.network.state_dict())
-    for name, parameter in own.named_parameters() if std is not None else ():
+    actor = run.policy.network.state_dict()
+    for name, value in actor.items() if std is not None else ():
         if name.endswith("std_param"):
-            value = torch.tensor(std)
-            parameter.data.fill_(value.log() if name.endswith("log_std_param") else value)
-    critic = build_critic(trial.method.spec, symmetry.groups["critic"])
+            new = torch.full_like(value, std)
+            actor[name] = new.log() if name.endswith("log_std_param") else new
     fits = _of_network(trial, "critic") == _of_network(run.trial, "critic")
-    if not fits or not load_critic(run.directory.policy, critic):
-        critic = None
-    weights, identity = fingerprint(own), read_identity(run.directory).fingerprint
-    labels = {key: getattr(run.metrics, key) for key in ("task", "method", "seed", "env_steps")}
+    critic = read_policy(run.directory.policy).get("critic_state_dict") if fits else None
+    parts = (actor,) if critic is None else (actor, critic)
     ref = InitialRef(
-        **labels, fingerprint=identity, policy=weights, critic=critic and fingerprint(critic), std=std
+        **{key: getattr(run.metrics, key) for key in ("task", "method", "seed", "env_steps")},
+        fingerprint=read_identity(run.directory).fingerprint,
+        policy=fingerprint(actor),
+        critic=critic and fingerprint(critic),
+        std=std,
     )
-    both = weights if critic is None else fingerprint(own, critic)
-    return replace(trial, initial_policy=both), Initial(own, critic, ref)
+    return replace(trial, initial_policy=fingerprint(*parts)), Initial(actor, critic, ref)
 
 
 def _misfits(ours: Trial, theirs: Trial) -> list[str]:

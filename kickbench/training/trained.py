@@ -7,7 +7,7 @@ import sys
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from kickbench.config.method import MethodSpec, RepresentationSpec
 from kickbench.config.robot import RobotSpec
@@ -19,7 +19,7 @@ from kickbench.nets.actor_critic import TrainedPolicy, build_actor
 from kickbench.results import integrity
 from kickbench.results.metrics import Metrics, load_metrics
 from kickbench.results.store import RunDirectory, find_begun_runs
-from kickbench.training.checkpoint import Checkpoints, load_policy, load_unfinished
+from kickbench.training.checkpoint import Checkpoints, load_policy, read_policy
 from kickbench.trials.trial import Trial, load_trial
 
 
@@ -98,16 +98,25 @@ def load_run(
     symmetry = trial.symmetry
     network = build_actor(trial.method.spec, symmetry.groups["actor"], symmetry.actions)
     if unfinished and not (directory.policy.exists() or directory.metrics.exists()):
-        iteration = load_unfinished(Checkpoints(directory.checkpoints), network)
-        what = f"not finished; this is its policy after {iteration} iterations"
-        print(f"{shown(directory.path)}: {what}", file=sys.stderr)
+        state = _last_checkpoint(directory)
     else:
-        load_policy(directory.policy, network)
+        state = read_policy(directory.policy)
+    load_policy(directory.policy, state, network)
     run = Run(directory, trial, TrainedPolicy(network))
     if task is not None:
         run.policy_for(read_task(task))
         return replace(run, trial=load_trial(find(task, "task"), directory.method_spec))
     return replace(run, trial=replace(trial, task=replace(trial.task, is_trusted=trust_code)))
+
+
+def _last_checkpoint(directory: RunDirectory) -> dict[str, Any]:
+    """State of the networks of a run that is not finished; prints which it is."""
+    state = Checkpoints(directory.checkpoints).load()
+    if state is None:
+        raise KickbenchError(f"{shown(directory.path)}: no policy and no checkpoint; train it first")
+    what = f"not finished; this is its policy after {state['iteration']} iterations"
+    print(f"{shown(directory.path)}: {what}", file=sys.stderr)
+    return state["learner"]
 
 
 def _existing(path: Path | str) -> RunDirectory:

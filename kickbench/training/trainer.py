@@ -9,7 +9,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
 from types import FrameType
 from typing import Any
 
@@ -28,7 +28,7 @@ from kickbench.results.episode_table import SIDES
 from kickbench.results.provenance import RunHistory
 from kickbench.training.checkpoint import Checkpoints
 from kickbench.training.iteration_log import Progress, Record
-from kickbench.training.ppo import BoundedPPO, build_ppo, check_samples, checked_update
+from kickbench.training.ppo import BoundedPPO, build_ppo, check_parameters, check_samples
 from kickbench.training.ranks import ALONE, Ranks, fingerprint
 from kickbench.trials.trial import Trial
 
@@ -56,53 +56,46 @@ class TrainingResult:
     interrupted: bool
 
 
+@dataclass(eq=False, repr=False)
 class Trainer:
-    """Trains one trial with one seed.
+    """Trains one trial with one seed; seed torch before it is made, since that builds the networks.
 
     Its state between two iterations is complete: on the CPU, N iterations, a checkpoint, and M iterations in
     another process give the same bits as N + M iterations (with the same number of update threads; recorded
     times differ).
+
+    Attributes:
+        trial: What to train.
+        env: Environments, already seeded.
+        progress: Where every iteration is shown.
+        checkpoints: Where everything needed to go on is kept, at the start, now and then, and at the end.
+        history: What the run is and how it was made; kept in the checkpoints.
+        update_threads: Threads of torch during updates; collecting takes one.
+        graph: Whether steps are recorded and replayed on devices that can.
+        ranks: The processes that train together; each has its share of the environments.
+        evaluate: Success of the policy by side, for the task's evaluations during the training.
+        iteration: Iterations done so far.
     """
 
-    def __init__(
-        self,
-        trial: Trial,
-        env: KickEnv,
-        progress: Progress,
-        checkpoints: Checkpoints,
-        history: RunHistory,
-        update_threads: int = 1,
-        graph: bool = True,
-        ranks: Ranks = ALONE,
-        evaluate: Callable[[MLPModel], Mapping[str, float]] | None = None,
-    ) -> None:
-        """Builds the networks; seed torch before.
+    trial: Trial
+    env: KickEnv
+    progress: Progress
+    checkpoints: Checkpoints
+    history: RunHistory
+    update_threads: int = 1
+    graph: bool = True
+    ranks: Ranks = ALONE
+    evaluate: Callable[[MLPModel], Mapping[str, float]] | None = None
+    iteration: int = field(default=0, init=False)
 
-        Args:
-            trial: What to train.
-            env: Environments, already seeded.
-            progress: Where every iteration is shown.
-            checkpoints: Where everything needed to go on is kept, at the start, now and then, and at the end.
-            history: What the run is and how it was made; kept in the checkpoints.
-            update_threads: Threads of torch during updates; collecting takes one.
-            graph: Whether steps are recorded and replayed on devices that can.
-            ranks: The processes that train together; each has its share of the environments.
-            evaluate: Success of the policy by side, for the task's evaluations during the training.
-        """
-        self.trial, self.env, self.progress = trial, env, progress
-        self._graph, self._levels = graph, dict[str, float]()
-        self._steps = fastest_steps(env, graph=graph)
-        self.ppo: BoundedPPO = build_ppo(trial, env.get_observations(), torch.device(env.device), ranks)
-        self._ranks, self._evaluate = ranks, evaluate
-        self.iteration = 0
-        curriculum = trial.task.spec.curriculum
-        self._growth = Growth(curriculum) if curriculum else None
-        self._update_threads = update_threads
-        self._horizon, self._seconds = 0, 0.0
-        self._checkpoints, self.history = checkpoints, history
-        self._every = _CHECKPOINT_EVERY
-        self._kept: TrainingResult | None = None
-        self._steps_per_iteration = trial.method.spec.algorithm.steps_per_env * env.num_envs * ranks.size
+    def __post_init__(self) -> None:
+        trial, env, curriculum = self.trial, self.env, self.trial.task.spec.curriculum
+        self._steps = fastest_steps(env, graph=self.graph)
+        self.ppo: BoundedPPO = build_ppo(trial, env.get_observations(), env.device, self.ranks)
+        self._growth, self._levels = Growth(curriculum) if curriculum else None, dict[str, float]()
+        self._horizon, self._seconds, self._every = 0, 0.0, _CHECKPOINT_EVERY
+        self._kept_at: float | None = None
+        self._samples = trial.method.spec.algorithm.steps_per_env * env.num_envs
 
     def _grow(self) -> None:
         """Sets the curriculum's current values in the environments."""
@@ -112,19 +105,19 @@ class Trainer:
         if levels != self._levels:
             self._levels = levels
             self.env.grow(grown(self.trial.task, levels))
-            self._steps = fastest_steps(self.env, graph=self._graph)
+            self._steps = fastest_steps(self.env, graph=self.graph)
 
     def _grow_after(self, success: float) -> None:
         """Gives the curriculum the success rate of exploration in an iteration, over all processes."""
         if self._growth is not None:
-            rates = [float(part["success"]) for part in self._ranks.gather({"success": success})]
+            rates = [float(part["success"]) for part in self.ranks.gather({"success": success})]
             self._growth.note(sum(rates) / len(rates))
             self._grow()
 
     @property
     def env_steps(self) -> int:
         """Control steps done so far, over all envs."""
-        return self.iteration * self._steps_per_iteration
+        return self.iteration * self._samples * self.ranks.size
 
     def train(self, iterations: int) -> TrainingResult:
         """Trains until `iterations` are done in all.
@@ -132,16 +125,18 @@ class Trainer:
         The method's schedules run over the iterations that the first call asked for, and end at their last
         value: a run that is extended keeps what it has already annealed.
 
-        Ctrl-C ends the training after the current iteration, with a checkpoint. A second Ctrl-C ends it
-        at once; then the last checkpoint counts.
+        Ctrl-C ends the training after the current iteration, with a checkpoint.
+
+        Raises:
+            KeyboardInterrupt: A second Ctrl-C has ended it at once; then the last checkpoint counts.
         """
         self._horizon = self._horizon or iterations
         if self.iteration >= iterations:
-            return self._result()
+            return self._result(interrupted=False)
         interrupted, clock = False, time.perf_counter()
-        if self._ranks.size > 1:
+        if self.ranks.size > 1:
             self.ppo.broadcast_parameters()
-        if self._kept is None:  # nothing is done or loaded: a loaded state has begun its episodes
+        if self._kept_at is None:  # nothing is done or loaded: a loaded state has begun its episodes
             if self._growth is not None:  # the first episodes have the first values, too
                 self._grow()
                 self.env.reset()
@@ -149,30 +144,27 @@ class Trainer:
         self.progress.start(iterations, self.iteration)
         self.ppo.train_mode()
         try:
-            with stop_request(patient=self._ranks.size > 1, quiet=not self._ranks.is_main) as stop:
+            with stop_request(patient=self.ranks.size > 1, quiet=not self.ranks.is_main) as stop:
                 while self.iteration < iterations and not interrupted:
                     self._anneal()
                     self._iterate()
                     now = time.perf_counter()
                     self._seconds, clock = self._seconds + now - clock, now
-                    interrupted = self._ranks.any(stop.is_set())
-                    if interrupted or self.iteration == iterations or self._ranks.any(self._is_due()):
+                    interrupted = self.ranks.any(stop.is_set())
+                    if interrupted or self.iteration == iterations or self.ranks.any(self._is_due()):
                         self.save()
-        except KeyboardInterrupt:
-            interrupted = True
         finally:
             self.progress.close()
-        assert self._kept is not None
-        return replace(self._kept, interrupted=interrupted)
+        return self._result(interrupted)
 
     def save(self) -> None:
         """Writes a checkpoint; with several processes, all of them at the same time."""
         whole = self.state_dict()
-        if self._ranks.size > 1:
+        if self.ranks.size > 1:
             whole["ranks"] = self._gather_ranks(whole)
-        if self._ranks.is_main:
-            self._checkpoints.save(self.iteration, whole)
-        self._kept, self._kept_at = self._result(), time.monotonic()
+        if self.ranks.is_main:
+            self.checkpoints.save(self.iteration, whole)
+        self._kept_at = time.monotonic()
 
     def state_dict(self) -> dict[str, Any]:
         """Everything that later iterations depend on, and what the run is: tensors and plain values."""
@@ -194,12 +186,10 @@ class Trainer:
             KickbenchError: The state is that of another trial or of another version of kickbench.
         """
         trained_by = len(state.get("ranks", ())) or 1
-        if trained_by != self._ranks.size:
-            what = (
-                f"was trained by {trained_by} processes and goes on with as many, not with {self._ranks.size}"
-            )
-            raise KickbenchError(f"the run {what}")
-        own = state["ranks"][self._ranks.rank] if "ranks" in state else state
+        if trained_by != self.ranks.size:
+            what = f"{trained_by} processes and goes on with as many, not with {self.ranks.size}"
+            raise KickbenchError(f"the run was trained by {what}")
+        own = state["ranks"][self.ranks.rank] if "ranks" in state else state
         try:
             learner = dict(state["learner"])
             self.ppo.load(learner, None, strict=True)
@@ -213,22 +203,22 @@ class Trainer:
             _set_rng_states(own["rng"], self.env.device)
         except (LookupError, RuntimeError, TypeError, ValueError) as error:
             raise KickbenchError(f"the checkpoint is not one of this trial: {error}") from error
-        self._kept, self._kept_at = self._result(), time.monotonic()
+        self._kept_at = time.monotonic()
 
     def _gather_ranks(self, own: Mapping[str, Any]) -> list[Mapping[str, Any]]:
         """What differs between the processes, by rank: envs and random numbers."""
-        weights = fingerprint(self.ppo.get_policy(), self.ppo.critic)
-        parts = self._ranks.gather({"rng": own["rng"], "env": own["env"], "weights": weights})
+        weights = fingerprint(self.ppo.get_policy().state_dict(), self.ppo.critic.state_dict())
+        parts = self.ranks.gather({"rng": own["rng"], "env": own["env"], "weights": weights})
         if any(part["weights"] != weights for part in parts):
             raise KickbenchError(f"iteration {self.iteration}: the networks of the processes differ")
         return parts
 
-    def _result(self) -> TrainingResult:
-        return TrainingResult(self.iteration, self.env_steps, self._seconds, self._horizon, False)
+    def _result(self, interrupted: bool) -> TrainingResult:
+        return TrainingResult(self.iteration, self.env_steps, self._seconds, self._horizon, interrupted)
 
     def _is_due(self) -> bool:
         iterations, seconds = self._every
-        return self.iteration % iterations == 0 or time.monotonic() - self._kept_at >= seconds
+        return self.iteration % iterations == 0 or time.monotonic() - (self._kept_at or 0.0) >= seconds
 
     def _anneal(self) -> None:
         spec = self.trial.method.spec.algorithm
@@ -242,8 +232,11 @@ class Trainer:
             self._collect()
         collected = self._now()
         check_samples(self.ppo, self.env, self.iteration)
-        with torch_threads(self._update_threads), checked_update(self.ppo, self.iteration):
-            losses = self.ppo.update()
+        with torch_threads(self.update_threads):
+            try:
+                losses = self.ppo.update()
+            finally:  # also after an update that failed because of NaN or infinity
+                check_parameters(self.ppo, self.iteration)
         updated = self._now()
         self.iteration += 1
         record = self._record(losses, collected - start, updated - collected)
@@ -279,11 +272,10 @@ class Trainer:
 
         rewards = [bound.name for bound in task.rewards]
         weighted = finished.by_reward_raw * finished.weights
-        samples = self.trial.method.spec.algorithm.steps_per_env * self.env.num_envs
         return {
             "iteration": self.iteration - 1,
             "env_steps": self.env_steps,
-            "steps_per_second": self._steps_per_iteration / (collect + update),
+            "steps_per_second": self._samples * self.ranks.size / (collect + update),
             "mean_return": mean(weighted.sum()),
             "mean_episode_steps": mean(finished.steps),
             "success_rate": mean(finished.successes),
@@ -297,7 +289,7 @@ class Trainer:
             **means("reward_raw", rewards, finished.by_reward_raw),
             **{f"loss/{name}": loss for name, loss in losses.items()},
             **self._residual_shares(),
-            **({"speeding_share": float(finished.speeding) / samples} if task.velocity_limits else {}),
+            **({"speeding_share": float(finished.speeding) / self._samples} if task.velocity_limits else {}),
             **self._load(),
             **{f"curriculum/{key}": level for key, level in self._levels.items()},
             **{f"evaluation/{side}": rate for side, rate in self._evaluation().items()},
@@ -306,12 +298,12 @@ class Trainer:
     def _evaluation(self) -> Mapping[str, float]:
         """Success by side, NaN between evaluations; nothing if there are none."""
         protocol = self.trial.task.spec.evaluation
-        if protocol.every is None or self._evaluate is None:
+        if protocol.every is None or self.evaluate is None:
             return {}
         sides = SIDES if protocol.mirrored else SIDES[:1]
-        if self.iteration % protocol.every or not self._ranks.is_main:
+        if self.iteration % protocol.every or not self.ranks.is_main:
             return dict.fromkeys(sides, math.nan)
-        return self._evaluate(self.ppo.get_policy())
+        return self.evaluate(self.ppo.get_policy())
 
     def _load(self) -> dict[str, float]:
         share = self.env.engine.take_short_share()

@@ -12,20 +12,45 @@ from PIL import Image, ImageDraw, ImageFont
 
 from kickbench.envs.compiled_task import CompiledTask
 from kickbench.evaluation.progress_bar import tracked
+from kickbench.evaluation.rollouts import evaluation_initial_states
 from kickbench.results.atomic import atomic_file
 from kickbench.results.metrics import load_metrics
 from kickbench.results.store import RunDirectory
 from kickbench.training.trained import load_run
-from kickbench.view.session import Session, evaluation_initial_states
+from kickbench.view.session import Session
 from kickbench.view.stage import Stage
 
-_INK, _PAPER, _PALE, _WHITE = (32, 38, 44), (250, 250, 248), (104, 112, 120), (255, 255, 255)
-_NIGHT = (24, 34, 28)
-_GAP = 10
+_WHITE, _NIGHT = (255, 255, 255), (24, 34, 28)
 _FRAME_TIME, _HOLD = 0.04, 0.8
 """Desired time between frames, and how long the last one of an episode is shown, s."""
 _QUALITY = 30
 """Of a WebP, up to 100: at 30 two policies side by side, 320x240 each, take 250 kB an episode."""
+
+
+def panel(pixels: np.ndarray, words: str, title: str = "") -> Image.Image:
+    """A picture with words at its lower left and a title at its upper right.
+
+    Args:
+        pixels: The picture [height, width, 3].
+        words: The words.
+        title: The title.
+    """
+    image = Image.fromarray(pixels)
+    draw, size = ImageDraw.Draw(image), max(image.height // 24, 10)
+    style: Any = {"font": ImageFont.load_default(size), "stroke_width": 2, "stroke_fill": _NIGHT}
+    draw.text((size, image.height - size), words, _WHITE, anchor="ld", **style)
+    draw.text((image.width - size, size), title, _WHITE, anchor="ra", **style)
+    return image
+
+
+def tiled(pictures: Sequence[Image.Image], columns: int) -> Image.Image:
+    """Pictures of one size, row by row."""
+    width, height = pictures[0].size
+    sheet = Image.new("RGB", (columns * width, math.ceil(len(pictures) / columns) * height), _WHITE)
+    for index, picture in enumerate(pictures):
+        row, column = divmod(index, columns)
+        sheet.paste(picture, (column * width, row * height))
+    return sheet
 
 
 def contact_sheet(task: CompiledTask, count: int, seed: int, width: int, height: int) -> Image.Image:
@@ -41,27 +66,13 @@ def contact_sheet(task: CompiledTask, count: int, seed: int, width: int, height:
     Raises:
         KickbenchError: There is no OpenGL.
     """
-    columns = math.ceil(math.sqrt(count))
-    size = max(height // 22, 11)
-    head, cell = 4 * size + _GAP, (width + _GAP, height + 2 * size + _GAP)
-    sheet_size = (columns * cell[0] + _GAP, head + math.ceil(count / columns) * cell[1] + _GAP)
-    sheet = Image.new("RGB", sheet_size, _PAPER)
-    draw = ImageDraw.Draw(sheet)
-    draw.text((_GAP, _GAP), task.name, _INK, ImageFont.load_default(round(1.5 * size)))
-    words = f"{count} initial states of seed {seed}; x points forward, y and angles to the left"
-    draw.text((_GAP, _GAP + 1.9 * size), words, _PALE, ImageFont.load_default(size))
-    initial, place = evaluation_initial_states(task, count, seed), task.scene.layout.ball_qpos
+    initial, place, pictures = evaluation_initial_states(task, count, seed), task.scene.layout.ball_qpos, []
     with Stage(task, width, height) as stage:
-        for index, (qpos, target) in enumerate(
-            zip(initial.qpos.numpy(), initial.target.numpy(), strict=True)
-        ):
-            row, column = divmod(index, columns)
-            left, top = _GAP + column * cell[0], head + row * cell[1]
-            ball, pixels = qpos[place : place + 2], stage.picture(qpos, target, stage.camera(qpos, target))
-            sheet.paste(Image.fromarray(pixels), (left, top))
-            words = f"{index}   {describe_start(ball, target)}"
-            draw.text((left, top + height + size // 3), words, _INK, ImageFont.load_default(size))
-    return sheet
+        for qpos, target in zip(initial.qpos.numpy(), initial.target.numpy(), strict=True):
+            title = "" if pictures else f"{task.name}, seed {seed}"
+            words = f"{len(pictures)}   {describe_start(qpos[place : place + 2], target)}"
+            pictures.append(panel(stage.picture(qpos, target, stage.camera(qpos, target)), words, title))
+    return tiled(pictures, math.ceil(math.sqrt(count)))
 
 
 def robot_picture(
@@ -79,13 +90,10 @@ def robot_picture(
     Raises:
         KickbenchError: There is no OpenGL.
     """
-    sheet = Image.new("RGB", (len(poses) * width, height))
     with Stage(task, width, height) as stage:
-        camera = stage.portrait(*box)
-        for index, qpos in enumerate(poses):
-            pixels = stage.picture(qpos, np.array([-3.0, 0.0]), camera)
-            sheet.paste(Image.fromarray(pixels), (index * width, 0))
-    return sheet
+        camera, behind = stage.portrait(*box), np.array([-3.0, 0.0])
+        pictures = [Image.fromarray(stage.picture(qpos, behind, camera)) for qpos in poses]
+    return tiled(pictures, len(poses))
 
 
 def describe_start(ball: np.ndarray, target: np.ndarray) -> str:
@@ -179,19 +187,8 @@ def film(
 
 
 def _frame(stage: Stage, camera: Any, sessions: Sequence[Session]) -> Image.Image:
-    image = Image.new("RGB", (len(sessions) * stage.width, stage.height))
-    size = max(stage.height // 24, 10)
-    for part, session in enumerate(sessions):
-        target = session.start.target[0].numpy()
-        panel = Image.fromarray(stage.picture(session.qpos, target, camera))
-        draw, font = ImageDraw.Draw(panel), ImageFont.load_default(size)
-        for text, place, anchor in (
-            (session.title, (stage.width - size, size), "ra"),
-            (caption(session), (size, stage.height - size), "ld"),
-        ):
-            draw.text(place, text, _WHITE, font, anchor, stroke_width=2, stroke_fill=_NIGHT)
-        image.paste(panel, (part * stage.width, 0))
-    return image
+    drawn = [(stage.picture(of.qpos, of.start.target[0].numpy(), camera), of) for of in sessions]
+    return tiled([panel(pixels, caption(of), of.title) for pixels, of in drawn], len(sessions))
 
 
 def caption(session: Session) -> str:

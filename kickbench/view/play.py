@@ -39,7 +39,7 @@ class Player:
         self.session, self._blocked = session, False
         self.paused, self.repeat, self.speed, self.tallies = False, False, 1.0, ([0, 0], [0, 0])
         self._limits = slider_limits(session.env.task)
-        self._before: float | None = None
+        self._before = time.monotonic()
         self._credit, self._hold = 0.0, 0
 
     def elapse(self, seconds: float) -> None:
@@ -61,8 +61,8 @@ class Player:
                 session.restart() if self.repeat else session.show(session.number + 1)
             return
         session.step()
+        self._hold = round(_HOLD / session.interval)
         if session.ending and session.outcome is not None:
-            self._hold = round(_HOLD / session.interval)
             tally = self.tallies[session.mirrored]
             tally[:] = tally[0] + int(session.outcome.success[0]), tally[1] + 1
 
@@ -92,7 +92,7 @@ class Player:
     def update(self, viewer: Any) -> None:
         """Lets the time since the last frame pass, and places robot, ball and target."""
         now = time.monotonic()
-        self.elapse(0.0 if self._before is None else now - self._before)
+        self.elapse(now - self._before)
         self._before = now
         viewer.data.qpos[:] = self.session.qpos
         viewer.data.mocap_pos[viewer.model.body("target").mocapid[0], :2] = self.session.start.target[0]

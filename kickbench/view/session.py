@@ -8,21 +8,12 @@ from torch import Tensor
 
 from kickbench.envs.compiled_task import CompiledTask
 from kickbench.envs.disturbances import EpisodeDraws
-from kickbench.envs.engines import make_engine
-from kickbench.envs.env import KickEnv
 from kickbench.envs.episode import Outcome
 from kickbench.envs.initial_states import InitialStates
-from kickbench.evaluation.rollouts import Policy, draw_initial_states
+from kickbench.evaluation.rollouts import Policy, evaluation_env, evaluation_initial_states
 from kickbench.results.episode_table import NON_FINITE
 from kickbench.symmetry.torch_ops import Mirror
 from kickbench.trials.trial import state_symmetry
-
-
-def evaluation_initial_states(task: CompiledTask, count: int, seed: int) -> InitialStates:
-    """The first initial states of the task's evaluation with a seed; state k is row k of `episodes.csv`."""
-    # All of them are drawn: which numbers of the generator one gets depends on their count.
-    initial = draw_initial_states(task, max(count, task.spec.evaluation.episodes), seed)
-    return initial.take(torch.arange(count))
 
 
 class Session:
@@ -53,21 +44,14 @@ class Session:
             episodes: Number of initial states.
             title: What is written over the pictures.
         """
-        self._policy, self._seed, self.title, protocol = policy, seed, title, task.spec.evaluation
+        self._policy, self._seed, self.title = policy, seed, title
         self._starts = evaluation_initial_states(task, episodes, seed)
         self._mirrors = [Mirror(representation) for representation in state_symmetry(task)]
         self._ball, self.interval = task.scene.layout.ball_qpos, task.spec.simulation.control_interval
         self.number, self.mirrored, self.start = 0, False, self._starts.take(torch.tensor([0]))
         self._draws = EpisodeDraws(1)
-        self.env = KickEnv(
-            task,
-            make_engine(task, 1, num_threads=1),
-            seed,
-            noise=protocol.observation_noise,
-            pushes=protocol.pushes,
-            initial_states=self._hand_out,
-            draws=self._draws,
-        )
+        source = {"initial_states": self._hand_out, "draws": self._draws}
+        self.env = evaluation_env(task, 1, seed, 1, **source)
         self.restart()
 
     def _hand_out(self, mask: Tensor) -> InitialStates:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 # pyright: reportAttributeAccessIssue=false
 import mujoco
 import numpy as np
@@ -13,12 +15,10 @@ _FIELD_OF_VIEW = 40.0
 """Vertical field of view, degrees."""
 _ELEVATION, _ASIDE = -18.0, 25.0
 """Angle by which the camera looks down, and its angle to the line from robot to target, degrees."""
-_MARGIN = 0.07
-"""Share of a picture that stays free on every side."""
 _SHADOW_REACH = 2.5
 """Shadows fall within this distance of the robot's start, m: the map of a wider area would be coarse."""
-_ROBOT = (0.25, 1.1)
-"""Half of the side, and height of the box around a robot at the origin, m."""
+_POLE, _RED = 0.5, [0.95, 0.25, 0.2, 1.0]
+"""Height of the pole in a target, m, and its colour."""
 
 
 class Stage:
@@ -36,7 +36,7 @@ class Stage:
             KickbenchError: There is no OpenGL.
         """
         self.width, self.height = width, height
-        self._ball, self._radius = task.scene.layout.ball_qpos, task.spec.evaluation.success_radius
+        self._ball = task.scene.layout.ball_qpos
         self.model = dress(task.scene.spec, width, height)
         self._data = mujoco.MjData(self.model)
         self._scene = mujoco.MjvScene(self.model, 2000)
@@ -62,9 +62,7 @@ class Stage:
         ball = qpos[self._ball : self._ball + 2]
         side = target[0] * ball[1] - target[1] * ball[0]  # positive: the ball is to the left of the line
         heading = np.degrees(np.arctan2(target[1], target[0])) - np.copysign(_ASIDE, side)
-        flag = _box(target, self._radius, _flag_height(self._radius))
-        points = np.concatenate([_box((0.0, 0.0), *_ROBOT), _box(ball, 0.2, 0.2), flag])
-        return fit_camera(points, heading, _ELEVATION, self.width / self.height)
+        return look_at([*0.4 * target, 0.3], 2.0 + 0.65 * float(np.linalg.norm(target)), heading)
 
     def portrait(self, half: float, height: float) -> mujoco.MjvCamera:
         """A camera that has a box around the origin in the picture, seen from ahead and the left.
@@ -73,9 +71,9 @@ class Stage:
             half: Half of the box's side, m.
             height: Its height, m.
         """
-        return fit_camera(
-            _box((0.0, 0.0), half, height), 180.0 + 2 * _ASIDE, _ELEVATION, self.width / self.height
-        )
+        radius = np.hypot(np.hypot(half, half), height / 2)
+        distance = radius / np.sin(np.radians(_FIELD_OF_VIEW / 2))
+        return look_at([0.0, 0.0, height / 2], distance, 180.0 + 2 * _ASIDE)
 
     def picture(self, qpos: np.ndarray, target: np.ndarray, camera: mujoco.MjvCamera) -> np.ndarray:
         """Renders a state.
@@ -105,39 +103,17 @@ class Stage:
         return pixels[::-1]
 
 
-def fit_camera(points: np.ndarray, azimuth: float, elevation: float, aspect: float) -> mujoco.MjvCamera:
-    """The nearest camera of a given direction that has all points in the picture, well centred.
-
-    A point at (r, u, d) in the camera's axes is inside if |r - r0| <= s (d - d0): of all points the largest
-    of r - s d and of -r - s d decide, so the least retreat is half their sum. The same holds for u; the
-    direction that needs more retreat is filled, the other has its points centred.
+def look_at(point: Sequence[float], distance: float, azimuth: float) -> mujoco.MjvCamera:
+    """A camera that looks down at a point.
 
     Args:
-        points: What must be seen [N, 3], m.
+        point: The point [3], m.
+        distance: From the camera, m.
         azimuth: Heading of the view, degrees from the x axis, counter-clockwise.
-        elevation: Slope of the view, degrees; negative looks down.
-        aspect: Width of the picture over its height.
     """
-    a, e = np.radians(azimuth), np.radians(elevation)
-    forward = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
-    right = np.array([np.sin(a), -np.cos(a), 0.0])
-    axes = np.stack([right, np.cross(right, forward), forward])
-    *plane, depth = axes @ points.T
-    slopes = np.tan(np.radians(_FIELD_OF_VIEW) / 2.0) * np.array([aspect, 1.0]) * (1.0 - 2.0 * _MARGIN)
-    high = [np.max(p - s * depth) for p, s in zip(plane, slopes, strict=True)]
-    low = [np.max(-p - s * depth) for p, s in zip(plane, slopes, strict=True)]
-    nearest = min(-(h + w) / (2.0 * s) for h, w, s in zip(high, low, slopes, strict=True))
-    position = np.array([*((h - w) / 2.0 for h, w in zip(high, low, strict=True)), nearest]) @ axes
     camera = mujoco.MjvCamera()
-    camera.azimuth, camera.elevation, camera.distance = azimuth, elevation, 1.0
-    camera.lookat[:] = position + forward
+    camera.lookat[:], camera.distance, camera.azimuth, camera.elevation = point, distance, azimuth, _ELEVATION
     return camera
-
-
-def _box(centre: np.ndarray | tuple[float, float], half: float, height: float) -> np.ndarray:
-    """Corners [8, 3] of an upright box on the floor."""
-    corners = np.stack(np.meshgrid((-half, half), (-half, half), (0.0, height)), axis=-1).reshape(8, 3)
-    return corners + np.array([*centre, 0.0])
 
 
 def dress(scene: mujoco.MjSpec, width: int, height: int) -> mujoco.MjModel:
@@ -160,7 +136,9 @@ def dress(scene: mujoco.MjSpec, width: int, height: int) -> mujoco.MjModel:
     visual.map.znear, visual.map.zfar, visual.map.shadowclip, visual.map.shadowscale = 0.01, 40.0, 1.0, 0.9
     _paint(scene)
     if scene.body("goal") is None:
-        _add_flag(scene)
+        pole = scene.body("target").add_geom(type=mujoco.mjtGeom.mjGEOM_CYLINDER, mass=0.0, rgba=_RED)
+        pole.size, pole.pos = [0.02, _POLE / 2, 0.0], [0.0, 0.0, _POLE / 2]
+        pole.contype = pole.conaffinity = 0
     return scene.compile()
 
 
@@ -179,22 +157,3 @@ def _paint(scene: mujoco.MjSpec) -> None:
     ball.material, ball.rgba, target.rgba = "kickbench_ball", [1.0] * 4, [0.98, 0.82, 0.12, 0.55]
     # Flat things only cast shadows on themselves: specks, where the resolution of the map's depth is too low.
     floor.castshadow = target.castshadow = False
-
-
-def _add_flag(scene: mujoco.MjSpec) -> None:
-    """A pole in the target, with a cloth to be seen from every side."""
-    height = _flag_height(scene.geom("target").size[0])
-    cylinder, box = mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_BOX
-    white, red = [0.9, 0.9, 0.9, 1.0], [0.95, 0.25, 0.2, 1.0]
-    for kind, size, place, colour in (
-        (cylinder, [0.012, height / 2, 0.0], [0.0, 0.0, height / 2], white),
-        (box, [0.09, 0.004, 0.06], [0.1, 0.0, height - 0.06], red),
-        (box, [0.004, 0.09, 0.06], [0.0, 0.1, height - 0.06], red),
-    ):
-        flag = scene.body("target").add_geom(type=kind, size=size, pos=place, rgba=colour, mass=0.0)
-        flag.contype = flag.conaffinity = 0
-
-
-def _flag_height(radius: float) -> float:
-    """Height of the flag in a target of that radius, m."""
-    return 0.3 + 0.5 * radius

@@ -17,6 +17,7 @@ import sys
 import threading
 import webbrowser
 from collections.abc import Collection
+from contextlib import suppress
 from http import HTTPStatus
 from typing import Any
 from urllib.parse import urlsplit
@@ -71,7 +72,9 @@ def show(model: mujoco.MjModel, player: Player, host: str, port: int, browser: b
         try:
             if not serving.wait(_PATIENCE):
                 raise KickbenchError(f"MuJoCo {mujoco.__version__}: its web viewer does not begin to serve")
-            _announce(_url(address, taken), port, taken, names is None, opened)
+            _announce(_url(address, taken), port, taken, names is None)
+            if opened:
+                threading.Thread(target=opened.open, args=(_url(address, taken),), daemon=True).start()
             viewer_protocol.run_viewer_loop(viewer)
         except KeyboardInterrupt:
             pass
@@ -189,28 +192,19 @@ def _url(address: str, port: int) -> str:
 def _find_browser(*, required: bool) -> webbrowser.BaseBrowser | None:
     """A browser with a window, or None."""
     if sys.platform != "linux" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
-        try:
+        with suppress(webbrowser.Error):
             return webbrowser.get()
-        except webbrowser.Error:
-            pass
     if required:
         raise KickbenchError("--browser: no browser was found here; --no-browser serves the page without one")
     return None
 
 
-def _announce(
-    url: str, requested: int, port: int, local: bool, browser: webbrowser.BaseBrowser | None
-) -> None:
+def _announce(url: str, requested: int, port: int, local: bool) -> None:
     if requested and port != requested:
         print(f"port {requested} is taken: {port} is used")
     if not local:
-        print(
-            f"warning: everyone who reaches port {port} of this machine sees this page and controls it",
-            file=sys.stderr,
-        )
+        what = f"everyone who reaches port {port} of this machine sees this page and controls it"
+        print(f"warning: {what}", file=sys.stderr)
     print(f"{url}  (Ctrl-C ends it)", flush=True)
-    if browser is None:
-        far = f"; from another machine: ssh -L {port}:127.0.0.1:{port} HOST" if local else ""
-        print(f"open this address in a browser{far}", flush=True)
-    else:
-        threading.Thread(target=browser.open, args=(url,), daemon=True).start()
+    far = f"; from another machine: ssh -L {port}:127.0.0.1:{port} HOST" if local else ""
+    print(f"open this address in a browser{far}", flush=True)

@@ -45,7 +45,7 @@ def add_ball(scene: mujoco.MjSpec, ball: dict) -> None:
 
 
 def add_servo(scene: mujoco.MjSpec, action: dict) -> None:
-    """Adds an actuator with the law of the contract: see `Action` in kickbench/deploy/contract.py."""
+    """Adds an actuator with the law of the contract: see kickbench/deploy/contract.py."""
     servo = scene.add_actuator(name=action["name"])
     kp, kd, effort = action["kp"] or 0.0, action["kd"], action["effort"]
     slope = effort / action["velocity_limit"] if action["velocity_limit"] else 0.0

@@ -11,8 +11,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from kickbench.deploy.contract import Contract
-from kickbench.deploy.export import contract_of, onnx_bytes, write_states
+from kickbench.deploy.contract import contract_of, contract_text
+from kickbench.deploy.export import onnx_bytes, write_states
 from kickbench.evaluation.rollouts import run_sides
 from kickbench.training.trained import load_run
 
@@ -42,8 +42,8 @@ def test_help_says_which_files_it_takes(examples, monkeypatch, capsys):
 def test_the_scene_is_that_of_the_env(exported, examples, name):
     path, folder = exported(name)
     run = load_run(path)
-    contract = Contract.model_validate_json((folder / "policy.json").read_bytes())
-    plain = examples[0].build(contract.model_dump(), str(run.specs.robot.model))
+    contract = json.loads((folder / "policy.json").read_text())
+    plain = examples[0].build(contract, str(run.specs.robot.model))
     own = run.trial.task.scene.model
     arrays = (
         *(
@@ -127,7 +127,7 @@ def test_delayed_targets_arrive_as_in_the_env(exported, examples, tmp_path):
     )
     run = load_run(path, task)
     contract = contract_of(run)
-    (tmp_path / "policy.json").write_text(contract.text())
+    (tmp_path / "policy.json").write_text(contract_text(contract))
     (tmp_path / "policy.onnx").write_bytes(onnx_bytes(run.policy, contract))
     write_states(tmp_path / "initial_states.npz", run.trial.task, 400)
     hits = examples[1].main(tmp_path, str(run.specs.robot.model))

@@ -16,7 +16,7 @@ from kickbench.bench.measure import Iterations
 from kickbench.cli import main
 from kickbench.errors import KickbenchError
 from kickbench.symmetry.torch_ops import Mirror
-from kickbench.training.ppo import BoundedPPO, build_ppo, tf32_products
+from kickbench.training.ppo import BoundedPPO, build_ppo
 
 ROOT = Path(__file__).parents[2]
 SMALL = ("algorithm.num_envs=16", "algorithm.steps_per_env=8", "network.actor_hidden=[16]")
@@ -102,8 +102,6 @@ def test_tf32_is_allowed_in_updates_only(experiment):
     ppo.update()
     assert seen == [True]
     assert not torch.backends.cuda.matmul.allow_tf32
-    with tf32_products(False):
-        assert not torch.backends.cuda.matmul.allow_tf32
 
 
 def test_tf32_without_a_gpu_is_told_where_it_was_asked_for(tmp_path, capsys):

@@ -44,7 +44,6 @@ def test_a_process_without_torchrun_is_alone(environ):
     assert not ranks.any(False)
     state = {"a": torch.ones(2)}
     assert ranks.gather(state) == [state]
-    assert ranks.broadcast(state) is state
 
 
 def test_torchrun_tells_which_process_this_is():
@@ -87,11 +86,11 @@ def test_every_process_of_every_run_has_a_seed_of_its_own():
 
 def test_a_fingerprint_sees_the_last_bit_of_every_weight():
     layers = nn.Sequential(nn.Linear(3, 2), nn.BatchNorm1d(2))
-    before = fingerprint(layers)
-    assert fingerprint(layers) == before
+    before = fingerprint(layers.state_dict())
+    assert fingerprint(layers.state_dict()) == before
     with torch.no_grad():
         layers[0].weight[1, 2] = torch.nextafter(layers[0].weight[1, 2], torch.tensor(9.0))
-    assert fingerprint(layers) != before
+    assert fingerprint(layers.state_dict()) != before
 
 
 def test_what_cannot_be_shared_is_told_before_anything_is_written(monkeypatch, capsys, tmp_path):

@@ -78,5 +78,6 @@ def trained(run, experiment):
     from kickbench.training.checkpoint import save_policy
 
     symmetry, method = experiment("mini_general").symmetry, experiment("mini_general").method
-    save_policy(run.policy, build_actor(method.spec, symmetry.groups["actor"], symmetry.actions))
+    actor = build_actor(method.spec, symmetry.groups["actor"], symmetry.actions)
+    save_policy(run.policy, actor.state_dict())
     return run

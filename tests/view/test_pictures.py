@@ -35,12 +35,12 @@ def test_the_font_has_every_character_of_the_words():
 
 def test_a_sheet_has_a_picture_for_every_start(opengl, task):
     sheet = np.asarray(contact_sheet(task, 3, 1, 96, 72))
-    assert sheet.shape[1] == 2 * (96 + 10) + 10
-    paper = (sheet == sheet[0, 0]).all(axis=2)
-    # Two columns of pictures in the first row; one, on the left, in the second.
-    half = sheet.shape[0] * 3 // 4
-    assert not paper[half, 20:100].any()
-    assert paper[half, 120:].all()
+    assert sheet.shape == (2 * 72, 2 * 96, 3)
+    blank = (sheet == 255).all(axis=2)
+    # Two pictures in the first row; one, on the left, in the second.
+    assert not blank[:72].all(axis=1).any()
+    assert not blank[72:, :96].all(axis=1).any()
+    assert blank[72:, 96:].all()
 
 
 @pytest.fixture

@@ -12,10 +12,10 @@ from kickbench.config.load import load_task
 from kickbench.envs.catalog import model_of_task
 from kickbench.envs.compiled_task import compile_task
 from kickbench.errors import KickbenchError
-from kickbench.evaluation.rollouts import mirror_initial_states, run_episodes
+from kickbench.evaluation.rollouts import evaluation_initial_states, mirror_initial_states, run_episodes
 from kickbench.training.checkpoint import Checkpoints
 from kickbench.training.trained import load_run
-from kickbench.view.session import Session, evaluation_initial_states
+from kickbench.view.session import Session
 
 ROOT = Path(__file__).parents[2]
 

@@ -26,7 +26,7 @@ def test_render_draws_a_sheet_named_after_the_task(opengl, place, capsys):
     assert main(["render", TASK, "--initial-states", "2", "--size", "96x72"]) == 0
     assert capsys.readouterr().out == "mini_home_field.png\n"
     image = Image.open("mini_home_field.png")
-    assert image.width > 2 * 96
+    assert image.size == (2 * 96, 72)
     assert np.asarray(image).std() > 10
 
 
