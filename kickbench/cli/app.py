@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
@@ -10,18 +10,8 @@ import typer
 from typer.core import TyperGroup
 
 from kickbench.config.shipped import find, names
-from kickbench.errors import SpecError
 
 PANELS = ("Train", "Look at results", "Define", "Check")
-_BEGIN = """\
-usage: kickbench VERB ...   (kickbench --help lists all verbs, kickbench VERB --help explains one)
-
-Five to begin with:
-  kickbench list                                  tasks, methods and robots by name
-  kickbench run mini_home_field equivariant       train and evaluate, minutes on a laptop
-  kickbench table runs                            what the runs have reached
-  kickbench report runs                           the same as a page with pictures
-  kickbench show mini_general                     a task, to extend it by one of your own"""
 
 
 class _Grouped(TyperGroup):
@@ -89,37 +79,8 @@ def _kickbench(
         print(f"kickbench {__version__}")
         raise typer.Exit
     if context.invoked_subcommand is None:
-        typer.echo(_BEGIN, err=True)
+        typer.echo(context.get_help(), err=True)
         raise typer.Exit(2)
-
-
-def exclude(flag: str, is_set: Any, other: str, other_is_set: Any) -> None:
-    """Refuses two flags at once."""
-    if is_set and other_is_set:
-        raise typer.BadParameter(f"{flag}: not allowed with argument {other}")
-
-
-def override_of(overrides: Sequence[str], key: str) -> str | None:
-    """The override that gives a key its value: the last one."""
-    own = [text for text in overrides if text.partition("=")[0].replace(" ", "") == key]
-    return own[-1] if own else None
-
-
-def refuse_contradiction(overrides: Sequence[str], key: str, *values: int | None) -> None:
-    """Refuses a flag and a `--set` that give one key two values: one of them would be ignored.
-
-    Args:
-        overrides: `key.path=value` texts.
-        key: The key; the flag has the name of its last part.
-        values: What the flag gives; None or nothing if it is not there.
-
-    Raises:
-        SpecError: They differ.
-    """
-    override, given = override_of(overrides, key), [str(value) for value in values if value is not None]
-    if override and given and {override.partition("=")[2].strip()} != {*given}:
-        flag = f"--{key.rpartition('.')[2].replace('_', '-')} {' '.join(given)}"
-        raise SpecError.of(f"--set {override}", f"{flag} sets {key}, too: give one of them only")
 
 
 def between(low: float, high: float) -> Callable[[float | None], float | None]:
@@ -141,10 +102,10 @@ class Pixels(NamedTuple):
 
 
 def _size(text: str) -> Pixels:
-    sides = text.lower().split("x")
-    if len(sides) != 2 or not all(side.isdecimal() and 64 <= int(side) <= 4096 for side in sides):
-        raise typer.BadParameter(f"expected WIDTHxHEIGHT, each from 64 to 4096, found {text!r}")
-    return Pixels(int(sides[0]), int(sides[1]))
+    width, height = map(int, text.lower().split("x"))  # typer words the ValueError
+    if not (64 <= width <= 4096 and 64 <= height <= 4096):
+        raise ValueError
+    return Pixels(width, height)
 
 
 def names_of(*kinds: str) -> Callable[[str], list[str]]:
@@ -206,5 +167,5 @@ Trust = Annotated[bool, option("Run the code that came with the run.", "--trust-
 Json = Annotated[bool, option("Print JSON.", "--json", default=...)]
 _SCALE = "Shrink iterations and evaluation episodes (100 a side at least) by this factor; marked in results."
 Scale = Annotated[float | None, option(_SCALE, default=..., metavar="S", callback=between(0, 1))]
-_SIZE = "Pixels of a picture (default: 400x300, films 640x480)."
+_SIZE = "Pixels of a picture, 64 to 4096 a side (default: 400x300, films 640x480)."
 Size = Annotated[Pixels | None, option(_SIZE, default=..., metavar="WxH", parser=_size)]

@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     from kickbench.trials.trial import Trial
 
 _METHODS = ("baseline", "augmentation", "equivariant")
+_ENVS = "Envs: one or more numbers (default: 512); --set algorithm.num_envs wins."
 _METHOD = "Method or table (default: the run's, or the standard one)."
 _TABLES = cli.names_of("method", "representations")
-_NUM_ENVS, _DEFAULT_ENVS = "algorithm.num_envs", 512
 _NEEDED = {"torch": "torch", "mujoco": "mujoco", "rsl-rl-lib": "rsl_rl", "tensordict": "tensordict"}
 """Packages without which nothing runs, and the modules they are imported as."""
 _DRAW = "from kickbench.view.backend import make_context; print(type(make_context(64, 64)).__module__)"
@@ -48,7 +48,7 @@ def audit(
     """
     if method is not None:
         is_table = str(method) in names("representations")
-        method = find(method, "representations") if is_table else find_method(method, task, ["robot"])
+        method = find(method, "representations") if is_table else find_method(method, task)
     from kickbench.audit.audit import audit as run_audit
 
     report = run_audit(task, method, policy, states, seed, overrides, threads)
@@ -60,7 +60,7 @@ def audit(
 def bench(
     task: Path = cli.option("Task (default: mini_general).", default=Path("mini_general"), **cli.TASK),
     methods: Path | None = cli.option("Folder of the three methods (default: the robot's).", metavar="DIR"),
-    num_envs: list[int] = cli.count("Envs: one or more numbers (default: 512).", metavar="N...", default=[]),
+    num_envs: list[int] = cli.count(_ENVS, metavar="N...", default=[512]),
     rounds: int = cli.count("Interleaved repetitions (default: 10).", default=10),
     json: Path | None = cli.option("Write the figures as JSON, too.", metavar="FILE"),
     profile: bool = cli.flag("Print where the time goes, for the first number of envs.", "--profile"),
@@ -77,7 +77,6 @@ def bench(
     """
     if proof and (device == "cpu" or json or profile):
         raise KickbenchError("--proof needs --device cuda, and neither --json nor --profile")
-    cli.refuse_contradiction(overrides, _NUM_ENVS, *num_envs)
     from kickbench.bench.figures import print_report
     from kickbench.bench.measure import measure, profile_iteration
     from kickbench.results.atomic import atomic_write_text, check_writable
@@ -85,10 +84,8 @@ def bench(
 
     check_device(device)
     threads = threads or usable_cores()
-    default = [_DEFAULT_ENVS] if cli.override_of(overrides, _NUM_ENVS) is None else []
-    sizes = [[f"{_NUM_ENVS}={number}"] for number in num_envs or default] or [[]]
     # All of them first: a wrong file is an error before anything is measured.
-    chosen = [_trials(task, methods, [*overrides, *size]) for size in sizes]
+    chosen = [_trials(task, methods, [f"algorithm.num_envs={n}", *overrides]) for n in num_envs]
     if proof:
         from kickbench.bench.proof import prove
 
@@ -110,9 +107,7 @@ def _trials(task: Path, folder: Path | None, overrides: list[str]) -> dict[str, 
     """The methods that are compared, on one task."""
     from kickbench.trials.trial import load_trial
 
-    files = {
-        name: folder / f"{name}.yaml" if folder else find_method(name, task, overrides) for name in _METHODS
-    }
+    files = {name: folder / f"{name}.yaml" if folder else find_method(name, task) for name in _METHODS}
     return {name: load_trial(task, file, overrides) for name, file in files.items()}
 
 
@@ -124,7 +119,6 @@ def doctor() -> int:
         **{package: partial(_version, package) for package in _NEEDED},
         "processor": _processor,
         "CUDA": _cuda,
-        "proof": _proved,
         "pictures": _drawing,
     }
     broken = set()
@@ -165,17 +159,6 @@ def _cuda() -> str:
     cards = ", ".join(torch.cuda.get_device_name(number) for number in range(torch.cuda.device_count()))
     obstacle = graph_obstacle(torch.device("cuda"))
     return f"{cards}, " + (f"WITHOUT GRAPHS, several times slower: {obstacle}" if obstacle else "with graphs")
-
-
-def _proved() -> str:
-    """On which cards everything has been tried."""
-    from kickbench.bench.proof import proved_cards
-
-    cards = [
-        f"{'proved' if proof.passed else 'FAILED'} on {proof.card}, {proof.provenance.finished[:10]}"
-        for proof in proved_cards()
-    ]
-    return "; ".join(cards) or "untested: kickbench bench --device cuda --proof"
 
 
 def _drawing() -> str:

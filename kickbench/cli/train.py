@@ -13,8 +13,6 @@ from kickbench.config.shipped import find, find_method
 from kickbench.errors import KickbenchError, shown
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from kickbench.launch.jobs import Jobs
     from kickbench.launch.overview import PlanRecord, RunState
     from kickbench.launch.plan import Plan
@@ -23,10 +21,6 @@ DEMO = "mini_home_field"
 CONDITIONS = ("baseline", "augmentation", "equivariant")
 _FILM = ("baseline", "equivariant")
 _FILM_SIZE, _EPISODES = (320, 240), 2
-_NOTHING = 0.01
-"""Largest loss of success that counts as none."""
-_LEARNED = 0.05
-"""Success below which no statement about the other side is made."""
 _GPUS = "Share of a GPU that Ray gives a run (default: 0, of `--device cuda` 1)."
 _RUNS = "Folder of the runs (default: runs/<experiment>; with --scale or --set one of its own)."
 
@@ -36,9 +30,9 @@ def run(
     task: cli.Task,
     method: cli.Method,
     seed: cli.Seed = 0,
-    iterations: int | None = cli.count("Iterations (default: the method's)."),
+    iterations: int | None = cli.count("Iterations, whatever --set says (default: the method's)."),
     scale: cli.Scale = None,
-    num_envs: int | None = cli.count("Parallel envs (default: the method's)."),
+    num_envs: int | None = cli.count("Parallel envs, whatever --set says (default: the method's)."),
     out: Path | None = cli.option("Run directory (default: runs/<task>/<method>/seed<k>).", metavar="DIR"),
     overrides: cli.Set = cli.NONE,
     device: cli.Device = "cpu",
@@ -52,12 +46,11 @@ def run(
 ) -> int:
     """Train a method on a task and evaluate it."""
     options = dict(locals())  # as `RunRequest` names them
-    cli.exclude("--resume", resume, "--force", force)
+    if resume and force:
+        raise KickbenchError("--resume goes on with the run that --force overwrites: give one of them")
     if init_std is not None and init_from is None:
         raise KickbenchError("--init-std replaces the standard deviation of a policy: it needs --init-from")
-    options["method"] = find_method(method, task, overrides)
-    cli.refuse_contradiction(overrides, "algorithm.iterations", iterations)
-    cli.refuse_contradiction(overrides, "algorithm.num_envs", num_envs)
+    options["method"] = find_method(method, task)
     from kickbench.launch.run import RunRequest
     from kickbench.launch.run import run as train
     from kickbench.results.frame import frame_of
@@ -83,7 +76,7 @@ def reproduce(
     seeds: list[int] = cli.count("Seeds (default: the experiment's).", least=0, metavar="K...", default=[]),
     scale: cli.Scale = None,
     overrides: cli.Set = cli.NONE,
-    jobs: int = cli.count("Runs at a time on this machine (default: 1).", default=1),
+    jobs: int = cli.count("Runs at a time on this machine (default: 1; Ray has as many as fit).", default=1),
     on: Literal["local", "ray"] = cli.option("Where: this machine, or a Ray cluster.", default="local"),
     address: str | None = cli.option("Of the Ray cluster (default: one started here).", metavar="HOST:PORT"),
     cpus_per_run: int = cli.count("Cores that Ray gives a run (default: 1).", default=1),
@@ -94,25 +87,30 @@ def reproduce(
     dry_run: bool = cli.flag("Show the plan, write nothing.", "--dry-run"),
 ) -> int:
     """Run a whole experiment, or what is left of it."""
-    if len(set(seeds)) < len(seeds):
-        raise KickbenchError("--seeds: a seed is there twice")
     from kickbench.launch.cluster import RayExecutor, require_ray
     from kickbench.launch.jobs import carry_out
     from kickbench.launch.local import LocalExecutor
-    from kickbench.launch.plan import Selection, make_plan
+    from kickbench.launch.plan import make_plan
     from kickbench.sim.engine import check_device, usable_cores
     from kickbench.trials.experiment import load_experiment
 
     if on == "ray":
-        cli.exclude("--on ray", True, "--jobs", jobs > 1)
         require_ray()
     else:
         check_device(device)
         cpus_per_run = max(1, usable_cores() // jobs)
     threads = threads or cpus_per_run
     gpus = float(device != "cpu") if gpus_per_run is None else gpus_per_run
-    selection = Selection(tuple(only), tuple(seeds), scale, tuple(overrides), out, device, threads)
-    plan = make_plan(load_experiment(experiment), selection)
+    plan = make_plan(
+        load_experiment(experiment),
+        only=only,
+        seeds=tuple(dict.fromkeys(seeds)),
+        out=out,
+        scale=scale,
+        overrides=overrides,
+        device=device,
+        threads=threads,
+    )
     how = "as many at a time as fit on Ray" if on == "ray" else f"{jobs} at a time"
     how = f"; {how}, {threads} thread{'s' * (threads > 1)} each"
     _print_states(plan.record.title(shown(plan.folder)), list(_planned(plan)), jobs, how)
@@ -188,7 +186,7 @@ def demo(
     """Train three methods on the mini home-field task and show what came of them."""
     from kickbench.launch.jobs import carry_out
     from kickbench.launch.local import LocalExecutor
-    from kickbench.launch.plan import Selection, make_plan
+    from kickbench.launch.plan import make_plan
     from kickbench.results.frame import load_runs
     from kickbench.results.tables import render_table
     from kickbench.sim.engine import usable_cores
@@ -196,8 +194,8 @@ def demo(
 
     # All at once even on two cores: one by one, the last run would leave a core idle.
     at_a_time, threads = len(CONDITIONS), max(1, usable_cores() // len(CONDITIONS))
-    selection = Selection(CONDITIONS, seeds=(0,), scale=scale, out=out, threads=threads)
-    plan = make_plan(load_experiment(find(DEMO, "experiment")), selection)
+    experiment = load_experiment(find(DEMO, "experiment"))
+    plan = make_plan(experiment, only=CONDITIONS, seeds=(0,), out=out, scale=scale, threads=threads)
     print("""\
 The mini kicker trains with ball and target on its left only. Which method kicks as well on its right?
 Three methods, one seed each, at the same time; Ctrl-C stops, the same command goes on.
@@ -206,9 +204,8 @@ Three methods, one seed each, at the same time; Ctrl-C stops, the same command g
     if code := _exit_code(carry_out(plan, lambda: LocalExecutor(at_a_time))):
         return code
     runs = load_runs(plan.folder)
-    print(f"\n{render_table(runs)}\n\n{sentence(runs)}\n", flush=True)
-    for line in _pictures(plan.folder):
-        print(line, flush=True)
+    print(f"\n{render_table(runs)}\n", flush=True)
+    _draw(plan.folder)
     print(f"""
 Next:
   kickbench play {shown(plan.folder / "equivariant/seed0")}     # watch the policy in a browser
@@ -217,47 +214,22 @@ Next:
     return 0
 
 
-def sentence(runs: pd.DataFrame) -> str:
-    """What the policies of one seed lose on the side that they have never seen, in words.
-
-    Args:
-        runs: Evaluated runs, one per method, as `load_runs` reads them.
-    """
-    rates = {(run.method, run.side): float(run.success_rate) for _, run in runs.iterrows()}
-    parts = [
-        _part(method, rates[method, "in_distribution"], rates[method, "mirrored"]) for method in CONDITIONS
-    ]
-    text = f"{'; '.join(parts)}."
-    return f"{text[0].upper()}{text[1:]}\n(One seed: another one gives other figures of the same kind.)"
-
-
-def _part(method: str, home: float, away: float) -> str:
-    name = method if method == "augmentation" else f"the {method} policy"
-    rates = f"{100 * home:.0f} -> {100 * away:.0f} %"
-    if home < _LEARNED:
-        return f"{name} has not learned the task: {rates}"
-    if away < home / 2.0:
-        return f"{name} fails on the side that it never saw: {rates}"
-    if home - away <= _NOTHING:
-        return f"{name} loses nothing there: {rates}"
-    return f"{name} loses {100 * (home - away):.0f} points there: {rates}"
-
-
-def _pictures(folder: Path) -> Iterator[str]:
-    """Writes the page and a film of the mirrored side, where this machine can; what has been written."""
+def _draw(folder: Path) -> None:
+    """Writes the page and a film of the mirrored side, where this machine can."""
     from kickbench.report.page import write_report
     from kickbench.training.trained import load_run
     from kickbench.view.pictures import film_runs
 
-    paths, film = [folder / name / "seed0" for name in _FILM], folder / "film.webp"
+    paths = [folder / name / "seed0" for name in _FILM]
+    page, film = folder / "report.html", folder / "film.webp"
     try:
-        write_report(folder, folder / "report.html")
-        yield f"report: {shown(folder / 'report.html')}"
+        write_report(folder, page)
+        print(f"report: {shown(page)}", flush=True)
         task = load_run(paths[0]).trial.task
         film_runs(task, paths, film, _EPISODES, task.spec.evaluation.seed, _FILM_SIZE, mirrored=True)
-        yield f"film:   {shown(film)} (the side that the baseline never saw)"
+        print(f"film:   {shown(film)} (the side that the baseline never saw)", flush=True)
     except KickbenchError as error:
-        yield f"not drawn: {error}"
+        print(f"not drawn: {error}", flush=True)
 
 
 @cli.verb("Train", "status runs/mini_home_field")
@@ -276,32 +248,19 @@ def status(root: Path = cli.argument("Folder of runs.", "DIR", **cli.FOLDER)) ->
 
 def _states(root: Path, record: PlanRecord | None) -> Iterator[tuple[str, RunState, str]]:
     """Name, state and remark: first the runs of the plan, then others that are there."""
-    from kickbench.launch.overview import RunState, state_of
+    from kickbench.launch.overview import read_state, state_of
     from kickbench.results.frame import load_runs, run_path, runs_of
     from kickbench.results.store import RunDirectory
 
-    frame = load_runs(root)
-    found = {run.path.relative_to(root): run for _, run in runs_of(frame).iterrows()}
-    planned = {run_path(Path(), run.arm, run.seed): run for run in record.runs} if record else {}
-    for folder, plan in planned.items():
-        run, remarks = found.pop(folder, None), []
-        state = RunState("not begun", 0, plan.iterations) if run is None else state_of(run, plan.iterations)
-        missing = [task for task in plan.also if not RunDirectory(root / folder).also(task).is_file()]
-        if missing and run is not None and run.state == "finished":
-            remarks = [f"not evaluated on {', '.join(missing)}"]
-        yield folder.as_posix(), state, "; ".join([*remarks, *_remarks(frame, root / folder)])
-    for folder, run in found.items():
-        remarks = ["not in the plan"] if planned else []
-        remarks += [f"scaled down to {run.scale:g}"] if run.scale > 0 else []
-        yield folder.as_posix(), state_of(run), "; ".join([*remarks, *_remarks(frame, run.path)])
-
-
-def _remarks(frame: pd.DataFrame, path: Path) -> list[str]:
-    """Damaged results on transfer tasks, episodes with NaN or infinity, and which run this one repeats."""
-    from kickbench.results.quantities import non_finite_note
-    from kickbench.results.tables import repeat_lines
-
-    rows = frame[frame.path == path]
-    damage = rows[(rows.state == "damaged") & (rows.evaluated_on != rows.task)].damage
-    notes = [non_finite_note(rows.non_finite.max()).strip(" ()")] if rows.non_finite.max() > 0 else []
-    return [*damage, *notes, *repeat_lines(rows)]
+    planned = {run_path(root, run.arm, run.seed): run for run in record.runs} if record else {}
+    for path, run in planned.items():
+        directory = RunDirectory(path)
+        state = read_state(directory, run.iterations)
+        missing = [task for task in run.also if not directory.also(task).is_file()]
+        remark = f"not evaluated on {', '.join(missing)}" if missing and state.state == "finished" else ""
+        yield path.relative_to(root).as_posix(), state, remark
+    for _, run in runs_of(load_runs(root)).iterrows():
+        if run.path not in planned:
+            scaled = f"scaled down to {run.scale:g}" if run.scale > 0 else ""
+            remark = "not in the plan" if record else scaled
+            yield run.path.relative_to(root).as_posix(), state_of(run), remark

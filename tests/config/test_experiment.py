@@ -47,7 +47,7 @@ def test_metrics_of_a_run_are_metrics():
     ("old", "new", "place", "message"),
     [
         ("[0, 1]", "[0, 1, 0]", "2:8: seeds", "the seed 0 is there twice: seeds are distinct"),
-        ("[0, 1]", "[]", "2:8: seeds", "expected at least 1 item after validation, found an empty list"),
+        ("[0, 1]", "[]", "2:8: seeds", "expected at least 1 item, found an empty list"),
         (
             "[0, 1]",
             "[-1]",

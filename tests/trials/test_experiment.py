@@ -175,15 +175,6 @@ def test_the_problems_of_a_broken_task_are_those_of_the_experiment(complaints):
     assert only.startswith("broken.yaml:2:11: episode.max_stepz: unknown key 'max_stepz'")
 
 
-def test_mirrored_figures_need_a_mirrored_evaluation(complaints):
-    reported = ", reported: {section: S, in_distribution: {}, mirrored: {success_rate: 0.5}}}"
-    old = "methods/mini/baseline.yaml}"
-    (complaint,) = complaints(old, old[:-1] + reported)
-    assert complaint.endswith(
-        "conditions.baseline.reported.mirrored: the task mini_general has no mirrored evaluation"
-    )
-
-
 def test_a_further_task_may_be_named_by_a_claim(load):
     text = f"seeds: [0]\nevaluation: {{transfer: [{ROOT}/tasks/k1_lite.yaml]}}"
     condition = load("seeds: [0, 1]", text).conditions["baseline"]
@@ -246,3 +237,13 @@ def test_a_claim_that_is_dropped_must_be_there(tmp_path):
     )
     with pytest.raises(SpecError, match="did you mean 'baseline_stands'"):
         load_experiment(file)
+
+
+def test_hashes_of_claims_are_those_that_runs_have_recorded():
+    """Computed when conditions were called arms."""
+    hashes = {
+        "home_field_fast": "239042d1b0f3c56d52d6b18eb7ef9bfef165ab5fb6bcdd7745adeab10bb8dabd",
+        "leg_preference": "b8ef1d944cf43ba8b63c9a3f949d68a88d9365eade9e4f68a7a6cee81c01abc9",
+    }
+    for name, expected in hashes.items():
+        assert load_experiment(ROOT / f"results/reported/{name}.yaml").claims_hash == expected
