@@ -69,11 +69,9 @@ def _call(argv: list[str]) -> int:
     except typer.Exit as end:
         raise SystemExit(end.exit_code) from None
     except typer.TyperException as error:
-        context, parameter = getattr(error, "ctx", None), getattr(error, "param", None)
+        context = getattr(error, "ctx", None)
         where = context.command_path if context else "kickbench"
-        text = error.format_message()
-        if parameter is not None and type(error) is typer.BadParameter:
-            text = f"{parameter.opts[0]}: {error.message.removeprefix('Value error, ')}"
+        text = error.format_message().replace("Value error, ", "")
         _report(printable(f"{where}: {text} ({where} --help)"))
         raise SystemExit(error.exit_code) from None  # type: ignore[attr-defined]
 

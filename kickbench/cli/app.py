@@ -102,10 +102,10 @@ class Pixels(NamedTuple):
 
 
 def _size(text: str) -> Pixels:
-    width, height = map(int, text.lower().split("x"))  # typer words the ValueError
-    if not (64 <= width <= 4096 and 64 <= height <= 4096):
-        raise ValueError
-    return Pixels(width, height)
+    sides = text.lower().split("x")
+    if len(sides) != 2 or not all(side.isdecimal() and 64 <= int(side) <= 4096 for side in sides):
+        raise typer.BadParameter(f"expected WIDTHxHEIGHT, each from 64 to 4096, found {text!r}")
+    return Pixels(int(sides[0]), int(sides[1]))
 
 
 def names_of(*kinds: str) -> Callable[[str], list[str]]:

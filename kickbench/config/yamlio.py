@@ -33,12 +33,10 @@ class Document:
 
     Attributes:
         file: The file loaded, absolute.
-        sources: Every file read: `file` first, then what it extends.
         top: The node of the whole.
     """
 
     file: Path
-    sources: tuple[Path, ...]
     top: Node = field(repr=False)
 
     @cached_property
@@ -149,7 +147,7 @@ def _read(file: Path, chain: tuple[Path, ...] = ()) -> Document:
     except (OSError, ValueError) as error:
         raise document.error((EXTENDS,), *unreadable(base, error)) from None
     own = {key: node for key, node in document.top.value.items() if key != EXTENDS}
-    return Document(file, (file, *below.sources), merge(below.top, replace(document.top, value=own)))
+    return Document(file, merge(below.top, replace(document.top, value=own)))
 
 
 @lru_cache(maxsize=256)
@@ -160,7 +158,7 @@ def _parsed(content: bytes, file: Path) -> Document:
     if not isinstance(top.value, dict):
         what = f"expected keys at the top of the file, found {describe(top.value)}"
         raise SpecError([Problem(start, (), what)])
-    return Document(file, (file,), replace(top, mark=start, key=start))
+    return Document(file, replace(top, mark=start, key=start))
 
 
 def resolved(name: Located) -> Path:

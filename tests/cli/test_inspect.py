@@ -36,7 +36,9 @@ def test_a_word_that_is_none_of_the_choices_is_one_plain_line(capsys):
     with pytest.raises(SystemExit, match="2"):
         main(["terms", "ball_height"])
     error = capsys.readouterr().err
-    assert error.startswith("kickbench terms: kind: 'ball_height' is not one of 'observations', 'rewards'")
+    assert error.startswith(
+        "kickbench terms: Invalid value for '[KIND]': 'ball_height' is not one of 'observations', 'rewards'"
+    )
     assert error.count("\n") == 1
 
 

@@ -579,7 +579,7 @@ def test_a_wrong_number_on_the_command_line_is_a_usage_error(capsys, count):
     with pytest.raises(SystemExit) as stop:
         main(["run", TASK, BASELINE, "--iterations", count])
     assert stop.value.code == 2
-    assert "--iterations: Input should be " in capsys.readouterr().err
+    assert "Invalid value for '--iterations': Input should be " in capsys.readouterr().err
 
 
 def test_several_tasks_are_checked_one_by_one(capsys):

@@ -68,7 +68,6 @@ def test_a_document_knows_its_files():
     document = load_document(write("extends: sub/base.yaml\nb: 2\n"), ["c=3"])
     here = Path.cwd()
     assert document.file == here / "a.yaml"
-    assert document.sources == (here / "a.yaml", here / "sub" / "base.yaml")
     assert document.node(("a",)).origin == here / "sub" / "base.yaml"
     assert document.node(("b",)).origin == here / "a.yaml"
     assert document.node(("c",)).origin is None
