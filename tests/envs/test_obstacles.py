@@ -148,7 +148,7 @@ def test_the_audit_proves_observations_and_termination_of_obstacles():
         ),
         (
             "obstacles.speed=[-1, 1]",
-            "obstacles.speed",
+            "obstacles.speed.0",
             "expected a number greater than or equal to 0, found the number -1",
         ),
         ("obstacles.count=0", "obstacles.count", "expected a number greater than 0"),
