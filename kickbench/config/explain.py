@@ -10,40 +10,79 @@ from pydantic import BaseModel
 from pydantic.json_schema import GenerateJsonSchema
 
 from kickbench.config.base import Spec
+from kickbench.config.task import CurriculumSpec
+from kickbench.config.terms import TermParams, TermTable
 from kickbench.config.yamlio import EXTENDS, Document
-from kickbench.config.yamltree import Node, flow_yaml
-from kickbench.errors import KeyPath, dotted, from_here
+from kickbench.config.yamltree import Node, flow_yaml, value_at
+from kickbench.errors import from_here
 
+_MAX_FLOW = 72
+"""Longer lists are written one item a line."""
 _MAX_ALIGNED = 48
-"""Longer lines do not push the column of sources to the right."""
+"""Longer lines do not push the column of comments to the right."""
 
 
 def explain(spec: Spec, document: Document) -> str:
-    """Writes a line a value: its key, as `--set` takes it, and the file and line, the override, or `default`.
+    """Writes a spec as YAML with a comment on each value: the file and line, the override, or `default`.
 
-    Keys come in the order written, then in that of the model. What is null and was not written is left out.
+    The text loads back to the same spec if it is saved in the working directory. Terms, parameters of
+    terms and ramps that are off and that no file wrote are left out.
 
     Args:
         spec: A validated spec.
         document: The document it was made of.
     """
-    rows = list(_rows(spec.model_dump(mode="json"), document.top, ()))
-    width = max((len(text) for text, _ in rows if len(text) <= _MAX_ALIGNED), default=0)
-    return "".join(f"{text:<{width}}  # {source}\n" for text, source in rows)
+    data = _visible(spec.model_dump(mode="json"), document.data, spec)
+    lines = list(_lines(data, document.top)) or [("{}", "")]
+    width = max((len(text) for text, source in lines if source and len(text) <= _MAX_ALIGNED), default=0)
+    return "".join(f"{text:<{width}}  # {source}\n" if source else f"{text}\n" for text, source in lines)
 
 
-def _rows(value: Any, node: Node | None, path: KeyPath) -> Iterator[tuple[str, str]]:
-    """Key and value, and source, of all values within one that was written at a node; None: nowhere."""
-    is_deep = isinstance(value, list) and any(isinstance(item, dict) for item in value)
-    if value and (is_deep or isinstance(value, dict)):
-        parts = dict(enumerate(value)) if is_deep else value
-        written = node.value if node and isinstance(node.value, dict | list) else {}
-        below = dict(enumerate(written)) if isinstance(written, list) else written
-        for key in dict.fromkeys([*(key for key in below if key in parts), *parts]):
-            if parts[key] is not None or key in below:
-                yield from _rows(parts[key], below.get(key), (*path, key))
-    else:
-        yield f"{dotted(path)}: {flow_yaml(_shown(value))}", _source(node)
+def _visible(value: Any, written: Any, spec: Any) -> Any:
+    """Drops terms, parameters and ramps that are off, and puts written keys first, in the order written."""
+    if isinstance(value, list):
+        return [_visible(item, value_at(written, (i,)), spec[i]) for i, item in enumerate(value)]
+    if not isinstance(value, dict):
+        return value
+    written = written if isinstance(written, dict) else {}
+    order = dict.fromkeys([*(key for key in written if key in value), *value])
+    if isinstance(spec, TermTable | TermParams | CurriculumSpec):
+        order = [key for key in order if value[key] is not None or key in written]
+    parts = dict(spec)
+    return {key: _visible(value[key], written.get(key), parts.get(key)) for key in order}
+
+
+def _lines(value: Any, node: Node | None) -> Iterator[tuple[str, str]]:
+    """Lines of YAML, each with the source of its value; empty: only values further in have some.
+
+    Args:
+        value: A mapping or a list.
+        node: Where it was written; None: nowhere.
+    """
+    is_list = isinstance(value, list)
+    for key, item in enumerate(value) if is_list else value.items():
+        below, head = _below(node, key), "-" if is_list else f"{flow_yaml(key)}:"
+        if _is_leaf(item):
+            yield f"{head} {flow_yaml(_shown(item))}", _source(below)
+            continue
+        if not is_list:
+            yield head, ""
+        for number, (text, source) in enumerate(_lines(item, below)):
+            yield ("- " if is_list and number == 0 else "  ") + text, source
+
+
+def _below(node: Node | None, key: str | int) -> Node | None:
+    """Where a part was written; a scalar may stand for a whole structure."""
+    if node is None or not isinstance(node.value, dict | list):
+        return node
+    return value_at(node.value, (key,))
+
+
+def _is_leaf(value: Any) -> bool:
+    if isinstance(value, list):
+        flat = not any(isinstance(item, dict | list) and item for item in value)
+        return flat and len(flow_yaml(value)) <= _MAX_FLOW
+    return not isinstance(value, dict) or not value
 
 
 def _shown(value: Any) -> Any:
