@@ -14,7 +14,7 @@ from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
-from kickbench.config.yamltree import Located, Node, describe, has, parse
+from kickbench.config.yamltree import Located, Node, describe, has, parse, renamed
 from kickbench.errors import KeyPath, Mark, Problem, SpecError, did_you_mean, dotted, shown
 
 EXTENDS = "extends"
@@ -76,6 +76,7 @@ class Document:
         mark, (left, equals, right) = mark_of(text), text.partition("=")
         keys = tuple(key.strip() for key in left.split("."))
         if not equals or not all(keys):
+        keys = tuple(renamed(keys[: end + 1], mark) for end in range(len(keys)))
             hint = "for example rewards.fall.weight=-2"
             raise SpecError([Problem(mark, (), "expected key.path=value", hint)])
         if keys[0] == EXTENDS:

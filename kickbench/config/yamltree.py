@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import re
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -31,6 +32,14 @@ _CORE: dict[str, tuple[re.Pattern[str], Callable[[str], Scalar]]] = {
 }
 """The core schema, tested in this order (YAML 1.2.2, 10.3.2), and how each kind is read. A longer integer is
 read as a float."""
+
+
+RENAMED: dict[KeyPath, str] = {
+    ("arms",): "conditions",
+    ("evaluation", "also"): "transfer",
+    ("claims", "*", "*", "arm"): "condition",
+}
+"""Keys of experiments that had other names, which are read until the next release; `*` is any key."""
 
 
 class Located(str):
@@ -105,6 +114,15 @@ def describe(value: object) -> str:
 
 def _short(text: str) -> str:
     return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def renamed(path: KeyPath, mark: Mark) -> str:
+    """The name of the key at a path, given at a mark; of an old one the new name, with a warning."""
+    for old, new in RENAMED.items():
+        if len(old) == len(path) and all(one in ("*", key) for one, key in zip(old, path, strict=True)):
+            print(f"{mark}: '{path[-1]}' is now '{new}'", file=sys.stderr)
+            return new
+    return str(path[-1])
 
 
 def parse(text: str, source: Path | Mark, path: KeyPath = ()) -> Node:
@@ -193,7 +211,8 @@ class _Builder:
     def _mapping(self, node: MappingNode, path: KeyPath) -> dict[str, Node]:
         mapping: dict[str, Node] = {}
         for key_node, value_node in node.value:
-            mark, key = self._mark(key_node), key_node.value
+            mark = self._mark(key_node)
+            key = renamed((*path, key_node.value), mark)
             if key_node.tag != f"{_TAG}str":
                 self._report(mark, path, "a key must be a string", "write it in quotes")
             elif key in mapping:

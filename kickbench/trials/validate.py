@@ -15,6 +15,7 @@ from kickbench.config.robot import RobotSpec
 from kickbench.config.task import TaskSpec
 from kickbench.config.terms import ObservationParams
 from kickbench.config.yamlio import Document, load_document, mark_of
+from kickbench.config.yamltree import RENAMED
 from kickbench.envs.catalog import catalog, model_of_task, task_model
 from kickbench.envs.compiled_task import CompiledTask, compile_task, own_representations
 from kickbench.errors import Problem, collected, did_you_mean
@@ -114,7 +115,8 @@ def _table_notes(task: CompiledTask, table: Loaded[RepresentationSpec]) -> Itera
 
 
 def _head(override: str) -> str:
-    return override.partition("=")[0].partition(".")[0].strip()
+    head = override.partition("=")[0].partition(".")[0].strip()
+    return RENAMED.get((head,), head)
 
 
 def _load(path: Path, report: Report, overrides: Sequence[str]) -> CompiledTask | LoadedMethod | None:
