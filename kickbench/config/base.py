@@ -18,7 +18,7 @@ from pydantic import (
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticCustomError
 
-from kickbench.config.yamlio import resolved, unreadable
+from kickbench.config.yamlio import check_regular, resolved, unreadable
 from kickbench.config.yamltree import Located
 
 
@@ -130,6 +130,7 @@ def _readable(name: Any) -> Any:
         return name
     file = resolved(name)
     try:
+        check_regular(file)
         file.open("rb").close()
     except (OSError, ValueError) as error:
         message, hint = unreadable(file, error)

@@ -7,6 +7,7 @@ last, by the same rules.
 
 from __future__ import annotations
 
+import errno
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -75,8 +76,8 @@ class Document:
         """
         mark, (left, equals, right) = mark_of(text), text.partition("=")
         keys = tuple(key.strip() for key in left.split("."))
-        if not equals or not all(keys):
         keys = tuple(renamed(keys[: end + 1], mark) for end in range(len(keys)))
+        if not equals or not all(keys):
             hint = "for example rewards.fall.weight=-2"
             raise SpecError([Problem(mark, (), "expected key.path=value", hint)])
         if keys[0] == EXTENDS:
@@ -133,6 +134,7 @@ def load_document(path: str | Path, overrides: Sequence[str] = ()) -> Document:
 
 def _read(file: Path, chain: tuple[Path, ...] = ()) -> Document:
     """Reads a file, reached through a chain of others, and what it extends."""
+    check_regular(file)
     document, chain = _parsed(file.read_bytes(), file), (*chain, file)
     if EXTENDS not in document.data:
         return document
@@ -160,6 +162,12 @@ def _parsed(content: bytes, file: Path) -> Document:
         what = f"expected keys at the top of the file, found {describe(top.value)}"
         raise SpecError([Problem(start, (), what)])
     return Document(file, replace(top, mark=start, key=start))
+
+
+def check_regular(file: Path) -> None:
+    """Raises an `OSError` for what might never end: a pipe, a socket, a device."""
+    if file.exists() and not file.is_file() and not file.is_dir():
+        raise OSError(errno.EINVAL, "it is no regular file, but a pipe, socket or device")
 
 
 def resolved(name: Located) -> Path:

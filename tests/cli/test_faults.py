@@ -121,6 +121,25 @@ def test_names_of_folders_reach_the_terminal_as_escapes(tmp_path, capsys):
     assert r"\x1b[2J" in printed
 
 
+@pytest.fixture
+def pipe(tmp_path):
+    os.mkfifo(tmp_path / "pipe.yaml")
+    return tmp_path / "pipe.yaml"
+
+
+@pytest.mark.parametrize("key", ["extends", "robot", "command line"])
+@pytest.mark.parametrize("what", ["pipe", "/dev/zero"])
+def test_what_is_no_regular_file_is_refused_and_not_waited_for(pipe, tmp_path, capsys, key, what):
+    target = pipe if what == "pipe" else Path(what)
+    task = tmp_path / "task.yaml"
+    home = ROOT / "tasks/mini_home_field.yaml"
+    task.write_text(f"extends: {target}\n" if key == "extends" else f"extends: {home}\nrobot: {target}\n")
+    assert main(["validate", str(target if key == "command line" else task)]) == 2
+    said = capsys.readouterr().err
+    assert "no regular file" in said
+    assert key == "command line" or said.startswith(f"{task}:{'1:1' if key == 'extends' else '2:8'}: {key}: ")
+
+
 @pytest.mark.parametrize("flags", [["--num-envs", "1"], ["--set", "algorithm.num_envs=1"]])
 def test_one_sample_an_iteration_is_refused(flags, capsys):
     files = [str(ROOT / "tasks/mini_home_field.yaml"), str(ROOT / "methods/mini/baseline.yaml")]
