@@ -44,7 +44,7 @@ def audit(
     """
     if method is not None:
         is_table = str(method) in names("representations")
-        method = find(method, "representations") if is_table else find_method(method, task)
+        method = find(method, "representations") if is_table else find_method(method, task, ["robot"])
     from kickbench.audit.audit import audit as run_audit
 
     report = run_audit(task, method, policy, states, seed, overrides, threads)
@@ -103,7 +103,9 @@ def _trials(task: Path, folder: Path | None, overrides: list[str]) -> dict[str, 
     """The methods that are compared, on one task."""
     from kickbench.trials.trial import load_trial
 
-    files = {name: folder / f"{name}.yaml" if folder else find_method(name, task) for name in _METHODS}
+    files = {
+        name: folder / f"{name}.yaml" if folder else find_method(name, task, overrides) for name in _METHODS
+    }
     return {name: load_trial(task, file, overrides) for name, file in files.items()}
 
 

@@ -96,7 +96,7 @@ def show(
 ) -> None:
     """Print a resolved spec and where each value came from."""
     if fields is not None:
-        return _show_fields(file, find_method(fields, file), overrides)
+        return _show_fields(file, find_method(fields, file, overrides), overrides)
     from kickbench.config.explain import explain
     from kickbench.config.load import load
     from kickbench.config.yamlio import load_document

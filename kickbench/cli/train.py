@@ -50,7 +50,7 @@ def run(
         raise KickbenchError("--resume goes on with the run that --force overwrites: give one of them")
     if init_std is not None and init_from is None:
         raise KickbenchError("--init-std replaces the standard deviation of a policy: it needs --init-from")
-    options["method"] = find_method(method, task)
+    options["method"] = find_method(method, task, overrides)
     from kickbench.launch.run import RunRequest
     from kickbench.launch.run import run as train
     from kickbench.results.frame import frame_of

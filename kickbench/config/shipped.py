@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import os
+from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
 
-from kickbench.errors import KickbenchError, did_you_mean, printable
+from kickbench.errors import KickbenchError, did_you_mean, printable, shown
 
 FOLDERS = {
     "task": ("tasks", "**/*.yaml"),
@@ -50,31 +51,47 @@ def find(text: str | Path, *kinds: str) -> Path:
         KickbenchError: It is neither; says which name is near.
     """
     known = {name: file for kind in reversed(kinds) for name, file in names(kind).items()}
-    return _find(text, known, " or ".join(kinds))
+    return _find(text, known, kinds)
 
 
-def find_method(text: str | Path, task: Path) -> Path:
-    """The method that a path, or a name, means for a task.
-
-    A robot with a folder of methods, as `mini/` is for `mini_kicker`, has those by their names in it; the
-    others have the methods without a folder.
+def find_method(text: str | Path, task: Path, overrides: Sequence[str] = ()) -> Path:
+    """The method that a path, or a name among the methods for a task's robot, means.
 
     Raises:
-        KickbenchError: There is no such method, or the task is no YAML.
+        KickbenchError: There is no such method, or the task is no YAML. Or it is shipped for another robot:
+            `mini/` is for `mini_kicker`, folders that no robot's name begins with for the others.
     """
     from kickbench.config.yamlio import load_document, resolved  # not needed for --help
+    from kickbench.config.yamltree import Located
 
-    robot = load_document(task).data.get("robot")
-    folder = resolved(robot).parent.name if isinstance(robot, str) else ""
-    own = {name: file for name, file in names("method").items() if folder.startswith(name.split("/")[0])}
-    known = {name.partition("/")[2]: file for name, file in own.items()} or names("method")
-    return _find(text, {**known, **{n: f for n, f in names("method").items() if "/" in n}}, "method")
+    value, methods = load_document(task).data.get("robot"), names("method")
+    robot = resolved(value).parent.name if isinstance(value, Located) else ""
+    owner = robot if robot in map(_robot_of, methods) else ""
+    fitting = {name: file for name, file in methods.items() if _robot_of(name) == owner}
+    bare = {file.stem: file for file in reversed(fitting.values())}
+    method = Path(os.path.abspath(_find(text, methods | bare, ("method",))))
+    is_foreign = method in methods.values() and method not in fitting.values()
+    if not is_foreign or robot not in names("robot") or any(key.startswith("robot") for key in overrides):
+        return method
+    use = [name for name, file in fitting.items() if file.stem == method.stem]
+    hint = f"; use {' or '.join(use)}" if use else ""
+    raise KickbenchError(f"{shown(text)}: this method is not for the task's robot, {robot}{hint}")
 
 
-def _find(text: str | Path, known: Mapping[str, Path], what: str) -> Path:
-    if Path(text).is_file():
+def _robot_of(method: str) -> str:
+    """The robot whose name begins with the folder of a shipped method; "": none."""
+    folder = method.partition("/")[0]
+    return next((robot for robot in names("robot") if robot.startswith(folder)), "")
+
+
+def _find(text: str | Path, known: Mapping[str, Path], kinds: Sequence[str]) -> Path:
+    name, expected = str(text), " or ".join(kinds)
+    if Path(text).exists() and not Path(text).is_dir():
         return Path(text)
-    if str(text) in known:
-        return known[str(text)]
-    hint = did_you_mean(str(text), known) or "`kickbench list` prints the names"
-    raise KickbenchError(f"{printable(str(text))}: no such file, and no {what} of this name ({hint})")
+    if name in known:
+        return known[name]
+    if other := next((kind for kind in FOLDERS if name in names(kind)), None):
+        order = " (in TASK METHOD the task comes first)" if (other, *kinds) == ("method", "task") else ""
+        raise KickbenchError(f"{name}: found the name of a {other}, expected {expected}{order}")
+    hint = did_you_mean(name, known) or "`kickbench list` prints the names"
+    raise KickbenchError(f"{printable(name)}: no such file, and no {expected} of this name ({hint})")

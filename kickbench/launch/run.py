@@ -301,7 +301,7 @@ def train(task: Path | str, method: Path | str, *, overrides: Sequence[str] = ()
         KeyboardInterrupt: It was interrupted; `resume` goes on.
     """
     task = find(task, "task")
-    method = find_method(method, task)
+    method = find_method(method, task, overrides)
     outcome = run(RunRequest(task=task, method=method, overrides=overrides, **options))
     is_interrupted = outcome.training is not None and outcome.training.interrupted
     if is_interrupted or (outcome.is_main and outcome.metrics is None):

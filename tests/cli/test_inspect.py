@@ -352,12 +352,24 @@ def test_a_name_that_is_a_folder_here_is_still_a_name(tmp_path, monkeypatch):
         ),
         (
             ["run", "quadruped_home_field", "mirror_loss"],
-            "no method of this name (did you mean 'mini/mirror_loss'?)",
+            "mirror_loss: this method is not for the task's robot, quadruped\n",
+        ),
+        (
+            ["run", "k1_general", "mini/equivariant"],
+            "mini/equivariant: this method is not for the task's robot, booster_k1; "
+            "use equivariant or cpu/equivariant or lite/equivariant",
+        ),
+        (
+            ["run", "mini_general", str(ROOT / "methods/lite/ppo.yaml")],
+            "ppo.yaml: this method is not for the task's robot, mini_kicker; use mini/ppo",
         ),
         (["run", "k1_general", "nowhere/x.yaml"], "nowhere/x.yaml: no such file, and no method"),
         (["run", "nowhere/x.yaml", "equivariant"], "nowhere/x.yaml: no such file, and no task"),
-        (["run", "mini/equivariant", "mini_home_field"], "mini/equivariant: no such file, and no task"),
-        (["reproduce", "k1_general"], "k1_general: no such file, and no experiment of this name"),
+        (
+            ["run", "mini/equivariant", "mini_home_field"],
+            "mini/equivariant: found the name of a method, expected task (in TASK METHOD the task comes first)",
+        ),
+        (["reproduce", "k1_general"], "k1_general: found the name of a task, expected experiment\n"),
         (["validate", "k1_generl"], "did you mean 'k1_general'?"),
         (["reproduce", "general_fst"], "no experiment of this name (did you mean 'general_fast'?)"),
     ],
