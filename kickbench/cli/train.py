@@ -13,6 +13,8 @@ from kickbench.config.shipped import find, find_method
 from kickbench.errors import KickbenchError, shown
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from kickbench.launch.jobs import Jobs
     from kickbench.launch.overview import PlanRecord, RunState
     from kickbench.launch.plan import Plan
@@ -21,6 +23,10 @@ DEMO = "mini_home_field"
 CONDITIONS = ("baseline", "augmentation", "equivariant")
 _FILM = ("baseline", "equivariant")
 _FILM_SIZE, _EPISODES = (320, 240), 2
+_NOTHING = 0.01
+"""Largest loss of success that counts as none."""
+_LEARNED = 0.05
+"""Success below which no statement about the other side is made."""
 _GPUS = "Share of a GPU that Ray gives a run (default: 0, of `--device cuda` 1)."
 _RUNS = "Folder of the runs (default: runs/<experiment>; with --scale or --set one of its own)."
 
@@ -204,7 +210,7 @@ Three methods, one seed each, at the same time; Ctrl-C stops, the same command g
     if code := _exit_code(carry_out(plan, lambda: LocalExecutor(at_a_time))):
         return code
     runs = load_runs(plan.folder)
-    print(f"\n{render_table(runs)}\n", flush=True)
+    print(f"\n{render_table(runs)}\n\n{sentence(runs)}\n", flush=True)
     _draw(plan.folder)
     print(f"""
 Next:
@@ -216,6 +222,32 @@ Next:
 
 def _draw(folder: Path) -> None:
     """Writes the page and a film of the mirrored side, where this machine can."""
+def sentence(runs: pd.DataFrame) -> str:
+    """What the policies of one seed lose on the side that they have never seen, in words.
+
+    Args:
+        runs: Evaluated runs, one per method, as `load_runs` reads them.
+    """
+    rates = {(run.method, run.side): float(run.success_rate) for _, run in runs.iterrows()}
+    parts = [
+        _part(method, rates[method, "in_distribution"], rates[method, "mirrored"]) for method in CONDITIONS
+    ]
+    text = f"{'; '.join(parts)}."
+    return f"{text[0].upper()}{text[1:]}\n(One seed: another one gives other figures of the same kind.)"
+
+
+def _part(method: str, home: float, away: float) -> str:
+    name = method if method == "augmentation" else f"the {method} policy"
+    rates = f"{100 * home:.0f} -> {100 * away:.0f} %"
+    if home < _LEARNED:
+        return f"{name} has not learned the task: {rates}"
+    if away < home / 2.0:
+        return f"{name} fails on the side that it never saw: {rates}"
+    if home - away <= _NOTHING:
+        return f"{name} loses nothing there: {rates}"
+    return f"{name} loses {100 * (home - away):.0f} points there: {rates}"
+
+
     from kickbench.report.page import write_report
     from kickbench.training.trained import load_run
     from kickbench.view.pictures import film_runs

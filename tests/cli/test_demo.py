@@ -1,9 +1,34 @@
 from __future__ import annotations
 
+import pandas as pd
 import pytest
 
 from kickbench.cli import main
+from kickbench.cli.train import sentence
 from kickbench.results.frame import load_runs
+
+
+def runs(**rates: tuple[float, float]) -> pd.DataFrame:
+    """A table of runs with success at home and on the mirrored side."""
+    rows = [
+        {"method": method, "side": side, "success_rate": rate}
+        for method, pair in rates.items()
+        for side, rate in zip(("in_distribution", "mirrored"), pair, strict=True)
+    ]
+    return pd.DataFrame(rows)
+
+
+def test_the_sentence_says_what_each_policy_loses():
+    text = sentence(runs(baseline=(0.55, 0.05), augmentation=(0.7, 0.65), equivariant=(0.8, 0.795)))
+    assert text.splitlines()[0] == (
+        "The baseline policy fails on the side that it never saw: 55 -> 5 %; "
+        "augmentation loses 5 points there: 70 -> 65 %; the equivariant policy loses nothing there: 80 -> 80 %."
+    )
+
+
+def test_a_policy_that_has_learned_nothing_is_not_said_to_lose_nothing():
+    text = sentence(runs(baseline=(0.01, 0.01), augmentation=(0.7, 0.65), equivariant=(0.8, 0.8)))
+    assert text.startswith("The baseline policy has not learned the task: 1 -> 1 %")
 
 
 @pytest.mark.slow
