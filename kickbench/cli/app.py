@@ -13,6 +13,15 @@ from kickbench.config.shipped import find, names
 
 PANELS = ("Train", "Look at results", "Define", "Check")
 
+_BEGIN = """\
+usage: kickbench VERB ...   (kickbench --help lists all verbs, kickbench VERB --help explains one)
+
+Five to begin with:
+  kickbench list                                  tasks, methods and robots by name
+  kickbench run mini_home_field equivariant       train and evaluate, minutes on a laptop
+  kickbench table runs                            what the runs have reached
+  kickbench report runs                           the same as a page with pictures
+  kickbench show mini_general                     a task, to extend it by one of your own"""
 
 class _Grouped(TyperGroup):
     """Lists the verbs in groups, without rich, whose import takes longer than all the rest of `--help`."""
@@ -79,7 +88,7 @@ def _kickbench(
         print(f"kickbench {__version__}")
         raise typer.Exit
     if context.invoked_subcommand is None:
-        typer.echo(context.get_help(), err=True)
+        typer.echo(_BEGIN, err=True)
         raise typer.Exit(2)
 
 

@@ -88,7 +88,9 @@ def test_no_verb_is_a_usage_error(capsys):
     with pytest.raises(SystemExit) as stop:
         main([])
     assert stop.value.code == 2
-    assert "VERB" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "VERB" in said
+    assert len(re.findall("^  kickbench ", said, re.MULTILINE)) == 5
 
 
 def test_help_lists_every_verb(capsys):
