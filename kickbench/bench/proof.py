@@ -63,6 +63,11 @@ def folder() -> Path:
     return root() / "results/gpu"
 
 
+def proved_cards() -> list[Proof]:
+    """What has been written down of cards."""
+    return [Proof.model_validate_json(file.read_bytes()) for file in sorted(folder().glob("*.json"))]
+
+
 def prove(trials: dict[str, Trial], device: str, threads: int, rounds: int) -> tuple[Proof, Path]:
     """Tries everything on a device, prints each outcome, and writes the file.
 

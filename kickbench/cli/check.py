@@ -117,6 +117,7 @@ def doctor() -> int:
         **{package: partial(_version, package) for package in _NEEDED},
         "processor": _processor,
         "CUDA": _cuda,
+        "proof": _proved,
         "pictures": _drawing,
     }
     broken = set()
@@ -157,6 +158,17 @@ def _cuda() -> str:
     cards = ", ".join(torch.cuda.get_device_name(number) for number in range(torch.cuda.device_count()))
     obstacle = graph_obstacle(torch.device("cuda"))
     return f"{cards}, " + (f"WITHOUT GRAPHS, several times slower: {obstacle}" if obstacle else "with graphs")
+
+
+def _proved() -> str:
+    """On which cards everything has been tried."""
+    from kickbench.bench.proof import proved_cards
+
+    cards = [
+        f"{'proved' if proof.passed else 'FAILED'} on {proof.card}, {proof.provenance.finished[:10]}"
+        for proof in proved_cards()
+    ]
+    return "; ".join(cards) or "untested: kickbench bench --device cuda --proof"
 
 
 def _drawing() -> str:

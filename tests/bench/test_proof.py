@@ -9,6 +9,7 @@ import pytest
 
 from kickbench.bench import proof
 from kickbench.cli import main
+from kickbench.cli.check import _proved
 from kickbench.envs.engines import make_engine
 from kickbench.errors import KickbenchError
 
@@ -46,7 +47,8 @@ def test_all_is_tried_and_written_whatever_fails(monkeypatch, elsewhere, trials,
     assert proved.checks[1].figures["qpos most"] < 1e-5  # one engine in both places, restarted from doubles
     assert proved.checks[2].sizes[0].num_envs == 4
     assert proved.checks[3].remark == "CUDA error: no kernel image"
-    assert proof.Proof.model_validate_json(file.read_bytes()) == proved
+    assert proof.proved_cards() == [proved]
+    assert _proved().startswith("FAILED on NVIDIA H100 (80 GB), 2")
     assert "training  FAILED: CUDA error: no kernel image" in capsys.readouterr().out
     assert {"torch", "mujoco"} <= set(json.loads(file.read_text())["provenance"]["versions"])
 
@@ -107,4 +109,5 @@ def test_without_a_gpu_one_line_says_so_and_nothing_is_written(monkeypatch, else
 
 
 def test_the_readme_says_untested_until_a_card_is_proved():
-    assert ("CUDA: untested" in (ROOT / "README.md").read_text()) != any(proof.folder().glob("*.json"))
+    assert ("CUDA: untested" in (ROOT / "README.md").read_text()) != bool(proof.proved_cards())
+    assert proof.proved_cards() or _proved().startswith("untested")
