@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
@@ -10,9 +10,9 @@ import typer
 from typer.core import TyperGroup
 
 from kickbench.config.shipped import find, names
+from kickbench.errors import SpecError
 
 PANELS = ("Train", "Look at results", "Define", "Check")
-
 _BEGIN = """\
 usage: kickbench VERB ...   (kickbench --help lists all verbs, kickbench VERB --help explains one)
 
@@ -22,6 +22,7 @@ Five to begin with:
   kickbench table runs                            what the runs have reached
   kickbench report runs                           the same as a page with pictures
   kickbench show mini_general                     a task, to extend it by one of your own"""
+
 
 class _Grouped(TyperGroup):
     """Lists the verbs in groups, without rich, whose import takes longer than all the rest of `--help`."""
@@ -90,6 +91,25 @@ def _kickbench(
     if context.invoked_subcommand is None:
         typer.echo(_BEGIN, err=True)
         raise typer.Exit(2)
+
+
+def refuse_contradiction(overrides: Sequence[str], key: str, *values: int | None) -> None:
+    """Refuses a flag and a `--set` that give one key two values: one of them would be ignored.
+
+    Args:
+        overrides: `key.path=value` texts.
+        key: The key; the flag has the name of its last part.
+        values: What the flag gives; None or nothing if it is not there.
+
+    Raises:
+        SpecError: They differ.
+    """
+    given = [str(value) for value in values if value is not None]
+    flag = f"--{key.rpartition('.')[2].replace('_', '-')} {' '.join(given)}"
+    for text in overrides if given else ():
+        left, _, right = text.replace(" ", "").partition("=")
+        if left == key and {right} != {*given}:
+            raise SpecError.of(f"--set {text}", f"{flag} sets {key}, too: give one of them only")
 
 
 def between(low: float, high: float) -> Callable[[float | None], float | None]:

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from kickbench.trials.trial import Trial
 
 _METHODS = ("baseline", "augmentation", "equivariant")
-_ENVS = "Envs: one or more numbers (default: 512); --set algorithm.num_envs wins."
 _METHOD = "Method or table (default: the run's, or the standard one)."
 _TABLES = cli.names_of("method", "representations")
 _NEEDED = {"torch": "torch", "mujoco": "mujoco", "rsl-rl-lib": "rsl_rl", "tensordict": "tensordict"}
@@ -56,7 +55,7 @@ def audit(
 def bench(
     task: Path = cli.option("Task (default: mini_general).", default=Path("mini_general"), **cli.TASK),
     methods: Path | None = cli.option("Folder of the three methods (default: the robot's).", metavar="DIR"),
-    num_envs: list[int] = cli.count(_ENVS, metavar="N...", default=[512]),
+    num_envs: list[int] = cli.count("Envs: one or more numbers (default: 512).", metavar="N...", default=[]),
     rounds: int = cli.count("Interleaved repetitions (default: 10).", default=10),
     json: Path | None = cli.option("Write the figures as JSON, too.", metavar="FILE"),
     profile: bool = cli.flag("Print where the time goes, for the first number of envs.", "--profile"),
@@ -73,6 +72,7 @@ def bench(
     """
     if proof and (device == "cpu" or json or profile):
         raise KickbenchError("--proof needs --device cuda, and neither --json nor --profile")
+    cli.refuse_contradiction(overrides, "algorithm.num_envs", *num_envs)
     from kickbench.bench.figures import print_report
     from kickbench.bench.measure import measure, profile_iteration
     from kickbench.results.atomic import atomic_write_text, check_writable
@@ -81,7 +81,7 @@ def bench(
     check_device(device)
     threads = threads or usable_cores()
     # All of them first: a wrong file is an error before anything is measured.
-    chosen = [_trials(task, methods, [f"algorithm.num_envs={n}", *overrides]) for n in num_envs]
+    chosen = [_trials(task, methods, [f"algorithm.num_envs={n}", *overrides]) for n in num_envs or [512]]
     if proof:
         from kickbench.bench.proof import prove
 

@@ -36,9 +36,9 @@ def run(
     task: cli.Task,
     method: cli.Method,
     seed: cli.Seed = 0,
-    iterations: int | None = cli.count("Iterations, whatever --set says (default: the method's)."),
+    iterations: int | None = cli.count("Iterations (default: the method's)."),
     scale: cli.Scale = None,
-    num_envs: int | None = cli.count("Parallel envs, whatever --set says (default: the method's)."),
+    num_envs: int | None = cli.count("Parallel envs (default: the method's)."),
     out: Path | None = cli.option("Run directory (default: runs/<task>/<method>/seed<k>).", metavar="DIR"),
     overrides: cli.Set = cli.NONE,
     device: cli.Device = "cpu",
@@ -57,6 +57,8 @@ def run(
     if init_std is not None and init_from is None:
         raise KickbenchError("--init-std replaces the standard deviation of a policy: it needs --init-from")
     options["method"] = find_method(method, task, overrides)
+    cli.refuse_contradiction(overrides, "algorithm.iterations", iterations)
+    cli.refuse_contradiction(overrides, "algorithm.num_envs", num_envs)
     from kickbench.launch.run import RunRequest
     from kickbench.launch.run import run as train
     from kickbench.results.frame import frame_of

@@ -614,3 +614,11 @@ def test_a_file_that_is_named_twice_is_checked_once(place, capsys):
     assert main(["validate", TASK, BASELINE, f"./{TASK}"]) == 0
     lines = [line.partition(": ")[2] for line in capsys.readouterr().out.splitlines()]
     assert lines == ["fine (task)", "fine (method)", "fine (task and method)"]
+
+
+@pytest.mark.parametrize(("flag", "key"), [("--iterations", "iterations"), ("--num-envs", "num_envs")])
+def test_a_flag_and_an_override_do_not_contradict_each_other(fails, flag, key):
+    override = f"algorithm.{key}=7"
+    assert fails("run", TASK, BASELINE, "--set", override, flag, "5", "--out", "runs/x") == [
+        f"--set {override}: {flag} 5 sets algorithm.{key}, too: give one of them only"
+    ]
