@@ -222,8 +222,6 @@ Next:
     return 0
 
 
-def _draw(folder: Path) -> None:
-    """Writes the page and a film of the mirrored side, where this machine can."""
 def sentence(runs: pd.DataFrame) -> str:
     """What the policies of one seed lose on the side that they have never seen, in words.
 
@@ -250,6 +248,8 @@ def _part(method: str, home: float, away: float) -> str:
     return f"{name} loses {100 * (home - away):.0f} points there: {rates}"
 
 
+def _draw(folder: Path) -> None:
+    """Writes the page and a film of the mirrored side, where this machine can."""
     from kickbench.report.page import write_report
     from kickbench.training.trained import load_run
     from kickbench.view.pictures import film_runs
@@ -281,20 +281,34 @@ def status(root: Path = cli.argument("Folder of runs.", "DIR", **cli.FOLDER)) ->
 
 
 def _states(root: Path, record: PlanRecord | None) -> Iterator[tuple[str, RunState, str]]:
-    """Name, state and remark: first the runs of the plan, then others that are there."""
-    from kickbench.launch.overview import read_state, state_of
+    """Name, state and remarks: first the runs of the plan, then others that are there."""
+    from kickbench.launch.overview import RunState, state_of
     from kickbench.results.frame import load_runs, run_path, runs_of
     from kickbench.results.store import RunDirectory
 
+    frame = load_runs(root)
+    found = {run.path: run for _, run in runs_of(frame).iterrows()}
     planned = {run_path(root, run.arm, run.seed): run for run in record.runs} if record else {}
-    for path, run in planned.items():
-        directory = RunDirectory(path)
-        state = read_state(directory, run.iterations)
-        missing = [task for task in run.also if not directory.also(task).is_file()]
-        remark = f"not evaluated on {', '.join(missing)}" if missing and state.state == "finished" else ""
-        yield path.relative_to(root).as_posix(), state, remark
-    for _, run in runs_of(load_runs(root)).iterrows():
-        if run.path not in planned:
-            scaled = f"scaled down to {run.scale:g}" if run.scale > 0 else ""
-            remark = "not in the plan" if record else scaled
-            yield run.path.relative_to(root).as_posix(), state_of(run), remark
+    for path in planned | found:
+        plan, run, rows = planned.get(path), found.get(path), frame[frame.path == path]
+        total = plan.iterations if plan else None
+        state = RunState("not begun", 0, total) if run is None else state_of(run, total)
+        if plan:
+            also = plan.also if state.state == "finished" else ()
+            missing = [task for task in also if not RunDirectory(path).also(task).is_file()]
+            remarks = [f"not evaluated on {', '.join(missing)}"] if missing else []
+        else:
+            remarks = ["not in the plan"] if record else []
+            remarks += [f"scaled down to {scale:g}" for scale in rows.scale[:1] if scale > 0]
+        yield path.relative_to(root).as_posix(), state, "; ".join([*remarks, *_remarks(rows)])
+
+
+def _remarks(rows: pd.DataFrame) -> Iterator[str]:
+    """Damaged results on transfer tasks, episodes with NaN or infinity, and which run this one repeats."""
+    from kickbench.results.quantities import non_finite_note
+    from kickbench.results.tables import repeat_lines
+
+    yield from rows[(rows.state == "damaged") & (rows.evaluated_on != rows.task)].damage
+    if rows.non_finite.max() > 0:
+        yield non_finite_note(rows.non_finite.max()).strip(" ()")
+    yield from repeat_lines(rows)
