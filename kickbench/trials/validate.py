@@ -93,6 +93,11 @@ def check_files(files: Sequence[Path], overrides: Sequence[str] = ()) -> Iterato
     if len(tasks) > 1 and methods:
         note = "none was checked together with a method, which takes a single task"
         yield Report("several tasks", "", notes=[note])
+    for method in methods if len(tasks) != 1 else ():
+        if method.spec.symmetry.exclude:
+            what = "its names are checked with a task: validate TASK METHOD"
+            note = str(method.document.problem(("symmetry", "exclude"), what))
+            yield Report(str(method.document.file), "", notes=[note])
     for method in methods if len(tasks) == 1 else ():
         report = Report(f"{tasks[0].name} with {method.name}", "task and method")
         with collected(report.problems):

@@ -439,12 +439,18 @@ def test_a_rolling_ball_whose_velocity_nobody_observes_is_noted(place, edit, cap
     assert f"note: {moving}:9:5: sampling.ball.speed: the ball rolls, and" in capsys.readouterr().out
 
 
-def test_what_a_method_excludes_is_checked_with_a_task(place, fails):
+def test_what_a_method_alone_excludes_is_noted_as_unchecked(place, capsys, fails):
     exclude = ["--set", "symmetry.exclude=[lft_hip]"]
+    assert main(["validate", EQUIVARIANT, *exclude]) == 0
+    *_, last = capsys.readouterr().out.splitlines()
+    assert last.startswith(
+        f"{EQUIVARIANT}: note: --set symmetry.exclude=[lft_hip]: symmetry.exclude: its names"
+    )
     (line,) = fails("validate", BASELINE, *exclude)
     assert "the method uses no symmetry" in line
     (line,) = fails("validate", TASK, EQUIVARIANT, *exclude)
     assert "no observation field 'lft_hip'" in line
+    assert "note" not in capsys.readouterr().out
 
 
 def test_every_error_of_a_file_is_reported_in_the_order_of_its_lines(edit, fails):
