@@ -164,6 +164,9 @@ def _condition(
     if task.name in transfer:
         what = f"the condition {name} is trained on {task.name}, and evaluated on it anyway"
         raise document.error(("evaluation", "transfer"), what)
+    if condition.reported and condition.reported.mirrored and not task.spec.evaluation.mirrored:
+        place = ("conditions", name, "reported", "mirrored")
+        raise document.error(place, f"the task {task.name} has no mirrored evaluation")
     return Condition(
         name=_at_point(name, point, spec),
         task=task,

@@ -176,6 +176,15 @@ def test_the_problems_of_a_broken_task_are_those_of_the_experiment(complaints):
     assert only.startswith("broken.yaml:2:11: episode.max_stepz: unknown key 'max_stepz'")
 
 
+def test_mirrored_figures_need_a_mirrored_evaluation(complaints):
+    reported = ", reported: {section: S, in_distribution: {}, mirrored: {success_rate: 0.5}}}"
+    old = "methods/mini/baseline.yaml}"
+    (complaint,) = complaints(old, old[:-1] + reported)
+    assert complaint.endswith(
+        "conditions.baseline.reported.mirrored: the task mini_general has no mirrored evaluation"
+    )
+
+
 def test_a_further_task_may_be_named_by_a_claim(load):
     text = f"seeds: [0]\nevaluation: {{transfer: [{ROOT}/tasks/k1_lite.yaml]}}"
     condition = load("seeds: [0, 1]", text).conditions["baseline"]
