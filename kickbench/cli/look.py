@@ -119,8 +119,9 @@ def _runs(roots: list[Path]) -> pd.DataFrame:
     from kickbench.results.frame import load_runs
     from kickbench.results.tables import left_out_lines
 
-    for root in roots:
-        runs = load_runs(root)
-        if not (runs.state == "finished").any():
-            raise KickbenchError("\n".join([*left_out_lines(runs), f"no finished run in {root}"]))
-    return load_runs(roots)
+    runs = load_runs(roots)
+    finished = [path.resolve() for path in runs.path[runs.state == "finished"]]
+    empty = [str(root) for root in roots if not any(path.is_relative_to(root.resolve()) for path in finished)]
+    if empty:
+        raise KickbenchError("\n".join([*left_out_lines(runs), f"no finished run in {', '.join(empty)}"]))
+    return runs
