@@ -44,7 +44,7 @@ def validate(model: type[S], document: Document) -> S:
 
 def _only_seems_short(detail: ErrorDetails) -> bool:
     """Pydantic counts only the valid entries of a list; what is wrong with the others has its own errors."""
-    return detail["type"] == "too_short" and len(detail["input"]) >= detail["ctx"]["min_length"]
+    return detail["type"] == "too_short" and len(detail["input"]) >= detail.get("ctx", {})["min_length"]
 
 
 def _problem(detail: ErrorDetails, data: Any, models: _Models, document: Document) -> Problem:

@@ -233,8 +233,8 @@ def pairs_apart(robot: Document) -> Document:
     apart: dict[str, Node] = {}
     for key, entry in actuators.value.items():
         joint = entry.value.get("joint") if isinstance(entry.value, dict) else None
-        is_pair = joint is not None and isinstance(joint.value, list) and len(joint.value) == 2
-        for side in joint.value if is_pair else (None,):
+        pair = joint.value if joint and isinstance(joint.value, list) and len(joint.value) == 2 else (None,)
+        for side in pair:
             name = str(side.value) if side else key
             if name in apart:
                 raise robot.error(("actuators", key), f"there are two actuators of the name '{name}'")
