@@ -22,8 +22,8 @@ class Mark:
 
     Attributes:
         file: Path of the file, or the override as typed: `--set rewards.x.weight=3`.
-        line: Line, from 1; 0 if the mark means the file as a whole.
-        column: Column, from 1; 0 if the mark means the file as a whole.
+        line: Line, from 1; 0 if the mark means the file as a whole, or is an override.
+        column: Column, from 1; 0 as the line.
     """
 
     file: str
@@ -31,23 +31,12 @@ class Mark:
     column: int
 
     def __str__(self) -> str:
-        return f"{self.place}:{self.column}" if self._has_position else self.place
+        return f"{self.place}:{self.column}" if self.line else self.place
 
     @property
     def place(self) -> str:
         """The mark without its column: `file:line`."""
-        if self.is_override:
-            return printable(self.file)
-        return f"{shown(self.file)}:{self.line}" if self._has_position else shown(self.file)
-
-    @property
-    def is_override(self) -> bool:
-        """Whether the mark is an override on the command line."""
-        return self.file.startswith("--set ")
-
-    @property
-    def _has_position(self) -> bool:
-        return self.line > 0 and not self.is_override
+        return f"{shown(self.file)}:{self.line}" if self.line else shown(self.file)
 
 
 @dataclass(frozen=True)

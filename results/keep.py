@@ -14,7 +14,7 @@ from kickbench.results.atomic import atomic_write_text, read_text
 from kickbench.results.identity import read_identity
 from kickbench.results.metrics import load_metrics
 from kickbench.results.store import RunDirectory, find_begun_runs
-from kickbench.training.checkpoint import drop_critic
+from kickbench.training.checkpoint import read_policy, save_policy
 
 EPISODES = 200
 """Episodes of a side, about, that are kept; all figures of all episodes are in `metrics.json`."""
@@ -59,7 +59,10 @@ def keep(runs: Path, place: Path, every: int | None = None, small: bool = False)
     first = {path.parent: path for path in reversed(kept)}
     for path in kept if small else ():
         policy = RunDirectory(path).policy
-        drop_critic(policy) if path == first[path.parent] else policy.unlink(missing_ok=True)
+        if path == first[path.parent]:
+            save_policy(policy, read_policy(policy)["actor_state_dict"])
+        else:
+            policy.unlink(missing_ok=True)
         integrity.seal(path)
     return kept
 

@@ -69,13 +69,9 @@ def _call(argv: list[str]) -> int:
     except typer.Exit as end:
         raise SystemExit(end.exit_code) from None
     except typer.TyperException as error:
-        context, parameter = getattr(error, "ctx", None), getattr(error, "param", None)
+        context = getattr(error, "ctx", None)
         where = context.command_path if context else "kickbench"
-        text = error.format_message()
-        if parameter is not None and type(error) is typer.BadParameter:
-            text = f"{parameter.opts[0]}: {error.message.removeprefix('Value error, ')}"
-        if "extra argument" in text and "--only" in argv:
-            text += "; --only is repeated: --only a --only b"
+        text = error.format_message().replace("Value error, ", "")
         _report(printable(f"{where}: {text} ({where} --help)"))
         raise SystemExit(error.exit_code) from None  # type: ignore[attr-defined]
 
@@ -126,8 +122,5 @@ def _report(text: str) -> None:
 def _mute(*streams: TextIO | None) -> None:
     """Discards what is still buffered, on which the interpreter would fail again when it ends."""
     for stream in streams:
-        with suppress(OSError, ValueError, AttributeError):
-            assert stream is not None
-            nowhere = os.open(os.devnull, os.O_WRONLY)
-            os.dup2(nowhere, stream.fileno())
-            os.close(nowhere)
+        with suppress(OSError, ValueError, AttributeError), open(os.devnull, "wb") as nowhere:
+            os.dup2(nowhere.fileno(), stream.fileno())  # type: ignore[union-attr]

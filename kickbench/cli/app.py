@@ -93,18 +93,6 @@ def _kickbench(
         raise typer.Exit(2)
 
 
-def exclude(flag: str, is_set: Any, other: str, other_is_set: Any) -> None:
-    """Refuses two flags at once."""
-    if is_set and other_is_set:
-        raise typer.BadParameter(f"{flag}: not allowed with argument {other}")
-
-
-def override_of(overrides: Sequence[str], key: str) -> str | None:
-    """The override that gives a key its value: the last one."""
-    own = [text for text in overrides if text.partition("=")[0].replace(" ", "") == key]
-    return own[-1] if own else None
-
-
 def refuse_contradiction(overrides: Sequence[str], key: str, *values: int | None) -> None:
     """Refuses a flag and a `--set` that give one key two values: one of them would be ignored.
 
@@ -116,10 +104,12 @@ def refuse_contradiction(overrides: Sequence[str], key: str, *values: int | None
     Raises:
         SpecError: They differ.
     """
-    override, given = override_of(overrides, key), [str(value) for value in values if value is not None]
-    if override and given and {override.partition("=")[2].strip()} != {*given}:
-        flag = f"--{key.rpartition('.')[2].replace('_', '-')} {' '.join(given)}"
-        raise SpecError.of(f"--set {override}", f"{flag} sets {key}, too: give one of them only")
+    given = [str(value) for value in values if value is not None]
+    flag = f"--{key.rpartition('.')[2].replace('_', '-')} {' '.join(given)}"
+    for text in overrides if given else ():
+        left, _, right = text.replace(" ", "").partition("=")
+        if left == key and {right} != {*given}:
+            raise SpecError.of(f"--set {text}", f"{flag} sets {key}, too: give one of them only")
 
 
 def between(low: float, high: float) -> Callable[[float | None], float | None]:
@@ -206,5 +196,5 @@ Trust = Annotated[bool, option("Run the code that came with the run.", "--trust-
 Json = Annotated[bool, option("Print JSON.", "--json", default=...)]
 _SCALE = "Shrink iterations and evaluation episodes (100 a side at least) by this factor; marked in results."
 Scale = Annotated[float | None, option(_SCALE, default=..., metavar="S", callback=between(0, 1))]
-_SIZE = "Pixels of a picture (default: 400x300, films 640x480)."
+_SIZE = "Pixels of a picture, 64 to 4096 a side (default: 400x300, films 640x480)."
 Size = Annotated[Pixels | None, option(_SIZE, default=..., metavar="WxH", parser=_size)]

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json as json_text
 import platform
-import subprocess
-import sys
 from collections.abc import Callable
 from functools import partial
 from importlib import import_module
@@ -23,11 +21,8 @@ if TYPE_CHECKING:
 _METHODS = ("baseline", "augmentation", "equivariant")
 _METHOD = "Method or table (default: the run's, or the standard one)."
 _TABLES = cli.names_of("method", "representations")
-_NUM_ENVS, _DEFAULT_ENVS = "algorithm.num_envs", 512
 _NEEDED = {"torch": "torch", "mujoco": "mujoco", "rsl-rl-lib": "rsl_rl", "tensordict": "tensordict"}
 """Packages without which nothing runs, and the modules they are imported as."""
-_DRAW = "from kickbench.view.backend import make_context; print(type(make_context(64, 64)).__module__)"
-_SECONDS = 120
 
 
 @cli.verb("Check", "audit k1_general equivariant")
@@ -77,7 +72,7 @@ def bench(
     """
     if proof and (device == "cpu" or json or profile):
         raise KickbenchError("--proof needs --device cuda, and neither --json nor --profile")
-    cli.refuse_contradiction(overrides, _NUM_ENVS, *num_envs)
+    cli.refuse_contradiction(overrides, "algorithm.num_envs", *num_envs)
     from kickbench.bench.figures import print_report
     from kickbench.bench.measure import measure, profile_iteration
     from kickbench.results.atomic import atomic_write_text, check_writable
@@ -85,10 +80,8 @@ def bench(
 
     check_device(device)
     threads = threads or usable_cores()
-    default = [_DEFAULT_ENVS] if cli.override_of(overrides, _NUM_ENVS) is None else []
-    sizes = [[f"{_NUM_ENVS}={number}"] for number in num_envs or default] or [[]]
     # All of them first: a wrong file is an error before anything is measured.
-    chosen = [_trials(task, methods, [*overrides, *size]) for size in sizes]
+    chosen = [_trials(task, methods, [f"algorithm.num_envs={n}", *overrides]) for n in num_envs or [512]]
     if proof:
         from kickbench.bench.proof import prove
 
@@ -179,14 +172,7 @@ def _proved() -> str:
 
 
 def _drawing() -> str:
-    """The OpenGL platform that works. In a separate process, which some drivers end.
+    """The OpenGL platform that works; it comes last, since some drivers end the process."""
+    from kickbench.view.backend import make_context
 
-    Raises:
-        KickbenchError: None does; says why.
-    """
-    command = [sys.executable, "-c", _DRAW]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=_SECONDS)
-    if done.returncode == 0:
-        return done.stdout.strip().removeprefix("mujoco.")
-    said = done.stderr.split("kickbench.errors.KickbenchError: ")[-1].strip().splitlines()
-    raise KickbenchError(said[-1] if said else f"OpenGL ended the process with code {done.returncode}")
+    return type(make_context(64, 64)).__module__.removeprefix("mujoco.")

@@ -121,12 +121,7 @@ def _runs(roots: list[Path]) -> pd.DataFrame:
 
     runs = load_runs(roots)
     finished = [path.resolve() for path in runs.path[runs.state == "finished"]]
-    empty = [
-        str(root)
-        for root in dict.fromkeys(roots)
-        if not any(path.is_relative_to(root.resolve()) for path in finished)
-    ]
+    empty = [str(root) for root in roots if not any(path.is_relative_to(root.resolve()) for path in finished)]
     if empty:
-        lines = [*left_out_lines(runs), f"no finished run in {', '.join(empty)}"]
-        raise KickbenchError("\n".join(lines))
+        raise KickbenchError("\n".join([*left_out_lines(runs), f"no finished run in {', '.join(empty)}"]))
     return runs

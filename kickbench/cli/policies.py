@@ -66,12 +66,12 @@ def render(
 
     check_mujoco()
     suffix = out.suffix.lower() if out else ".png"
-    if suffix == ".png":
-        _refuse("a .png shows initial states", policy=policy, episodes=episodes, mirrored=mirrored)
-    elif suffix == ".webp":
-        _refuse("a .webp shows episodes", initial_states=initial_states)
-    else:
+    if suffix not in (".png", ".webp"):
         raise KickbenchError(f"{out}: pictures are .png or .webp")
+    if suffix == ".png" and (policy or episodes or mirrored):
+        raise KickbenchError("a .png shows initial states: no --policy, --episodes or --mirrored")
+    if suffix == ".webp" and initial_states:
+        raise KickbenchError("a .webp shows episodes: no --initial-states")
     from kickbench.envs.compiled_task import read_task
     from kickbench.results.atomic import atomic_file
     from kickbench.view.pictures import contact_sheet, film_runs
@@ -86,13 +86,6 @@ def render(
     else:
         film_runs(compiled, policy, out, episodes or _EPISODES, seed, size or _FILM_SIZE, mirrored=mirrored)
     print(shown(out))
-
-
-def _refuse(reason: str, **options: object) -> None:
-    """Refuses options that the kind of picture has no use for."""
-    for name, value in options.items():
-        if value:
-            raise KickbenchError(f"--{name.replace('_', '-')}: {reason}")
 
 
 @cli.verb("Look at results", "play runs/mini_home_field/equivariant/seed0")

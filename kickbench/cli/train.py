@@ -52,7 +52,8 @@ def run(
 ) -> int:
     """Train a method on a task and evaluate it."""
     options = dict(locals())  # as `RunRequest` names them
-    cli.exclude("--resume", resume, "--force", force)
+    if resume and force:
+        raise KickbenchError("--resume goes on with the run that --force overwrites: give one of them")
     if init_std is not None and init_from is None:
         raise KickbenchError("--init-std replaces the standard deviation of a policy: it needs --init-from")
     options["method"] = find_method(method, task, overrides)
@@ -83,7 +84,7 @@ def reproduce(
     seeds: list[int] = cli.count("Seeds (default: the experiment's).", least=0, metavar="K...", default=[]),
     scale: cli.Scale = None,
     overrides: cli.Set = cli.NONE,
-    jobs: int = cli.count("Runs at a time on this machine (default: 1).", default=1),
+    jobs: int = cli.count("Runs at a time on this machine (default: 1; Ray has as many as fit).", default=1),
     on: Literal["local", "ray"] = cli.option("Where: this machine, or a Ray cluster.", default="local"),
     address: str | None = cli.option("Of the Ray cluster (default: one started here).", metavar="HOST:PORT"),
     cpus_per_run: int = cli.count("Cores that Ray gives a run (default: 1).", default=1),
@@ -94,25 +95,30 @@ def reproduce(
     dry_run: bool = cli.flag("Show the plan, write nothing.", "--dry-run"),
 ) -> int:
     """Run a whole experiment, or what is left of it."""
-    if len(set(seeds)) < len(seeds):
-        raise KickbenchError("--seeds: a seed is there twice")
     from kickbench.launch.cluster import RayExecutor, require_ray
     from kickbench.launch.jobs import carry_out
     from kickbench.launch.local import LocalExecutor
-    from kickbench.launch.plan import Selection, make_plan
+    from kickbench.launch.plan import make_plan
     from kickbench.sim.engine import check_device, usable_cores
     from kickbench.trials.experiment import load_experiment
 
     if on == "ray":
-        cli.exclude("--on ray", True, "--jobs", jobs > 1)
         require_ray()
     else:
         check_device(device)
         cpus_per_run = max(1, usable_cores() // jobs)
     threads = threads or cpus_per_run
     gpus = float(device != "cpu") if gpus_per_run is None else gpus_per_run
-    selection = Selection(tuple(only), tuple(seeds), scale, tuple(overrides), out, device, threads)
-    plan = make_plan(load_experiment(experiment), selection)
+    plan = make_plan(
+        load_experiment(experiment),
+        only=only,
+        seeds=tuple(dict.fromkeys(seeds)),
+        out=out,
+        scale=scale,
+        overrides=overrides,
+        device=device,
+        threads=threads,
+    )
     how = "as many at a time as fit on Ray" if on == "ray" else f"{jobs} at a time"
     how = f"; {how}, {threads} thread{'s' * (threads > 1)} each"
     _print_states(plan.record.title(shown(plan.folder)), list(_planned(plan)), jobs, how)
@@ -188,7 +194,7 @@ def demo(
     """Train three methods on the mini home-field task and show what came of them."""
     from kickbench.launch.jobs import carry_out
     from kickbench.launch.local import LocalExecutor
-    from kickbench.launch.plan import Selection, make_plan
+    from kickbench.launch.plan import make_plan
     from kickbench.results.frame import load_runs
     from kickbench.results.tables import render_table
     from kickbench.sim.engine import usable_cores
@@ -196,8 +202,8 @@ def demo(
 
     # All at once even on two cores: one by one, the last run would leave a core idle.
     at_a_time, threads = len(CONDITIONS), max(1, usable_cores() // len(CONDITIONS))
-    selection = Selection(CONDITIONS, seeds=(0,), scale=scale, out=out, threads=threads)
-    plan = make_plan(load_experiment(find(DEMO, "experiment")), selection)
+    experiment = load_experiment(find(DEMO, "experiment"))
+    plan = make_plan(experiment, only=CONDITIONS, seeds=(0,), out=out, scale=scale, threads=threads)
     print("""\
 The mini kicker trains with ball and target on its left only. Which method kicks as well on its right?
 Three methods, one seed each, at the same time; Ctrl-C stops, the same command goes on.
@@ -207,8 +213,7 @@ Three methods, one seed each, at the same time; Ctrl-C stops, the same command g
         return code
     runs = load_runs(plan.folder)
     print(f"\n{render_table(runs)}\n\n{sentence(runs)}\n", flush=True)
-    for line in _pictures(plan.folder):
-        print(line, flush=True)
+    _draw(plan.folder)
     print(f"""
 Next:
   kickbench play {shown(plan.folder / "equivariant/seed0")}     # watch the policy in a browser
@@ -243,21 +248,22 @@ def _part(method: str, home: float, away: float) -> str:
     return f"{name} loses {100 * (home - away):.0f} points there: {rates}"
 
 
-def _pictures(folder: Path) -> Iterator[str]:
-    """Writes the page and a film of the mirrored side, where this machine can; what has been written."""
+def _draw(folder: Path) -> None:
+    """Writes the page and a film of the mirrored side, where this machine can."""
     from kickbench.report.page import write_report
     from kickbench.training.trained import load_run
     from kickbench.view.pictures import film_runs
 
-    paths, film = [folder / name / "seed0" for name in _FILM], folder / "film.webp"
+    paths = [folder / name / "seed0" for name in _FILM]
+    page, film = folder / "report.html", folder / "film.webp"
     try:
-        write_report(folder, folder / "report.html")
-        yield f"report: {shown(folder / 'report.html')}"
+        write_report(folder, page)
+        print(f"report: {shown(page)}", flush=True)
         task = load_run(paths[0]).trial.task
         film_runs(task, paths, film, _EPISODES, task.spec.evaluation.seed, _FILM_SIZE, mirrored=True)
-        yield f"film:   {shown(film)} (the side that the baseline never saw)"
+        print(f"film:   {shown(film)} (the side that the baseline never saw)", flush=True)
     except KickbenchError as error:
-        yield f"not drawn: {error}"
+        print(f"not drawn: {error}", flush=True)
 
 
 @cli.verb("Train", "status runs/mini_home_field")
@@ -275,27 +281,28 @@ def status(root: Path = cli.argument("Folder of runs.", "DIR", **cli.FOLDER)) ->
 
 
 def _states(root: Path, record: PlanRecord | None) -> Iterator[tuple[str, RunState, str]]:
-    """Name, state and remark: first the runs of the plan, then others that are there."""
+    """Name, state and remarks: first the runs of the plan, then others that are there."""
     from kickbench.launch.overview import RunState, state_of
     from kickbench.results.frame import load_runs, run_path, runs_of
     from kickbench.results.store import RunDirectory
 
     frame = load_runs(root)
-    found = {run.path.relative_to(root): run for _, run in runs_of(frame).iterrows()}
-    planned = {run_path(Path(), run.arm, run.seed): run for run in record.runs} if record else {}
-    for folder, plan in planned.items():
-        run, remarks = found.pop(folder, None), []
-        state = RunState("not begun", 0, plan.iterations) if run is None else state_of(run, plan.iterations)
-        missing = [task for task in plan.also if not RunDirectory(root / folder).also(task).is_file()]
-        if missing and run is not None and run.state == "finished":
-            remarks = [f"not evaluated on {', '.join(missing)}"]
-        yield folder.as_posix(), state, "; ".join([*remarks, *_remarks(frame, root / folder)])
-    for folder, run in found.items():
-        remarks = ["not in the plan"] if planned else []
-        yield folder.as_posix(), state_of(run), "; ".join([*remarks, *_remarks(frame, run.path)])
+    found = {run.path: run for _, run in runs_of(frame).iterrows()}
+    planned = {run_path(root, run.arm, run.seed): run for run in record.runs} if record else {}
+    for path in planned | found:
+        plan, run, rows = planned.get(path), found.get(path), frame[frame.path == path]
+        total = plan.iterations if plan else None
+        state = RunState("not begun", 0, total) if run is None else state_of(run, total)
+        if plan:
+            also = plan.also if state.state == "finished" else ()
+            missing = [task for task in also if not RunDirectory(path).also(task).is_file()]
+            remarks = [f"not evaluated on {', '.join(missing)}"] if missing else []
+        else:
+            remarks = ["not in the plan"] if record else []
+            remarks += [f"scaled down to {scale:g}" for scale in rows.scale[:1] if scale > 0]
+        yield path.relative_to(root).as_posix(), state, "; ".join([*remarks, *_remarks(rows)])
 
 
-def _remarks(frame: pd.DataFrame, path: Path) -> list[str]:
+def _remarks(rows: pd.DataFrame) -> list[str]:
     """Problems of a finished run and of its results on transfer tasks."""
-    rows = frame[frame.path == path]
     return list(rows.problem.dropna().unique()) if (rows.state == "finished").any() else []

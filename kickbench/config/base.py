@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 from pydantic import (
     AfterValidator,
@@ -19,7 +17,8 @@ from pydantic import (
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticCustomError
 
-from kickbench.config.yamlio import Located, check_regular, unreadable
+from kickbench.config.yamlio import check_regular, resolved, unreadable
+from kickbench.config.yamltree import Located
 
 
 class Spec(BaseModel):
@@ -101,46 +100,31 @@ def _write_range(value: tuple[float, float]) -> float | tuple[float, float]:
     return value[0] if value[0] == value[1] else value
 
 
-Range = Annotated[
-    tuple[float, float],
+_N = TypeVar("_N")
+_Interval = Annotated[
+    tuple[_N, _N],
     Field(strict=False),
     BeforeValidator(_read_range, json_schema_input_type=float | VectorPair),
     PlainSerializer(_write_range),
 ]
+
+Range = _Interval[float]
 """An interval `[low, high]` with low < high, or one number `c`, which becomes `(c, c)`."""
-
-
-def _above_zero(inclusive: bool) -> AfterValidator:
-    def check(value: tuple[float, float]) -> tuple[float, float]:
-        if value[0] < 0 or (value[0] == 0 and not inclusive):
-            rule = "of at least 0" if inclusive else "above 0"
-            raise ValueError(f"expected numbers {rule}, found {value[0]:g}")
-        return value
-
-    return AfterValidator(check)
-
-
-NonNegativeRange = Annotated[Range, _above_zero(inclusive=True)]
+NonNegativeRange = _Interval[NonNegativeFloat]
 """A `Range` of numbers of at least 0."""
-PositiveRange = Annotated[Range, _above_zero(inclusive=False)]
+PositiveRange = _Interval[PositiveFloat]
 """A `Range` of numbers above 0."""
-
-
-def resolved(name: str, origin: Path | None) -> Path:
-    """The absolute path that a name in a file means; origin is the file, None for an override."""
-    # An override is typed in a shell, so it is relative to the working directory.
-    return Path(os.path.abspath(origin.parent / name if origin else name))
 
 
 def _readable(name: Any) -> Any:
     if not isinstance(name, Located):  # of another type, or read back from a spec
         return name
-    file = resolved(name, name.origin)
+    file = resolved(name)
     try:
         check_regular(file)
         file.open("rb").close()
     except (OSError, ValueError) as error:
-        message, hint = unreadable(file, error, name.origin)
+        message, hint = unreadable(file, error)
         raise PydanticCustomError("file", "{message}", {"message": message, "hint": hint}) from None
     return file.as_posix()
 

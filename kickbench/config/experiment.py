@@ -176,11 +176,6 @@ AnyClaim = Bounded | Compared | Difference | DifferenceWithin | Ratio | NearRepo
 Claim = Annotated[AnyClaim, Field(discriminator="kind")]
 """A claim; its `kind` says how value and bound are compared."""
 
-METRICS: tuple[Metric, ...] = get_args(Metric)
-KINDS: tuple[str, ...] = tuple(
-    kind for claim in get_args(AnyClaim) for kind in get_args(claim.model_fields["kind"].annotation)
-)
-
 Seeds = Annotated[tuple[Seed, ...], Field(strict=False, min_length=1), distinct("seed")]
 """Distinct seeds of training."""
 

@@ -13,8 +13,8 @@ from kickbench.config.base import Spec
 from kickbench.config.task import CurriculumSpec
 from kickbench.config.terms import TermParams, TermTable
 from kickbench.config.yamlio import EXTENDS, Document
-from kickbench.config.yamltree import flow_yaml, value_at
-from kickbench.errors import KeyPath, from_here
+from kickbench.config.yamltree import Node, flow_yaml, value_at
+from kickbench.errors import from_here
 
 _MAX_FLOW = 72
 """Longer lists are written one item a line."""
@@ -22,20 +22,19 @@ _MAX_ALIGNED = 48
 """Longer lines do not push the column of comments to the right."""
 
 
-def explain(model_instance: Spec, document: Document) -> str:
+def explain(spec: Spec, document: Document) -> str:
     """Writes a spec as YAML with a comment on each value: the file and line, the override, or `default`.
 
     The text loads back to the same spec if it is saved in the working directory. Terms, parameters of
     terms and ramps that are off and that no file wrote are left out.
 
     Args:
-        model_instance: A validated spec.
+        spec: A validated spec.
         document: The document it was made of.
     """
-    data = _visible(model_instance.model_dump(mode="json"), document.data, model_instance)
-    lines = list(_lines(data, (), document)) or [("{}", "")]
-    widths = [len(text) for text, source in lines if source and len(text) <= _MAX_ALIGNED]
-    width = max(widths, default=0)
+    data = _visible(spec.model_dump(mode="json"), document.data, spec)
+    lines = list(_lines(data, document.top)) or [("{}", "")]
+    width = max((len(text) for text, source in lines if source and len(text) <= _MAX_ALIGNED), default=0)
     return "".join(f"{text:<{width}}  # {source}\n" if source else f"{text}\n" for text, source in lines)
 
 
@@ -53,19 +52,30 @@ def _visible(value: Any, written: Any, spec: Any) -> Any:
     return {key: _visible(value[key], written.get(key), parts.get(key)) for key in order}
 
 
-def _lines(value: Any, path: KeyPath, document: Document) -> Iterator[tuple[str, str]]:
-    """Lines of YAML, each with the source of its value; empty: only values further in have some."""
+def _lines(value: Any, node: Node | None) -> Iterator[tuple[str, str]]:
+    """Lines of YAML, each with the source of its value; empty: only values further in have some.
+
+    Args:
+        value: A mapping or a list.
+        node: Where it was written; None: nowhere.
+    """
     is_list = isinstance(value, list)
     for key, item in enumerate(value) if is_list else value.items():
-        here, head = (*path, key), "-" if is_list else f"{flow_yaml(key)}:"
+        below, head = _below(node, key), "-" if is_list else f"{flow_yaml(key)}:"
         if _is_leaf(item):
-            # An override may have line breaks; a comment ends at one.
-            yield f"{head} {_leaf(item)}", " ".join(_source(here, document).split())
+            yield f"{head} {flow_yaml(_shown(item))}", _source(below)
             continue
         if not is_list:
             yield head, ""
-        for number, (text, source) in enumerate(_lines(item, here, document)):
+        for number, (text, source) in enumerate(_lines(item, below)):
             yield ("- " if is_list and number == 0 else "  ") + text, source
+
+
+def _below(node: Node | None, key: str | int) -> Node | None:
+    """Where a part was written; a scalar may stand for a whole structure."""
+    if node is None or not isinstance(node.value, dict | list):
+        return node
+    return value_at(node.value, (key,))
 
 
 def _is_leaf(value: Any) -> bool:
@@ -75,23 +85,18 @@ def _is_leaf(value: Any) -> bool:
     return not isinstance(value, dict) or not value
 
 
-def _leaf(value: Any) -> str:
-    # Paths were made absolute; people and stored results want them without the machine's directories.
-    is_path = isinstance(value, str) and os.path.isabs(value)
-    return flow_yaml(from_here(value) if is_path else value)
+def _shown(value: Any) -> Any:
+    # Paths were made absolute; people want them without the machine's directories.
+    return from_here(value) if isinstance(value, str) and os.path.isabs(value) else value
 
 
-def _source(path: KeyPath, document: Document) -> str:
+def _source(node: Node | None) -> str:
     """Names the places that gave a value: one, unless an override changed a part of a list."""
-    near = document.nearest(path)
-    written, places = value_at(document.data, near), [document.mark(near)]
-    # A scalar may stand for a whole structure: its parts were written where it was.
-    if near != path and isinstance(written, dict | list):
+    if node is None:
         return "default"
-    if isinstance(written, list):
-        items = (document.mark((*near, index)) for index in range(len(written)))
-        places += [mark for mark in items if mark.is_override]
-    return ", ".join(dict.fromkeys(mark.place for mark in places))
+    parts = node.value if isinstance(node.value, list) else []
+    marks = [node.key, *(part.key for part in parts if part.origin is None)]
+    return ", ".join(dict.fromkeys(mark.place for mark in marks))
 
 
 def json_schema(model: type[BaseModel]) -> dict[str, Any]:

@@ -33,12 +33,18 @@ def validate(model: type[S], document: Document) -> S:
     Raises:
         SpecError: With every problem of the document, in the order of its lines.
     """
-    data, models = document.located(), defaultdict[int, list[type[BaseModel]]](list)
+    data, models = document.data, defaultdict[int, list[type[BaseModel]]](list)
     try:
         return model.model_validate(data, context=models)
     except ValidationError as error:
-        found = {_problem(detail, data, models, document): None for detail in error.errors(include_url=False)}
+        details = [detail for detail in error.errors(include_url=False) if not _only_seems_short(detail)]
+    found = dict.fromkeys(_problem(detail, data, models, document) for detail in details)
     raise SpecError(sorted(found, key=attrgetter("mark")))
+
+
+def _only_seems_short(detail: ErrorDetails) -> bool:
+    """Pydantic counts only the valid entries of a list; what is wrong with the others has its own errors."""
+    return detail["type"] == "too_short" and len(detail["input"]) >= detail.get("ctx", {})["min_length"]
 
 
 def _problem(detail: ErrorDetails, data: Any, models: _Models, document: Document) -> Problem:
@@ -53,8 +59,9 @@ def _problem(detail: ErrorDetails, data: Any, models: _Models, document: Documen
         return _missing(path, data, models, document)
     if kind in ("value_error", "file"):
         # What a model says of its keys together belongs to its key, of one value to the value.
-        place = document.mark if isinstance(found, Mapping | BaseModel) else document.value_mark
-        return Problem(place(path), path, str(context.get("error", detail["msg"])), context.get("hint"))
+        node = document.node(path)
+        mark = node.key if isinstance(found, Mapping | BaseModel) else node.mark
+        return Problem(mark, path, str(context.get("error", detail["msg"])), context.get("hint"))
     found = context["tag"] if kind == "union_tag_invalid" else found
     listed = str(context.get("expected", context.get("expected_tags", "")))
     choices = [choice.strip("'") for choice in re.split(", | or ", listed) if choice]
@@ -62,9 +69,8 @@ def _problem(detail: ErrorDetails, data: Any, models: _Models, document: Documen
     hint = did_you_mean(found, choices) if isinstance(found, str) else None
     if of_key:
         return document.problem(path, f"unknown key '{found}'; {expected}", hint)
-    return Problem(
-        document.value_mark(path), path, f"{expected}, found {describe(value_at(data, path))}", hint
-    )
+    what = f"{expected}, found {describe(value_at(data, path))}"
+    return Problem(document.node(path).mark, path, what, hint)
 
 
 def _unknown_key(path: KeyPath, data: Any, models: _Models, document: Document) -> Problem:
@@ -84,7 +90,7 @@ def _missing(path: KeyPath, data: Any, models: _Models, document: Document) -> P
     name, above = path[-1], path[:-1]
     if isinstance(name, int):  # an entry of a tuple of fixed length
         what = f"expected more entries, found {describe(value_at(data, above))}"
-        return Problem(document.value_mark(above), above, what)
+        return Problem(document.node(above).mark, above, what)
     known = models[id(value_at(data, above))]
     fields = [model.model_fields[name] for model in known if name in model.model_fields]
     description = next((field.description for field in fields if field.description), "")
@@ -94,7 +100,7 @@ def _missing(path: KeyPath, data: Any, models: _Models, document: Document) -> P
 def _expected(message: str) -> str:
     """What pydantic says a value should be, in the words of YAML: `a list`."""
     text = message.partition(" should ")[2].removeprefix("be ").removeprefix("have ")
-    text = re.split(r", got|, not| or instance of|: ", text)[0]
+    text = re.split(r" after validation|, got|, not| or instance of|: ", text)[0]
     text = text.replace("valid tuple", "list").replace("valid dictionary", "mapping")
     text = text.replace("match pattern", "a match of")
     return f"a number {text}" if text.startswith(("greater", "less")) else text

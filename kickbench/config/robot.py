@@ -18,7 +18,7 @@ from kickbench.config.base import (
     distinct,
 )
 from kickbench.config.yamlio import Document
-from kickbench.errors import Problem, SpecError
+from kickbench.config.yamltree import Node
 
 BaseAxis = Literal["x", "y", "z", "rx", "ry", "rz"]
 """A force (x, y, z) or torque (rx, ry, rz) axis of the base frame."""
@@ -227,19 +227,17 @@ class RobotSpec(Spec):
 
 def pairs_apart(robot: Document) -> Document:
     """The robot with two entries per actuator whose `joint` is `[left, right]`, named after the joints."""
-    actuators = robot.data.get("actuators")
-    if not isinstance(actuators, dict):
+    actuators = robot.top.value.get("actuators")
+    if actuators is None or not isinstance(actuators.value, dict):
         return robot
-    apart, places = {}, dict(robot.places)
-    for key, entry in actuators.items():
-        joint = entry.get("joint") if isinstance(entry, dict) else None
-        pair = joint if isinstance(joint, list) and len(joint) == 2 else []
-        within = {path[2:]: place for path, place in robot.places.items() if path[:2] == ("actuators", key)}
-        for side, name in enumerate(map(str, pair or [key])):
+    apart: dict[str, Node] = {}
+    for key, entry in actuators.value.items():
+        joint = entry.value.get("joint") if isinstance(entry.value, dict) else None
+        pair = joint.value if joint and isinstance(joint.value, list) and len(joint.value) == 2 else (None,)
+        for side in pair:
+            name = str(side.value) if side else key
             if name in apart:
-                what = f"there are two actuators of the name '{name}'"
-                raise SpecError([Problem(robot.mark(("actuators", key)), ("actuators", name), what)])
-            apart[name] = {**entry, "joint": pair[side]} if pair else entry
-            own = within | ({("joint",): within["joint", side]} if pair else {})
-            places |= {("actuators", name, *path): place for path, place in own.items()}
-    return replace(robot, data={**robot.data, "actuators": apart}, places=places)
+                raise robot.error(("actuators", key), f"there are two actuators of the name '{name}'")
+            apart[name] = replace(entry, value={**entry.value, "joint": side}) if side else entry
+    parts = {**robot.top.value, "actuators": replace(actuators, value=apart)}
+    return replace(robot, top=replace(robot.top, value=parts))

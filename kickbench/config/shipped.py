@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import os
+from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
 
-from kickbench.errors import KickbenchError, SpecError, did_you_mean, printable, shown
+from kickbench.errors import KickbenchError, did_you_mean, printable, shown
 
 FOLDERS = {
     "task": ("tasks", "**/*.yaml"),
@@ -44,51 +45,31 @@ def name_of(file: Path) -> str | None:
 
 
 def find(text: str | Path, *kinds: str) -> Path:
-    """The file that a path, or a name of one of some kinds, means; a path need not lead to a file.
+    """The file that a path, or a name of one of some kinds, means.
 
     Raises:
-        KickbenchError: It is no path and no name; says which name is near.
+        KickbenchError: It is neither; says which name is near.
     """
     known = {name: file for kind in reversed(kinds) for name, file in names(kind).items()}
-    if not _is_path(text) and str(text) in known:
-        return known[str(text)]
-    other = next((kind for kind in FOLDERS if str(text) in names(kind)), None)
-    if other and not Path(text).exists():
-        order = " (in TASK METHOD the task comes first)" if (other, *kinds) == ("method", "task") else ""
-        what = f"found the name of a {other}, expected {' or '.join(kinds)}{order}"
-        raise KickbenchError(f"{printable(str(text))}: {what}")
-    if _is_path(text) or Path(text).exists() or str(text) != Path(text).name:
-        return Path(text)
-    hint = did_you_mean(str(text), known) or "`kickbench list` prints the names"
-    raise KickbenchError(
-        f"{printable(str(text))}: no such file, and no {' or '.join(kinds)} of this name ({hint})"
-    )
+    return _find(text, known, kinds)
 
 
 def find_method(text: str | Path, task: Path, overrides: Sequence[str] = ()) -> Path:
     """The method that a path, or a name among the methods for a task's robot, means.
 
     Raises:
-        SpecError: There is no such file, or it is not YAML.
-        KickbenchError: It is shipped for another robot: `mini/` is for `mini_kicker`, a folder that no
-            robot's name begins with for the robots without one.
+        KickbenchError: There is no such method, or the task is no YAML. Or it is shipped for another robot:
+            `mini/` is for `mini_kicker`, folders that no robot's name begins with for the others.
     """
-    from kickbench.config.yamlio import load_document  # not needed for --help
+    from kickbench.config.yamlio import load_document, resolved  # not needed for --help
+    from kickbench.config.yamltree import Located
 
-    methods = names("method")
-    try:
-        robot = _robot_of_task(task)
-        owner = robot if robot in map(_robot_of, methods) else ""
-        fitting = {name: file for name, file in methods.items() if _robot_of(name) == owner}
-        if not _is_path(text):
-            for name, file in fitting.items():
-                if str(text) in (name, file.stem):
-                    return file
-        method = load_document(find(text, "method")).file
-    except SpecError:
-        if Path(text).exists() and task.exists():
-            return Path(text)  # where both are loaded all that is wrong is reported at once
-        raise
+    value, methods = load_document(task).data.get("robot"), names("method")
+    robot = resolved(value).parent.name if isinstance(value, Located) else ""
+    owner = robot if robot in map(_robot_of, methods) else ""
+    fitting = {name: file for name, file in methods.items() if _robot_of(name) == owner}
+    bare = {file.stem: file for file in reversed(fitting.values())}
+    method = Path(os.path.abspath(_find(text, methods | bare, ("method",))))
     is_foreign = method in methods.values() and method not in fitting.values()
     if not is_foreign or robot not in names("robot") or any(key.startswith("robot") for key in overrides):
         return method
@@ -103,15 +84,14 @@ def _robot_of(method: str) -> str:
     return next((robot for robot in names("robot") if robot.startswith(folder)), "")
 
 
-def _is_path(text: str | Path) -> bool:
-    path = Path(text)
-    return path.suffix in (".yaml", ".yml") or (path.exists() and not path.is_dir())
-
-
-def _robot_of_task(task: Path) -> str:
-    """The folder of a task's robot."""
-    from kickbench.config.yamlio import load_document  # not needed for --help
-
-    document = load_document(task)
-    origin = document.origin(("robot",)) or document.file
-    return (origin.parent / str(document.data.get("robot", ""))).parent.name
+def _find(text: str | Path, known: Mapping[str, Path], kinds: Sequence[str]) -> Path:
+    name, expected = str(text), " or ".join(kinds)
+    if Path(text).exists() and not Path(text).is_dir():
+        return Path(text)
+    if name in known:
+        return known[name]
+    if other := next((kind for kind in FOLDERS if name in names(kind)), None):
+        order = " (in TASK METHOD the task comes first)" if (other, *kinds) == ("method", "task") else ""
+        raise KickbenchError(f"{name}: found the name of a {other}, expected {expected}{order}")
+    hint = did_you_mean(name, known) or "`kickbench list` prints the names"
+    raise KickbenchError(f"{printable(name)}: no such file, and no {expected} of this name ({hint})")

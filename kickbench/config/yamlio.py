@@ -9,29 +9,17 @@ from __future__ import annotations
 
 import errno
 import os
-import stat
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
-from kickbench.config.shipped import FOLDERS, names, root
-from kickbench.config.yamltree import Place, describe, has, parse, renamed, value_at
-from kickbench.errors import KeyPath, Mark, Problem, SpecError, collected, did_you_mean, dotted, shown
+from kickbench.config.yamltree import Located, Node, describe, has, parse, renamed
+from kickbench.errors import KeyPath, Mark, Problem, SpecError, did_you_mean, dotted, shown
 
 EXTENDS = "extends"
 """The key that names the file to build on."""
-
-
-class Located(str):
-    """A string that knows its file, since a path in it is relative to that; None: an override.
-
-    An override that a file makes has the mark of the key that makes it.
-    """
-
-    origin: Path | None = None
-    mark: Mark | None = None
 
 
 def mark_of(override: str) -> Mark:
@@ -46,33 +34,29 @@ class Document:
 
     Attributes:
         file: The file loaded, absolute.
-        sources: Every file read: `file` first, then what it extends.
-        data: The data as dicts, lists and scalars.
-        places: Where the value at each path of the data was written.
+        top: The node of the whole.
     """
 
     file: Path
-    sources: tuple[Path, ...]
-    data: dict[str, Any]
-    places: dict[KeyPath, Place] = field(repr=False)
+    top: Node = field(repr=False)
 
-    def nearest(self, path: KeyPath) -> KeyPath:
-        """The path if something was written there, else that of the nearest key above it."""
-        while path not in self.places:
-            path = path[:-1]
-        return path
+    @cached_property
+    def data(self) -> dict[str, Any]:
+        """The data as dicts, lists and scalars; its strings are `Located`."""
+        return self.top.data()
+
+    def node(self, path: KeyPath) -> Node:
+        """What was written at the path; else at the nearest key above it."""
+        node = self.top
+        for key in path:
+            if not has(node.value, key):
+                break
+            node = node.value[key]
+        return node
 
     def mark(self, path: KeyPath) -> Mark:
         """Where the key at the path was written; else the nearest key above it; else the file's start."""
-        return self.places[self.nearest(path)].key
-
-    def value_mark(self, path: KeyPath) -> Mark:
-        """Where the value at the path was written; else the value of the nearest key above it."""
-        return self.places[self.nearest(path)].value
-
-    def origin(self, path: KeyPath) -> Path | None:
-        """The file that gave the value: paths are relative to it. None for overrides and defaults."""
-        return self.places[path].origin if path in self.places else None
+        return self.node(path).key
 
     def problem(self, path: KeyPath, message: str, hint: str | None = None) -> Problem:
         """Words a problem with the key at the path."""
@@ -82,32 +66,6 @@ class Document:
         """Words a problem with the key at the path as an error to raise."""
         return SpecError([self.problem(path, message, hint)])
 
-    def located(self) -> dict[str, Any]:
-        """The data with `Located` strings."""
-
-        def walk(value: Any, path: KeyPath) -> Any:
-            if isinstance(value, dict):
-                return {key: walk(item, (*path, key)) for key, item in value.items()}
-            if isinstance(value, list):
-                return [walk(item, (*path, index)) for index, item in enumerate(value)]
-            if isinstance(value, str):
-                value = Located(value)
-                value.origin = self.origin(path)
-            return value
-
-        return walk(self.data, ())
-
-    def merged(self, data: Any, places: Mapping[KeyPath, Place]) -> Document:
-        """The document with other data over its own, which were written at other places."""
-        merged = merge(self.data, data)
-        places = {**self.places, **places}
-        kept = {
-            path: place
-            for path, place in places.items()
-            if not path or has(value_at(merged, path[:-1]), path[-1])
-        }
-        return replace(self, data=merged, places=kept)
-
     def overridden(self, text: str) -> Document:
         """The document after an override `key.path=value`.
 
@@ -116,26 +74,42 @@ class Document:
         Raises:
             SpecError: It is malformed, or there is no such place.
         """
-        mark, (left, _, right) = mark_of(text), text.partition("=")
-        keys = [key.strip() for key in left.split(".")]
-        if "=" not in text or not all(keys):
+        mark, (left, equals, right) = mark_of(text), text.partition("=")
+        keys = tuple(key.strip() for key in left.split("."))
+        keys = tuple(renamed(keys[: end + 1], mark) for end in range(len(keys)))
+        if not equals or not all(keys):
             hint = "for example rewards.fall.weight=-2"
             raise SpecError([Problem(mark, (), "expected key.path=value", hint)])
         if keys[0] == EXTENDS:
-            what = f"`{EXTENDS}` cannot be set: it is read from files only"
-            raise SpecError([Problem(mark, tuple(keys), what)])
-        for index in range(len(keys)):
-            keys[index] = renamed(tuple(keys[: index + 1]), mark)
-        parsed = parse(right, f"--set {text}", None, tuple(keys))
-        if parsed.problems:
-            raise SpecError(parsed.problems)
-        path = _resolved(self.data, keys, mark)
-        above = [path[:end] for end in range(1, len(path)) if path[:end] not in self.places]
-        inside = [(*path, *inner[len(path) :]) for inner in parsed.places]
-        value = parsed.data
-        for key in reversed(path):
-            value = {key: value}
-        return self.merged(value, dict.fromkeys([*above, path, *inside], Place(mark, mark, None)))
+            raise SpecError([Problem(mark, keys, f"`{EXTENDS}` cannot be set: it is read from files only")])
+        return replace(self, top=_put(self.top, keys, parse(right, mark, keys)))
+
+
+def _put(node: Node, keys: Sequence[str], new: Node, path: KeyPath = ()) -> Node:
+    """The node at a path with another one merged in, by the keys below it."""
+    if not keys:
+        return merge(node, new)
+    key, *rest = keys
+    if isinstance(node.value, list) and key in map(str, range(len(node.value))):
+        items = list(node.value)
+        items[int(key)] = _put(items[int(key)], rest, new, (*path, key))
+        return replace(node, value=items)
+    if isinstance(node.value, dict | None):
+        parts = node.value or {}
+        part = parts.get(key, Node(None, new.mark, new.mark, None))
+        return replace(node, value={**parts, key: _put(part, rest, new, (*path, key))})
+    what = f"'{dotted(path)}' is {describe(node.value)} and has no key '{key}'"
+    raise SpecError([Problem(new.mark, (*path, *keys), what)])
+
+
+def merge(base: Node, own: Node) -> Node:
+    """Merges mappings key by key, keys of the base first; any other node replaces that of the base."""
+    if not isinstance(base.value, dict) or not isinstance(own.value, dict):
+        return own
+    parts = {
+        key: merge(base.value[key], node) if key in base.value else node for key, node in own.value.items()
+    }
+    return replace(own, value=base.value | parts)
 
 
 def load_document(path: str | Path, overrides: Sequence[str] = ()) -> Document:
@@ -146,128 +120,67 @@ def load_document(path: str | Path, overrides: Sequence[str] = ()) -> Document:
         overrides: `key.path=value` each; the value is YAML, a number in the path is a list index.
 
     Raises:
-        SpecError: With every problem of the file, the files it extends and the overrides.
+        SpecError: A file cannot be read, or is not YAML; or an override does not fit.
     """
     file = Path(os.path.abspath(path))
-    problems: list[Problem] = []
-    start = Mark(str(file), 0, 0)
-    document = Document(file, (), {}, {(): Place(start, start, file)})
-    with collected(problems):
-        document = _read(file, start, (), problems)
+    try:
+        document = _read(file)
+    except (OSError, ValueError) as error:  # ValueError: a null byte in the path
+        raise SpecError.of(str(file), *unreadable(file, error)) from None
     for text in overrides:
-        with collected(problems):
-            document = document.overridden(text)
-    if problems:
-        raise SpecError(problems)
+        document = document.overridden(text)
     return document
 
 
-def _read(file: Path, named: Mark, chain: tuple[Path, ...], problems: list[Problem]) -> Document:
-    """Reads a file, named at a mark and reached through a chain of others, and what it extends."""
-    try:
-        check_regular(file)
-        data = file.read_bytes()
-    except (OSError, ValueError) as error:  # ValueError: a null byte in the path
-        path, by = ((EXTENDS,), chain[-1]) if chain else ((), None)
-        raise SpecError([Problem(named, path, *unreadable(file, error, by))]) from None
-    document, found = _parsed(data, file)
-    problems += found
+def _read(file: Path, chain: tuple[Path, ...] = ()) -> Document:
+    """Reads a file, reached through a chain of others, and what it extends."""
+    check_regular(file)
+    document, chain = _parsed(file.read_bytes(), file), (*chain, file)
     if EXTENDS not in document.data:
         return document
-    chain = (*chain, file)
-    base = _read(_base(document, chain), document.mark((EXTENDS,)), chain, problems)
-    own = {key: value for key, value in document.data.items() if key != EXTENDS}
-    return replace(base.merged(own, document.places), file=file, sources=(file, *base.sources))
+    name = document.data[EXTENDS]
+    if not isinstance(name, Located) or not name:
+        raise document.error((EXTENDS,), f"expected the path of a file, found {describe(name)}")
+    base = resolved(name)
+    if base in chain:
+        circle = " -> ".join(shown(link) for link in (*chain, base))
+        raise document.error((EXTENDS,), f"files extend each other in a circle: {circle}")
+    try:
+        below = _read(base, chain)
+    except (OSError, ValueError) as error:
+        raise document.error((EXTENDS,), *unreadable(base, error)) from None
+    own = {key: node for key, node in document.top.value.items() if key != EXTENDS}
+    return Document(file, merge(below.top, replace(document.top, value=own)))
 
 
 @lru_cache(maxsize=256)
-def _parsed(content: bytes, file: Path) -> tuple[Document, tuple[Problem, ...]]:
+def _parsed(content: bytes, file: Path) -> Document:
     """Parses a file's content once, however many specs are built on it."""
-    start = Mark(str(file), 1, 1)
     # Bytes that are not UTF-8 become characters that YAML refuses.
-    parsed = parse(content.decode("utf-8-sig", "surrogateescape"), str(file), file)
-    data, problems = parsed.data, parsed.problems
-    if not isinstance(data, dict) and not problems:
-        found = "the file is empty" if data is None else f"found {describe(data)}"
-        problems = [Problem(start, (), f"expected keys at the top of the file; {found}")]
-    places = {**parsed.places, (): Place(start, start, file)}
-    return Document(file, (file,), data if isinstance(data, dict) else {}, places), tuple(problems)
-
-
-def _base(document: Document, chain: tuple[Path, ...]) -> Path:
-    name = document.data[EXTENDS]
-    if not isinstance(name, str) or not name or "\0" in name:
-        raise document.error((EXTENDS,), f"expected the path of a file, found {describe(name)}")
-    base = Path(os.path.abspath(document.file.parent / name))
-    if os.path.realpath(base) in map(os.path.realpath, chain):
-        circle = " -> ".join(shown(link) for link in (*chain, base))
-        raise document.error((EXTENDS,), f"files extend each other in a circle: {circle}")
-    return base
-
-
-def _resolved(data: Any, keys: Sequence[str], mark: Mark) -> KeyPath:
-    """The path that the keys of an override mean: in a list they are indices."""
-    path: KeyPath = ()
-    for key in keys:
-        if isinstance(data, list):
-            # Python refuses to read integers of thousands of digits; no list is so long.
-            index = int(key) if key.isdecimal() and len(key) < 10 else len(data)
-            what = f"is a list of {len(data)}; expected an index below {len(data)}, found '{key}'"
-            is_wrong = index >= len(data)
-        else:
-            index, what = key, f"is {describe(data)} and has no key '{key}'"
-            is_wrong = not isinstance(data, dict | None)
-        if is_wrong:
-            raise SpecError([Problem(mark, (*path, *keys[len(path) :]), f"'{dotted(path)}' {what}")])
-        path, data = (*path, index), value_at(data, (index,))
-    return path
-
-
-def merge(base: Any, child: Any) -> Any:
-    """Merges mappings key by key, keys of the base first; any other value of the child replaces.
-
-    Integer keys, which no file has, replace entries of a list.
-    """
-    if isinstance(base, list) and isinstance(child, dict) and any(isinstance(key, int) for key in child):
-        return [merge(item, child[i]) if i in child else item for i, item in enumerate(base)]
-    if not isinstance(base, dict) or not isinstance(child, dict):
-        return child
-    return base | {key: merge(base[key], value) if key in base else value for key, value in child.items()}
+    top, start = parse(content.decode("utf-8-sig", "surrogateescape"), file), Mark(str(file), 1, 1)
+    if not isinstance(top.value, dict):
+        what = f"expected keys at the top of the file, found {describe(top.value)}"
+        raise SpecError([Problem(start, (), what)])
+    return Document(file, replace(top, mark=start, key=start))
 
 
 def check_regular(file: Path) -> None:
-    """Raises an `OSError` for a folder, and for what might never end: a pipe, a socket, a device."""
-    mode = file.stat().st_mode
-    if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
+    """Raises an `OSError` for what might never end: a pipe, a socket, a device."""
+    if file.exists() and not file.is_file() and not file.is_dir():
         raise OSError(errno.EINVAL, "it is no regular file, but a pipe, socket or device")
 
 
-def unreadable(file: Path, error: Exception, by: Path | None = None) -> tuple[str, str | None]:
-    """Says why a file cannot be read, with the nearest name that exists as a hint.
+def resolved(name: Located) -> Path:
+    """The absolute path that a name in a file means."""
+    # An override is typed in a shell, so it is relative to the working directory.
+    return Path(os.path.abspath(name.origin.parent / name if name.origin else name))
 
-    Args:
-        file: The file.
-        error: What reading it raised.
-        by: The YAML file that names it; None: a command line.
 
-    Returns:
-        Message and hint.
-    """
-    if isinstance(error, IsADirectoryError):
-        return f"'{shown(file)}' is a directory, not a file", None
+def unreadable(file: Path, error: Exception) -> tuple[str, str | None]:
+    """Says why a file cannot be read, with the nearest name that exists as a hint."""
     if isinstance(error, FileNotFoundError | NotADirectoryError):
-        return f"no such file: '{shown(file)}'", _near_file(file, by)
+        near = [entry.name for entry in file.parent.iterdir()] if file.parent.is_dir() else []
+        hint = did_you_mean(file.name, sorted(near)) or "paths in a file are relative to it"
+        return f"no such file: '{shown(file)}'", hint
     reason = error.strerror if isinstance(error, OSError) else str(error)
     return f"'{shown(file)}' cannot be read: {reason}", None
-
-
-def _near_file(file: Path, by: Path | None) -> str | None:
-    folder, here = file.parent, by.parent if by else Path.cwd()
-    name = file.relative_to(here).as_posix().removesuffix(".yaml") if file.is_relative_to(here) else ""
-    if by and (shipped := [path for kind in FOLDERS if (path := names(kind).get(name))]):
-        own = [os.path.relpath(path, here) if here.is_relative_to(root()) else str(path) for path in shipped]
-        return f"paths in YAML are relative to the file; the shipped one is {' or '.join(own)}"
-    if not folder.is_dir():
-        return f"the directory '{shown(folder)}' does not exist"
-    others = (entry.name for entry in folder.iterdir() if entry.is_file() and entry != by)
-    return did_you_mean(file.name, sorted(others))

@@ -1,8 +1,8 @@
-"""YAML text as data with a table of where every value was written, and data as YAML text.
+"""YAML text as nodes that know where they were written, and data as YAML text.
 
 The scalars follow the core schema of YAML 1.2, not 1.1: `1e-3` is a number, `on` and `no` are strings, `1:30`
-is no sexagesimal, `2026-01-01` no date. What a benchmark file must not contain is a problem: duplicate keys,
-`<<`, keys that are not strings, non-finite numbers, other tags.
+is no sexagesimal, `2026-01-01` no date; numbers are decimal and finite. What a benchmark file must not
+contain is a problem: duplicate keys, keys that are not strings, other tags.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import yaml
-from yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
+from yaml.nodes import MappingNode, ScalarNode, SequenceNode
 
-from kickbench.errors import KeyPath, Mark, Problem
+from kickbench.errors import KeyPath, Mark, Problem, SpecError
 
 Scalar = str | int | float | bool | None
 
@@ -26,17 +26,9 @@ _TAG = "tag:yaml.org,2002:"
 _CORE: dict[str, tuple[re.Pattern[str], Callable[[str], Scalar]]] = {
     "null": (re.compile(r"(~|null|Null|NULL|)\Z"), lambda text: None),
     "bool": (re.compile(r"(true|True|TRUE|false|False|FALSE)\Z"), lambda text: text.lower() == "true"),
-    "int": (
-        re.compile(r"([-+]?[0-9]{1,19}|0o[0-7]{1,21}|0x[0-9a-fA-F]{1,16})\Z"),
-        # Decimals may have leading zeros, which Python refuses with base 0.
-        lambda text: int(text, 0 if text[:2] in ("0o", "0x") else 10),
-    ),
-    "float": (
-        re.compile(
-            r"([-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN))\Z"
-        ),
-        lambda text: float(text.lower().replace(".inf", "inf").replace(".nan", "nan")),
-    ),
+    "int": (re.compile(r"[-+]?[0-9]{1,19}\Z"), int),
+    "float": (re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?\Z"), float),
+    "str": (re.compile(""), str),
 }
 """The core schema, tested in this order (YAML 1.2.2, 10.3.2), and how each kind is read. A longer integer is
 read as a float."""
@@ -50,18 +42,43 @@ RENAMED: dict[KeyPath, str] = {
 """Keys of experiments that had other names, which are read until the next release; `*` is any key."""
 
 
-class Place(NamedTuple):
-    """Where a value was written.
+class Located(str):
+    """A string that knows its file, since a path in it is relative to that; None: an override.
 
-    Attributes:
-        key: Where the key of the value begins; for a list item and the top of a file, as `value`.
-        value: Where the value begins.
-        origin: The file that has the value; None for an override.
+    An override that a file makes has the mark of the key that makes it.
     """
 
+    origin: Path | None = None
+    mark: Mark | None = None
+
+
+@dataclass(frozen=True)
+class Node:
+    """A value, and where it was written.
+
+    Attributes:
+        value: A mapping or a list of nodes, or a scalar.
+        mark: Where it begins.
+        key: Where its key begins; for a list item and the top of a file, as `mark`.
+        origin: The file that has it; None for an override.
+    """
+
+    value: Any
+    mark: Mark
     key: Mark
-    value: Mark
     origin: Path | None
+
+    def data(self) -> Any:
+        """The value as dicts, lists and scalars; its strings are `Located`."""
+        if isinstance(self.value, dict):
+            return {key: node.data() for key, node in self.value.items()}
+        if isinstance(self.value, list):
+            return [node.data() for node in self.value]
+        if isinstance(self.value, str):
+            text = Located(self.value)
+            text.origin = self.origin
+            return text
+        return self.value
 
 
 def has(data: Any, key: str | int) -> bool:
@@ -88,7 +105,7 @@ def describe(value: object) -> str:
         return f"the number {value}"
     if isinstance(value, str):
         return f"the string {_short(str(value))!r}"
-    if isinstance(value, dict):
+    if isinstance(value, Mapping):
         return "a mapping" if value else "an empty mapping"
     if isinstance(value, list | tuple):
         return f"a list of {len(value)}" if value else "an empty list"
@@ -97,33 +114,6 @@ def describe(value: object) -> str:
 
 def _short(text: str) -> str:
     return text if len(text) <= 60 else f"{text[:57]}..."
-
-
-def parse(text: str, name: str, origin: Path | None = None, path: KeyPath = ()) -> Parsed:
-    """Parses a text.
-
-    Args:
-        text: The text.
-        name: Path of its file, or the override that has it.
-        origin: Path of its file; None for an override.
-        path: Path at which the text's value will stand.
-    """
-    parsed = Parsed(name, origin)
-    try:
-        if node := _Loader(text).get_single_node():
-            parsed.data = parsed.build(node, path)
-    except yaml.YAMLError as error:
-        parsed.problems = [parsed.syntax_problem(error, text, path)]
-    except (
-        ValueError,
-        OverflowError,
-    ):  # PyYAML takes escapes beyond the range of Unicode, and half characters
-        parsed.problems = [
-            Problem(parsed.mark(1, 1), path, "not valid YAML: an escape stands for no character")
-        ]
-    except RecursionError:
-        parsed.problems = [Problem(parsed.mark(1, 1), path, "nested too deeply")]
-    return parsed
 
 
 def renamed(path: KeyPath, mark: Mark) -> str:
@@ -135,101 +125,104 @@ def renamed(path: KeyPath, mark: Mark) -> str:
     return str(path[-1])
 
 
+def parse(text: str, source: Path | Mark, path: KeyPath = ()) -> Node:
+    """Parses a text.
+
+    Args:
+        text: The text.
+        source: Its file, or the mark of the override that has it.
+        path: Path at which the text's value will stand.
+
+    Raises:
+        SpecError: With every problem of the text.
+    """
+    builder, loader = _Builder(source), None
+    try:
+        loader = _Loader(text)
+        top = loader.get_single_node()
+        node = builder.build(top or ScalarNode(f"{_TAG}null", "", loader.get_mark()), path)
+    except (yaml.YAMLError, ValueError, OverflowError, RecursionError) as error:
+        line, column, what = _syntax_problem(error, text, loader)
+        raise SpecError([Problem(builder.mark(line, column), path, what)]) from None
+    if builder.problems:
+        raise SpecError(builder.problems)
+    return node
+
+
+def _syntax_problem(error: Exception, text: str, loader: _Loader | None) -> tuple[int, int, str]:
+    """Line, column and words of what PyYAML cannot read."""
+    if loader is None:
+        # Only its reader fails before there is a loader: at a character, or a byte that is not UTF-8.
+        position = getattr(error, "position", 0)
+        is_byte = "\udc80" <= text[position] <= "\udcff"
+        what = "not UTF-8" if is_byte else f"not valid YAML: the character {text[position]!r} is not allowed"
+        before = text[:position]
+        return before.count("\n") + 1, position - before.rfind("\n"), what
+    mark, what = loader.get_mark(), "an escape stands for no character"
+    if isinstance(error, yaml.MarkedYAMLError):
+        mark = error.problem_mark or error.context_mark or mark
+        what = " ".join([error.problem or "", f"({error.context})" if error.context else ""]).strip()
+    elif isinstance(error, RecursionError):
+        what = "nested too deeply"
+    return mark.line + 1, mark.column + 1, f"not valid YAML: {what}"
+
+
 class _Loader(yaml.SafeLoader):
     """Composes nodes whose tags follow the core schema; it never constructs an object."""
 
     yaml_implicit_resolvers: ClassVar[dict[str, Any]] = {}
 
+    def compose_scalar_node(self, anchor: Any) -> ScalarNode:
+        node = super().compose_scalar_node(anchor)
+        try:
+            node.value.encode()
+        except UnicodeEncodeError:  # half of a pair of UTF-16
+            what = "an escape stands for no character"
+            raise yaml.MarkedYAMLError(problem=what, problem_mark=node.start_mark) from None
+        return node
+
 
 @dataclass
-class Parsed:
-    """What a text says, made of composed nodes; parts with a problem are there as far as they make sense.
+class _Builder:
+    """Makes our nodes of PyYAML's, and collects what is wrong with them."""
 
-    Attributes:
-        name: Path of the text's file, or the override that has it.
-        origin: Path of its file; None for an override.
-        data: Mappings, lists and scalars; None if the text is not YAML or has no value.
-        places: Where the value at each path was written.
-        problems: What is wrong with the text.
-    """
-
-    name: str
-    origin: Path | None
-    data: Any = None
-    places: dict[KeyPath, Place] = field(default_factory=dict)
+    source: Path | Mark
     problems: list[Problem] = field(default_factory=list)
 
-    def build(self, node: Node, path: KeyPath, key: Mark | None = None) -> Any:
-        """The value of the node at a path; `key` marks its key, None for list items and the top."""
+    def build(self, node: yaml.Node, path: KeyPath, key: Mark | None = None) -> Node:
+        """The node at a path; `key` marks its key, None for list items and the top."""
         mark, kind = self._mark(node), node.tag.removeprefix(_TAG)
-        self.places.setdefault(path, Place(key or mark, mark, self.origin))
+        value: Any = None
         if isinstance(node, MappingNode) and kind == "map":
-            return self._mapping(node, path)
-        if isinstance(node, SequenceNode) and kind == "seq":
-            return [self.build(item, (*path, i)) for i, item in enumerate(node.value)]
-        if isinstance(node, ScalarNode) and kind == "str":
-            node.value.encode()  # fails for half of a pair of UTF-16, which an escape can write
-            return node.value
-        if isinstance(node, ScalarNode) and kind in _CORE and _CORE[kind][0].match(node.value):
+            value = self._mapping(node, path)
+        elif isinstance(node, SequenceNode) and kind == "seq":
+            value = [self.build(item, (*path, i)) for i, item in enumerate(node.value)]
+        elif isinstance(node, ScalarNode) and kind in _CORE and _CORE[kind][0].match(node.value):
             value = _CORE[kind][1](node.value)
-            if isinstance(value, float) and not math.isfinite(value):
-                self._report(mark, path, f"expected a finite number, found {_short(node.value)}")
-            return value
-        tag = node.tag.replace(_TAG, "!!")
-        self._report(mark, path, f"unknown tag '{tag}'; expected a plain number, string, list or mapping")
-        return None
+        else:
+            what = f"unknown tag '{node.tag.replace(_TAG, '!!')}'"
+            self._report(mark, path, f"{what}; expected a plain number, string, list or mapping")
+        return Node(value, mark, key or mark, None if isinstance(self.source, Mark) else self.source)
 
     def mark(self, line: int, column: int) -> Mark:
         """A mark in the text; within an override there is only the override itself."""
-        return Mark(self.name, line, column) if self.origin else Mark(self.name, 0, 0)
+        return self.source if isinstance(self.source, Mark) else Mark(str(self.source), line, column)
 
-    def _mapping(self, node: MappingNode, path: KeyPath) -> dict[str, Any]:
-        mapping: dict[str, Any] = {}
-        first: dict[str, Mark] = {}
-        names = {key_node.value for key_node, _ in node.value if isinstance(key_node, ScalarNode)}
+    def _mapping(self, node: MappingNode, path: KeyPath) -> dict[str, Node]:
+        mapping: dict[str, Node] = {}
         for key_node, value_node in node.value:
             mark = self._mark(key_node)
-            key = self._key(key_node, path, mark)
-            new = renamed((*path, key), mark)
-            # Where a file has both names, the old one stays, which no model knows.
-            name = key if new in names else new
-            value = self.build(value_node, (*path, name), mark)
-            if key in first:
-                where = f" in line {first[key].line}" if first[key].line else ""
-                self._report(mark, (*path, key), f"duplicate key '{key}'; it is first given{where}")
+            key = renamed((*path, key_node.value), mark)
+            if key_node.tag != f"{_TAG}str":
+                self._report(mark, path, "a key must be a string", "write it in quotes")
+            elif key in mapping:
+                what = f"duplicate key '{key}'; it is first given at {mapping[key].key}"
+                self._report(mark, (*path, key), what)
             else:
-                first[key], mapping[name] = mark, value
+                mapping[key] = self.build(value_node, (*path, key), mark)
         return mapping
 
-    def _key(self, node: Node, path: KeyPath, mark: Mark) -> str:
-        name = node.value if isinstance(node, ScalarNode) else "?"
-        if isinstance(node, ScalarNode) and name == "<<" and node.style is None:
-            instead = "use `extends: other.yaml`"
-            self._report(mark, (*path, name), "merge keys '<<' are not supported", instead)
-        elif node.tag != _TAG + "str":
-            found = "a list or mapping" if name == "?" else name or "null"
-            hint = None if name == "?" else f"write it in quotes: '{found}'"
-            self._report(mark, (*path, name), f"a key must be a string, found {found}", hint)
-        return name
-
-    def syntax_problem(self, error: yaml.YAMLError, text: str, path: KeyPath) -> Problem:
-        """Words what PyYAML cannot read."""
-        if isinstance(error, yaml.MarkedYAMLError):
-            mark = error.problem_mark or error.context_mark
-            where = self.mark(mark.line + 1, mark.column + 1) if mark else self.mark(1, 1)
-            context = f" ({error.context})" if error.context and error.problem else ""
-            what = error.problem or error.context or "syntax error"
-            return Problem(where, path, f"not valid YAML: {what}{context}")
-        position = getattr(error, "position", 0)
-        before = text[:position]
-        where = self.mark(before.count("\n") + 1, position - before.rfind("\n"))
-        character = text[position : position + 1]
-        what = f"not valid YAML: the character {character!r} is not allowed"
-        if "\udc80" <= character <= "\udcff":  # decoded with `surrogateescape`
-            what = f"not UTF-8: the byte 0x{ord(character) - 0xDC00:02x}"
-        return Problem(where, path, what)
-
-    def _mark(self, node: Node) -> Mark:
+    def _mark(self, node: yaml.Node) -> Mark:
         return self.mark(node.start_mark.line + 1, node.start_mark.column + 1)
 
     def _report(self, mark: Mark, path: KeyPath, message: str, hint: str | None = None) -> None:

@@ -13,10 +13,11 @@ from typing import Any, TypeVar
 
 from pydantic import Field, create_model
 
-from kickbench.config.base import Spec, resolved
+from kickbench.config.base import Spec
 from kickbench.config.task import RAMP, CurriculumSpec, ObservationSpec, TaskSpec
 from kickbench.config.terms import RewardTable, TermTable
-from kickbench.config.yamlio import Document
+from kickbench.config.yamlio import Document, resolved
+from kickbench.config.yamltree import Located
 from kickbench.envs import observations, randomizations, rewards, terminations
 from kickbench.envs.own import read_terms
 from kickbench.envs.term import Kind, Term
@@ -64,7 +65,7 @@ def _merged(own: tuple[Term, ...]) -> Catalog:
 def model_of_task(document: Document) -> type[TaskSpec]:
     """The model of a task file, with the terms that it brings itself."""
     own = document.data.get("terms")
-    file = resolved(own, document.origin(("terms",))) if isinstance(own, str) else None
+    file = resolved(own) if isinstance(own, Located) else None
     return task_model(file if file and file.is_file() else None)
 
 

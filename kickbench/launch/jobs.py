@@ -53,7 +53,7 @@ class Job:
     Attributes:
         run: The run.
         outcome: What has become of it.
-        reason: Why it failed, or what it waits for.
+        reason: Why it failed.
         started: When it was started, by the monotonic clock, s.
     """
 
@@ -122,11 +122,9 @@ class Jobs:
         return [job for job in self.jobs if job.outcome == "running"]
 
     def _becomes(self, job: Job, outcome: Outcome, reason: str = "", news: str = "") -> None:
-        """Notes what has become of a job, and prints it if it is new."""
-        if (job.outcome, job.reason) != (outcome, reason):
-            job.outcome, job.reason = outcome, reason
-            number = self.jobs.index(job) + 1
-            print(f"[{number}/{len(self.jobs)}] {job.run.name}: {news or reason}", flush=True)
+        """Notes and prints what has become of a job."""
+        job.outcome, job.reason = outcome, reason
+        print(f"[{self.jobs.index(job) + 1}/{len(self.jobs)}] {job.run.name}: {news or reason}", flush=True)
 
     def _print_summary(self, at_a_time: int) -> None:
         done, total = sum(job.outcome == "done" for job in self.jobs), len(self.jobs)
@@ -166,17 +164,9 @@ class Jobs:
                 self._becomes(job, "running", news=news)
 
     def _may_begin(self, job: Job) -> bool:
-        """Whether nobody else runs in its folder, and the run whose policy it begins with is done."""
+        """Whether the run whose policy it begins with is done."""
         source = job.run.request.init_from
         first = next((other for other in self.jobs if other.run.directory.path == source), None)
         if first and first.outcome == "failed":
             self._becomes(job, "failed", f"{first.run.name}, which it begins with, has failed")
-        elif first and first.outcome != "done":
-            self._becomes(job, "waiting", f"waits for {first.run.name}")
-        elif job.run.directory.is_occupied:
-            self._becomes(job, "waiting", "another process runs in it")
-        elif job.run.is_done:
-            self._becomes(job, "done", news="done by another process")
-        else:
-            return True
-        return False
+        return first is None or first.outcome == "done"

@@ -16,8 +16,7 @@ import signal
 import sys
 import time
 import traceback
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import redirect_stderr, redirect_stdout
 from datetime import UTC, datetime
 from multiprocessing.process import BaseProcess
 from pathlib import Path
@@ -89,7 +88,9 @@ def perform(planned: PlannedRun) -> str:
     """
     while planned.directory.is_occupied:
         time.sleep(_POLL_SECONDS)
-    with _output_to(planned.directory.log):
+    log = planned.directory.log
+    log.parent.mkdir(parents=True, exist_ok=True)
+    with open(log, "a", buffering=1, encoding="utf-8") as file, redirect_stdout(file), redirect_stderr(file):
         began = datetime.now(UTC).isoformat(timespec="seconds")
         print(f"--- {began} {platform.node()}: {shlex.join(planned.request.command_line)}", flush=True)
         torch.set_num_threads(planned.request.threads or 1)
@@ -119,21 +120,3 @@ def last_lines(log: Path, count: int = 1) -> str:
     """The last lines of a log that are not empty."""
     text = log.read_text(encoding="utf-8", errors="replace") if log.is_file() else ""
     return "\n".join([line.strip() for line in text.split("\n") if line.strip()][-count:])
-
-
-@contextmanager
-def _output_to(log: Path) -> Iterator[None]:
-    """Appends all that this process writes to a file."""
-    log.parent.mkdir(parents=True, exist_ok=True)
-    before = [(number, os.dup(number)) for number in (1, 2)]
-    try:
-        with open(log, "ab") as file:
-            for number, _ in before:
-                os.dup2(file.fileno(), number)
-        yield
-    finally:
-        for stream in (sys.stdout, sys.stderr):
-            stream.flush()
-        for number, copy in before:
-            os.dup2(copy, number)
-            os.close(copy)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import zip_longest
 from pathlib import Path
+from typing import Any
 
 from kickbench.envs.compiled_task import compile_task
 from kickbench.errors import KickbenchError, Problem, SpecError, did_you_mean
@@ -21,34 +22,6 @@ from kickbench.training.resume import begin_from, check_same
 from kickbench.training.trained import load_run
 from kickbench.trials.experiment import Condition, LoadedExperiment
 from kickbench.trials.trial import Trial
-
-
-@dataclass(frozen=True)
-class Selection:
-    """Which runs are asked for, and how they differ from the experiment's file.
-
-    Attributes:
-        only: Conditions; empty: all.
-        seeds: Seeds; empty: each condition's.
-        scale: Factor in (0, 1) on iterations and episodes; None: full size.
-        overrides: `key.path=value` texts for every run.
-        out: Folder of the runs; None: `default_folder`.
-        device: Where they train.
-        threads: Threads of each.
-    """
-
-    only: tuple[str, ...] = ()
-    seeds: tuple[int, ...] = ()
-    scale: float | None = None
-    overrides: tuple[str, ...] = ()
-    out: Path | None = None
-    device: str = "cpu"
-    threads: int = 1
-
-    def default_folder(self, experiment: str) -> Path:
-        """`runs/<experiment>`; for runs other than those of the experiment's file, a folder of their own."""
-        scaled = f"-scale{self.scale:g}" if self.scale else ""
-        return Path("runs", f"{experiment}{scaled}{'-changed' if self.overrides else ''}")
 
 
 @dataclass(frozen=True)
@@ -117,18 +90,48 @@ class Plan:
     folder: Path
 
 
-def make_plan(experiment: LoadedExperiment, selection: Selection) -> Plan:
+def make_plan(
+    experiment: LoadedExperiment,
+    *,
+    only: Sequence[str] = (),
+    seeds: Sequence[int] = (),
+    out: Path | None = None,
+    scale: float | None = None,
+    overrides: Sequence[str] = (),
+    **options: Any,
+) -> Plan:
     """Plans the runs that are asked for, those that they begin with first, and checks what is there of them.
+
+    Args:
+        experiment: The experiment.
+        only: Conditions; empty: all.
+        seeds: Seeds; empty: each condition's.
+        out: Folder of the runs; default: `runs/<experiment>`, or one of its own for runs that differ from the
+            experiment's file.
+        scale: Factor in (0, 1) on iterations and episodes; None: full size.
+        overrides: `key.path=value` texts for every run.
+        options: `device` and `threads` of `RunRequest`.
 
     Raises:
         SpecError: A condition does not exist, an override does not fit, or a folder holds another run; all
             runs that do are named with every key that differs. Nothing has been written.
     """
-    folder = selection.out or selection.default_folder(experiment.name)
-    chosen, columns = _chosen(experiment, selection), list[list[PlannedRun]]()
+    scaled = f"-scale{scale:g}" if scale else ""
+    folder = out or Path("runs", f"{experiment.name}{scaled}{'-changed' if overrides else ''}")
+    chosen, columns = _chosen(experiment, only, seeds), list[list[PlannedRun]]()
     records, problems = list[RunRecord](), list[Problem]()
+    of = ExperimentRef(name=experiment.name, claims=experiment.claims_hash)
     for condition in experiment.conditions.values():
-        request = _request(experiment, condition, selection)
+        request = RunRequest(
+            task=condition.task.document.file,
+            method=condition.method.document.file,
+            overrides=(*condition.settings, *overrides),
+            scale=scale,
+            resume=True,
+            init_std=condition.init_std,
+            experiment=of,
+            **options,
+        )
         trial, asked = request.load(), chosen.get(condition.name, ())
         runs = {
             seed: _planned(replace(request, seed=seed), condition, trial, folder)
@@ -140,44 +143,31 @@ def make_plan(experiment: LoadedExperiment, selection: Selection) -> Plan:
     if problems:
         raise SpecError([*problems, Problem(None, (), "--out takes another folder")])
     record = PlanRecord(
-        experiment=experiment.name, scale=selection.scale, overrides=selection.overrides, runs=tuple(records)
+        experiment=experiment.name, scale=scale, overrides=tuple(overrides), runs=tuple(records)
     )
     in_turn = (run for runs in zip_longest(*columns) for run in runs if run is not None)
     return Plan(experiment, record, tuple(in_turn), folder)
 
 
-def _chosen(experiment: LoadedExperiment, selection: Selection) -> dict[str, tuple[int, ...]]:
+def _chosen(
+    experiment: LoadedExperiment, only: Sequence[str], seeds: Sequence[int]
+) -> dict[str, tuple[int, ...]]:
     """Seeds of the conditions that are asked for, and of those whose policies they begin with."""
     conditions = experiment.conditions
-    asked = [] if selection.only else list(conditions)
-    for name in selection.only:
+    asked = [] if only else list(conditions)
+    for name in only:
         meant = [own for own, condition in conditions.items() if condition.is_meant_by(name)]
         if not meant:
             what = f"{experiment.name} has no such condition; it has: {', '.join(conditions)}"
             raise SpecError.of(f"--only {name}", what, did_you_mean(name, conditions))
         asked += meant
-    chosen = {name: selection.seeds or conditions[name].seeds for name in asked}
+    chosen = {name: tuple(seeds) or conditions[name].seeds for name in asked}
     for name in list(chosen):
         source = conditions[name].init_from
         while isinstance(source, str):
             chosen[source] = tuple(dict.fromkeys((*chosen.get(source, ()), *chosen[name])))
             source = conditions[source].init_from
     return chosen
-
-
-def _request(experiment: LoadedExperiment, condition: Condition, selection: Selection) -> RunRequest:
-    """What all runs of a condition share."""
-    return RunRequest(
-        task=condition.task.document.file,
-        method=condition.method.document.file,
-        overrides=(*condition.settings, *selection.overrides),
-        scale=selection.scale,
-        device=selection.device,
-        threads=selection.threads,
-        resume=True,
-        init_std=condition.init_std,
-        experiment=ExperimentRef(name=experiment.name, claims=experiment.claims_hash),
-    )
 
 
 def _planned(request: RunRequest, condition: Condition, trial: Trial, folder: Path) -> PlannedRun:

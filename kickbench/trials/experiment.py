@@ -15,7 +15,7 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from kickbench.config.base import names_file, resolved
+from kickbench.config.base import names_file
 from kickbench.config.experiment import (
     OF_A_RUN,
     POINT,
@@ -32,8 +32,8 @@ from kickbench.config.load import Loaded, LoadedMethod, LoadedTask, load, load_t
 from kickbench.config.method import MethodSpec
 from kickbench.config.task import TaskSpec
 from kickbench.config.terms import RewardParams, TerminationParams
-from kickbench.config.yamlio import Document, Located
-from kickbench.config.yamltree import flow_yaml
+from kickbench.config.yamlio import Document, resolved
+from kickbench.config.yamltree import Located, flow_yaml
 from kickbench.envs.catalog import model_of_task
 from kickbench.errors import KeyPath, Problem, SpecError, collected, did_you_mean
 from kickbench.trials.trial import load_both
@@ -117,15 +117,11 @@ def load_experiment(path: str | Path, overrides: Sequence[str] = ()) -> LoadedEx
     """
     loaded = load(ExperimentSpec, path, overrides)
     spec, document = loaded.spec, loaded.document
+    tasks = [load_task(model_of_task, file) for file in spec.evaluation.transfer]
+    transfer = {task.name: task for task in tasks}
+    if len(transfer) < len(tasks):
+        raise document.error(("evaluation", "transfer"), "there are two tasks of one name")
     problems: list[Problem] = []
-    transfer: dict[str, LoadedTask[TaskSpec]] = {}
-    for index, file in enumerate(spec.evaluation.transfer):
-        with collected(problems):
-            task = load_task(model_of_task, file)
-            if task.name in transfer:
-                place = ("evaluation", "transfer", index)
-                raise document.error(place, f"there are two tasks of the name {task.name}")
-            transfer[task.name] = task
     conditions: dict[str, Condition] = {}
     for name, point in product(spec.conditions, spec.points()):
         with collected(problems):
@@ -133,10 +129,14 @@ def load_experiment(path: str | Path, overrides: Sequence[str] = ()) -> LoadedEx
             if condition.name in conditions:
                 raise document.error(("sweep",), f"two of its points have the name {condition.name}")
             conditions[condition.name] = condition
-    claims: dict[str, AnyClaim] = {}
-    with collected(problems):
-        claims = _all_claims(spec, document)
-    problems = problems or list(_claim_problems(claims, conditions, document))
+    if problems:
+        raise SpecError(problems)
+    claims = _all_claims(spec, document)
+    problems += [
+        document.problem(("claims", name, *key), what, hint)
+        for name, claim in claims.items()
+        for key, what, hint in _misfits(claim, conditions)
+    ]
     if problems:
         raise SpecError(problems)
     return LoadedExperiment(spec, document, conditions, claims)
@@ -155,11 +155,11 @@ def _condition(
         "evaluation.episodes": spec.evaluation.episodes,
     }
     own = {key: value for key, value in sizes.items() if value is not None}
-    settings = [
+    settings = (
         *_settings(own, document, (*place, "iterations")),
         *_settings(condition.set, document, (*place, "set")),
         *_settings(point, document, ("sweep",)),
-    ]
+    )
     task, method = load_both(condition.task or str(spec.task), condition.method, settings)
     if task.name in transfer:
         what = f"the condition {name} is trained on {task.name}, and evaluated on it anyway"
@@ -174,7 +174,7 @@ def _condition(
         seeds=condition.seeds or spec.seeds,
         transfer=transfer,
         reported=condition.reported,
-        settings=tuple(settings),
+        settings=settings,
         init_from=_initial(name, point, spec, document),
         init_std=condition.init_std,
     )
@@ -185,7 +185,7 @@ def _settings(values: Mapping[str, Any], document: Document, place: KeyPath) -> 
     fields = TaskSpec.model_fields | MethodSpec.model_fields
     for key, value in values.items():
         is_file = isinstance(value, Located) and key in fields and names_file(fields[key])
-        text = Located(f"{key}={flow_yaml(resolved(value, value.origin).as_posix() if is_file else value)}")
+        text = Located(f"{key}={flow_yaml(resolved(value).as_posix() if is_file else value)}")
         text.mark = document.mark(place)
         yield text
 
@@ -209,49 +209,40 @@ def _initial(
     name: str, point: Mapping[str, Any], spec: ExperimentSpec, document: Document
 ) -> str | Path | None:
     """What a condition begins with: another one at the same point of the sweep, or a run's folder."""
-    source, place = spec.conditions[name].init_from, ("conditions", name, "init_from")
+    chain, place = [name], ("conditions", name, "init_from")
+    while (source := spec.conditions[chain[-1]].init_from) in spec.conditions:
+        chain.append(source)
+        if source in chain[:-1]:
+            raise document.error(place, f"a circle: {' -> '.join(chain)}")
+    if len(chain) > 1:
+        return _at_point(chain[1], point, spec)
     if source is None:
         return None
-    if source not in spec.conditions:
-        folder = Path((document.origin(place) or document.file).parent, source)
-        if not (folder / "specs").is_dir():
-            what = f"neither a condition nor the folder of a run: '{source}'"
-            raise document.error(place, what, did_you_mean(source, spec.conditions))
-        return Path(os.path.normpath(folder))
-    chain = [name]
-    while source in spec.conditions:
-        if source in chain:
-            raise document.error(place, f"a circle: {' -> '.join([*chain, source])}")
-        chain.append(source)
-        source = spec.conditions[source].init_from
-    return _at_point(chain[1], point, spec)
+    folder = Path((document.node(place).origin or document.file).parent, source)
+    if not (folder / "specs").is_dir():
+        what = f"neither a condition nor the folder of a run: '{source}'"
+        raise document.error(place, what, did_you_mean(source, spec.conditions))
+    return Path(os.path.normpath(folder))
 
 
 def _all_claims(spec: ExperimentSpec, document: Document) -> dict[str, AnyClaim]:
     """The claims of the experiments that are named, and those of the file itself."""
     claims: dict[str, AnyClaim | None] = {}
     for index, file in enumerate(spec.claims_of):
-        other, place = load(ExperimentSpec, file).spec, ("claims_of", index)
+        place = ("claims_of", index)
+        other = load(ExperimentSpec, file).spec
         if other.claims_of:
             raise document.error(place, "its own claims are those of others: name them here")
-        kept = {n: claim for n, claim in other.claims.items() if not isinstance(claim, NearReported | None)}
-        for name in kept:
-            if name in claims and claims[name] != kept[name]:
+        for name, claim in other.claims.items():
+            if claims.get(name, claim) != claim:
                 raise document.error(place, f"the claim {name} stands in two of the files")
-        claims |= kept
+            if not isinstance(claim, NearReported):
+                claims[name] = claim
     for name, claim in spec.claims.items():
         if claim is None and name not in claims:
             what = f"null drops a claim of `claims_of`, and they have no '{name}'"
             raise document.error(("claims", name), what, did_you_mean(name, claims))
     return {name: claim for name, claim in (claims | spec.claims).items() if claim is not None}
-
-
-def _claim_problems(
-    claims: Mapping[str, AnyClaim], conditions: Mapping[str, Condition], document: Document
-) -> Iterator[Problem]:
-    for name, claim in claims.items():
-        for key, what, hint in _misfits(claim, conditions):
-            yield document.problem(("claims", name, *key), what, hint)
 
 
 def _misfits(claim: AnyClaim, conditions: Mapping[str, Condition]) -> Iterator[Misfit]:

@@ -78,8 +78,8 @@ def load_trial(
     if scale is not None:
         full, iterations = loaded_task.spec.evaluation.episodes, loaded_method.spec.algorithm.iterations
         episodes = max(round(scale * full), min(full, MIN_SCALED_EPISODES))
-        loaded_task = loaded_task.changed({"evaluation.episodes": episodes})
-        loaded_method = loaded_method.changed({"algorithm.iterations": max(1, round(scale * iterations))})
+        sizes = f"evaluation.episodes={episodes}", f"algorithm.iterations={max(1, round(scale * iterations))}"
+        loaded_task, loaded_method = load_both(task, method, [*overrides, *sizes])
     compiled = compile_task(loaded_task)
     table = completed_table(compiled, loaded_method.representations)
     loaded_method = replace(loaded_method, representations=table)

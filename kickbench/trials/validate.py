@@ -6,7 +6,6 @@ import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from kickbench.config.base import Spec
 from kickbench.config.experiment import ExperimentSpec
@@ -15,11 +14,11 @@ from kickbench.config.method import MethodSpec, RepresentationSpec
 from kickbench.config.robot import RobotSpec
 from kickbench.config.task import TaskSpec
 from kickbench.config.terms import ObservationParams
-from kickbench.config.yamlio import Document, load_document
+from kickbench.config.yamlio import Document, load_document, mark_of
 from kickbench.config.yamltree import RENAMED
 from kickbench.envs.catalog import catalog, model_of_task, task_model
 from kickbench.envs.compiled_task import CompiledTask, compile_task, own_representations
-from kickbench.errors import Mark, Problem, collected, did_you_mean
+from kickbench.errors import Problem, collected, did_you_mean
 from kickbench.sim.plausible import findings, step_warnings, symmetry_findings
 from kickbench.symmetry.field_table import resolve_expression
 from kickbench.trials.experiment import load_experiment
@@ -72,20 +71,21 @@ def check_files(files: Sequence[Path], overrides: Sequence[str] = ()) -> Iterato
         files: Tasks, methods, robots, representation tables and experiments.
         overrides: `key.path=value` texts, applied to the files whose kind has the first key.
     """
-    unused = list(dict.fromkeys(overrides))
+    known: set[str] = set()
     loaded: list[CompiledTask | LoadedMethod | None] = []
     for path in {os.path.abspath(path): path for path in files}.values():
         report = Report(str(path), "?")
         with collected(report.problems):
             report.kind = kind_of(load_document(path))
-            own = [text for text in overrides if _head(text) in ("", *model_of(report.kind).model_fields)]
-            unused = [text for text in unused if text not in own]
-            loaded.append(_load(path, report, own))
-        if report.kind == "?":
-            unused = []  # a file that cannot be read may have any key
+            keys = model_of(report.kind).model_fields
+            known |= {*keys}
+            loaded.append(_load(path, report, [text for text in overrides if _head(text) in keys]))
         yield report
-    for text in unused:
-        yield Report(f"--set {text}", "override", [_unused(text)])
+    for text in overrides:
+        if _head(text) not in known:
+            what = f"none of the files has a key '{_head(text)}'"
+            problem = Problem(mark_of(text), (), what, did_you_mean(_head(text), known))
+            yield Report(f"--set {text}", "override", [problem])
     tasks = [item for item in loaded if isinstance(item, CompiledTask)]
     methods = [item for item in loaded if isinstance(item, LoadedMethod)]
     # Methods are made for a robot: several tasks and methods at once need not all go together.
@@ -123,13 +123,6 @@ def _head(override: str) -> str:
     return RENAMED.get((head,), head)
 
 
-def _unused(override: str) -> Problem:
-    head = _head(override)
-    known = [key for kind in KINDS for key in model_of(kind).model_fields]
-    hint = None if head in known else did_you_mean(head, known)
-    return Problem(Mark(f"--set {override}", 0, 0), (), f"none of the files has a key '{head}'", hint)
-
-
 def _load(path: Path, report: Report, overrides: Sequence[str]) -> CompiledTask | LoadedMethod | None:
     """Loads a file and what it names, and compares its robots' declared reflection with their geometry."""
     loaded, robots = None, list[Loaded[RobotSpec]]()
@@ -165,22 +158,12 @@ def _ball_warnings(task: LoadedTask[TaskSpec]) -> Iterator[Problem]:
 
 
 def _robots_of_experiment(path: Path, overrides: Sequence[str], report: Report) -> list[Loaded[RobotSpec]]:
-    """Checks every task of an experiment with every method it is learned by, each pair and setting once."""
-    conditions = load_experiment(path, overrides).conditions.values()
-    pairs = {
-        (_as_set(task), _as_set(condition.method)): (task, condition.method)
-        for condition in conditions
-        for task in condition.tasks.values()
-    }
-    compiled: dict[tuple[Path, str], CompiledTask] = {}
-    for (key, _), (task, method) in pairs.items():
-        with collected(report.problems):
-            if key not in compiled:
-                compiled[key] = compile_task(task)
-            symmetry_of(compiled[key], method.representations, method)
+    """Checks every task of an experiment, compiled once for each setting, with every method."""
+    compiled: dict[str, CompiledTask] = {}
+    for condition in load_experiment(path, overrides).conditions.values():
+        for task in condition.tasks.values():
+            with collected(report.problems):
+                key = f"{task.document.file} {task.document.data}"
+                compiled[key] = compiled.get(key) or compile_task(task)
+                symmetry_of(compiled[key], condition.method.representations, condition.method)
     return list({task.robot.document.file: task.robot for task in compiled.values()}.values())
-
-
-def _as_set(loaded: Loaded[Any]) -> tuple[Path, str]:
-    """A file with what the sweep sets in it."""
-    return loaded.document.file, repr(loaded.document.data)

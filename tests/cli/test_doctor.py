@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+
 import pytest
 import torch
 
@@ -68,8 +72,9 @@ def test_a_library_that_does_not_load_is_reported(printed, monkeypatch):
     assert rows["torch"] == "no: libtorch.so: cannot open"
 
 
-def test_a_missing_picture_driver_is_reported(monkeypatch):
-    monkeypatch.setenv("MUJOCO_GL", "osmesa")
-    monkeypatch.setenv("PYOPENGL_PLATFORM", "nonsense")
-    with pytest.raises(KickbenchError, match="MUJOCO_GL"):
-        check._drawing()
+def test_a_missing_picture_driver_is_reported():
+    environment = {**os.environ, "MUJOCO_GL": "osmesa", "PYOPENGL_PLATFORM": "nonsense"}
+    command = [sys.executable, "-c", "from kickbench.cli.check import _drawing; _drawing()"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
+    assert done.stderr.splitlines()[-1].startswith("kickbench.errors.KickbenchError: ")
+    assert "MUJOCO_GL" in done.stderr

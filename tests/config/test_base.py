@@ -261,15 +261,15 @@ def test_a_missing_key_has_the_mark_of_its_parent_and_says_what_it_is():
             "vector: [1, 2, 3, 4]",
             9,
             ("vector",),
-            "expected at most 3 items after validation, found a list of 4",
+            "expected at most 3 items, found a list of 4",
             None,
         ),
-        ("gains: [1]", 8, ("gains",), "expected at least 2 items after validation, found a list of 1", None),
+        ("gains: [1]", 8, ("gains",), "expected at least 2 items, found a list of 1", None),
         (
             "gains: [1, 2, 3, 4]",
             8,
             ("gains",),
-            "expected at most 3 items after validation, found a list of 4",
+            "expected at most 3 items, found a list of 4",
             None,
         ),
         ("part: 1", 7, ("part",), "expected a mapping, found the number 1", None),
@@ -295,6 +295,27 @@ def test_a_wrong_choice_lists_the_choices():
 def test_a_wrong_enum_lists_the_choices():
     message = "expected one of: left, right, found the string 'lefft'"
     assert problems("side: lefft\n") == [("a.yaml:1:7", ("side",), message, "did you mean 'left'?")]
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("gains: [1, x]", ["expected a valid number, found the string 'x'"]),
+        (
+            "gains: [x]",
+            [
+                "expected at least 2 items, found a list of 1",
+                "expected a valid number, found the string 'x'",
+            ],
+        ),
+        (
+            "vector: [1, x]",
+            ["expected more entries, found a list of 2", "expected a valid number, found the string 'x'"],
+        ),
+    ],
+)
+def test_a_wrong_entry_does_not_make_a_list_short(text, found):
+    assert [problem[2] for problem in problems(f"{text}\n")] == found
 
 
 def test_a_wrong_key_of_a_typed_dict_lists_the_choices():
@@ -377,7 +398,7 @@ def test_a_missing_file_hints_at_the_nearest():
 
 def test_a_directory_is_no_file():
     Path("folder").mkdir()
-    message = "'folder' is a directory, not a file"
+    message = "'folder' cannot be read: Is a directory"
     assert problems("files: [folder]\n") == [("a.yaml:1:9", ("files", 0), message, None)]
 
 

@@ -112,7 +112,7 @@ def test_an_override_of_a_whole_list_stands_alone():
 
 
 def test_a_line_break_in_an_override_does_not_end_its_comment():
-    assert lines("gains: [1]\n", "gains=[2,\n 3]")["gains: [2.0, 3.0]"] == "--set gains=[2, 3]"
+    assert lines("gains: [1]\n", "gains=[2,\n 3]")["gains: [2.0, 3.0]"] == r"--set gains=[2,\n 3]"
 
 
 def test_a_constant_range_is_one_number():

@@ -74,7 +74,7 @@ def test_a_path_of_an_override_is_relative_to_the_working_directory(folder):
 def test_a_missing_file_is_reported_where_it_is_named(folder):
     Path("method.yaml").write_text(METHOD)
     assert messages(load_method, "method.yaml") == [
-        "method.yaml:3:18: representations: no such file: 'table.yaml'"
+        "method.yaml:3:18: representations: no such file: 'table.yaml' (paths in a file are relative to it)"
     ]
 
 

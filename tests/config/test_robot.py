@@ -106,7 +106,7 @@ def test_what_is_wrong_in_an_entry_of_two_is_reported_where_it_stands(complaints
 def test_an_actuator_of_the_name_of_a_joint_of_a_pair_is_an_error(complaints):
     text = ROBOT.replace("  drive:", "  pair: {kind: motor, joint: [knee, knee_r], effort: 3}\n  drive:")
     (complaint,) = complaints(RobotSpec, text)
-    assert complaint == "a.yaml:5:3: actuators.knee: there are two actuators of the name 'knee'"
+    assert complaint == "a.yaml:5:3: actuators.pair: there are two actuators of the name 'knee'"
 
 
 def test_an_action_of_1_is_all_the_torque_of_a_motor_unless_it_has_a_scale(read):
@@ -244,7 +244,7 @@ def test_a_robot_without_actuators_is_an_error(complaints):
     head, tail = ROBOT.split("actuators:\n")
     text = head + "actuators: {}\nsymmetry:" + tail.split("symmetry:")[1]
     assert complaints(RobotSpec, text) == [
-        "a.yaml:3:12: actuators: expected at least 1 item after validation, found an empty mapping"
+        "a.yaml:3:12: actuators: expected at least 1 item, found an empty mapping"
     ]
 
 

@@ -154,7 +154,6 @@ def test_a_region_may_be_a_point(task):
         ("ball.radius=1e3", "expected a number less than or equal to 10, found the number 1000.0"),
         ("ball.mass=1e4", "expected a number less than or equal to 1000, found the number 10000.0"),
         ("sampling.target.angle=[0, 1e9]", "expected angles from -2 pi to 2 pi, in radians, found 1e+09"),
-        ("sampling.ball.speed=[-0.1, 1]", "expected numbers of at least 0, found -0.1"),
         ("sampling.ball.direction=7", "expected angles from -2 pi to 2 pi, in radians, found 7"),
         ("rewards.target_distance.sigma=-1", "expected a number greater than 0, found the number -1"),
     ],
@@ -162,6 +161,12 @@ def test_a_region_may_be_a_point(task):
 def test_values_are_bounded(wrong, override, message):
     key = override.partition("=")[0]
     assert wrong(TASK, override) == [f"--set {override}: {key}: {message}"]
+
+
+def test_a_ball_does_not_roll_at_a_negative_speed(wrong):
+    override = "sampling.ball.speed=[-0.1, 1]"
+    message = "expected a number greater than or equal to 0, found the number -0.1"
+    assert wrong(TASK, override) == [f"--set {override}: sampling.ball.speed.0: {message}"]
 
 
 def test_only_a_ball_that_moves_has_a_direction(wrong):

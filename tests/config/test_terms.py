@@ -77,7 +77,7 @@ def test_a_reward_needs_a_weight(complaints):
             "noise: -0.1",
             "2:18: group.first.noise: expected a number greater than or equal to 0, found the number -0.1",
         ),
-        ("noise: .inf", "2:18: group.first.noise: expected a finite number, found .inf"),
+        ("noise: .inf", "2:18: group.first.noise: expected a valid number, found the string '.inf'"),
         ("weight: 1.0", "2:11: group.first.weight: unknown key 'weight'; expected one of: noise, clip"),
         ("clip: [1]", "2:17: group.first.clip: expected a number or [low, high], found a list of 1"),
     ],

@@ -3,10 +3,8 @@ from pathlib import Path
 import pytest
 
 from kickbench.config import yamlio
-from kickbench.config.yamlio import load_document, unreadable
+from kickbench.config.yamlio import load_document
 from kickbench.errors import SpecError
-
-ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture(autouse=True)
@@ -47,7 +45,7 @@ def test_a_byte_order_mark_and_windows_line_ends_are_fine():
 def test_every_key_and_value_knows_its_place():
     document = load_document(write("# a comment\nball:\n  friction: [1, 0.5]\n  mass:   0.1\n"))
     assert str(document.mark(("ball", "mass"))) == "a.yaml:4:3"
-    assert str(document.value_mark(("ball", "mass"))) == "a.yaml:4:11"
+    assert str(document.node(("ball", "mass")).mark) == "a.yaml:4:11"
     assert str(document.mark(("ball", "friction", 1))) == "a.yaml:3:17"
     assert str(document.mark(())) == "a.yaml:1:1"
 
@@ -70,11 +68,9 @@ def test_a_document_knows_its_files():
     document = load_document(write("extends: sub/base.yaml\nb: 2\n"), ["c=3"])
     here = Path.cwd()
     assert document.file == here / "a.yaml"
-    assert document.sources == (here / "a.yaml", here / "sub" / "base.yaml")
-    assert document.origin(("a",)) == here / "sub" / "base.yaml"
-    assert document.origin(("b",)) == here / "a.yaml"
-    assert document.origin(("c",)) is None
-    assert document.origin(("d",)) is None
+    assert document.node(("a",)).origin == here / "sub" / "base.yaml"
+    assert document.node(("b",)).origin == here / "a.yaml"
+    assert document.node(("c",)).origin is None
 
 
 # What is refused
@@ -82,42 +78,21 @@ def test_a_document_knows_its_files():
 
 def test_a_duplicate_key_names_the_line_of_the_first():
     write("a:\n  b: 1\n  c: 2\n  b: 3\n")
-    assert problems() == [("a.yaml:4:3", ("a", "b"), "duplicate key 'b'; it is first given in line 2", None)]
+    assert problems() == [
+        ("a.yaml:4:3", ("a", "b"), "duplicate key 'b'; it is first given at a.yaml:2:3", None)
+    ]
 
 
-def test_a_merge_key_points_to_extends():
-    write("a: &a {x: 1}\nb:\n  <<: *a\n")
-    hint = "use `extends: other.yaml`"
-    assert problems() == [("a.yaml:3:3", ("b", "<<"), "merge keys '<<' are not supported", hint)]
+def test_a_merge_key_is_a_key_like_any_other():
+    assert load_document(write("a: {<<: 1}\n")).data == {"a": {"<<": 1}}
 
 
-def test_a_quoted_merge_key_is_a_key_like_any_other():
-    assert load_document(write("'<<': 1\n")).data == {"<<": 1}
-
-
-@pytest.mark.parametrize(("key", "shown"), [("1", "1"), ("true", "true"), ("~", "~"), ("1e3", "1e3")])
-def test_a_key_that_is_no_string_is_refused(key, shown):
+@pytest.mark.parametrize("key", ["1", "true", "~", "1e3", "? [1, 2]\n"])
+def test_a_key_that_is_no_string_is_refused(key):
     write(f"a: 1\n{key}: 2\n")
-    hint = f"write it in quotes: '{shown}'"
-    assert problems() == [("a.yaml:2:1", (key,), f"a key must be a string, found {shown}", hint)]
-
-
-def test_a_list_as_key_is_refused():
-    write("? [1, 2]\n: 3\n")
-    assert problems() == [("a.yaml:1:3", ("?",), "a key must be a string, found a list or mapping", None)]
-
-
-@pytest.mark.parametrize("text", [".inf", "-.INF", ".nan", "1e999"])
-def test_a_number_that_is_not_finite_is_refused(text):
-    write(f"a:\n  - 1\n  - {text}\n")
-    assert problems() == [("a.yaml:3:5", ("a", 1), f"expected a finite number, found {text}", None)]
-
-
-@pytest.mark.parametrize("digits", [5000, 400])
-def test_an_integer_beyond_all_measure_is_refused(digits):
-    write(f"a: {'1' * digits}\n")
-    message = f"expected a finite number, found {'1' * 57}..."
-    assert problems() == [("a.yaml:1:4", ("a",), message, None)]
+    column = 3 if key[0] == "?" else 1
+    found = (f"a.yaml:2:{column}", (), "a key must be a string", "write it in quotes")
+    assert problems() == [found]
 
 
 @pytest.mark.parametrize(
@@ -143,11 +118,11 @@ def test_a_core_tag_needs_a_fitting_value():
 
 def test_a_recursive_alias_is_refused():
     write("a: &a\n  b: *a\n")
-    assert problems() == [("a.yaml:1:1", (), "nested too deeply", None)]
+    assert problems() == [("a.yaml:3:1", (), "not valid YAML: nested too deeply", None)]
 
 
 def test_all_problems_of_a_file_are_told_at_once():
-    write("a: 1\na: 2\nb: {c: .nan}\nd: 4\nd: 5\n")
+    write("a: 1\na: 2\nb: {c: !x 1}\nd: 4\nd: 5\n")
     assert [found[:2] for found in problems()] == [
         ("a.yaml:2:1", ("a",)),
         ("a.yaml:3:8", ("b", "c")),
@@ -163,8 +138,8 @@ def test_all_problems_of_a_file_are_told_at_once():
         ("a: [1\nb: 2\n", "a.yaml:2:2", "expected ',' or ']'"),
         ("a: *x\n", "a.yaml:1:4", "found undefined alias 'x'"),
         ("a: 1\n---\nb: 2\n", "a.yaml:2:1", "but found another document"),
-        ('a: "b\\U00110000"\n', "a.yaml:1:1", "an escape stands for no character"),
-        ('a: "b\\Uffffffff"\n', "a.yaml:1:1", "an escape stands for no character"),
+        ('a: "b\\U00110000"\n', "a.yaml:1:8", "an escape stands for no character"),
+        ('a: "b\\Uffffffff"\n', "a.yaml:1:8", "an escape stands for no character"),
         ("a: 1\nb: \0\n", "a.yaml:2:4", "the character '\\x00' is not allowed"),
     ],
 )
@@ -177,37 +152,43 @@ def test_a_syntax_error_has_its_place(text, mark, message):
 
 def test_a_text_nested_too_deeply_is_refused():
     write("a: " + "[" * 1000)
-    assert problems() == [("a.yaml:1:1", (), "nested too deeply", None)]
+    [(mark, _, message, _)] = problems()
+    assert mark.startswith("a.yaml:1:")
+    assert message == "not valid YAML: nested too deeply"
 
 
-@pytest.mark.parametrize("text", ['extends: "\\ud800"', 'a: ["x\\ud83d\\ude00"]'])
-def test_half_a_character_is_refused(text):
+@pytest.mark.parametrize(
+    ("text", "column"), [('extends: "\\ud800"', 10), ('a: ["x\\ud83d\\ude00"]', 5), ('a: {"\\udfff": 1}', 5)]
+)
+def test_half_a_character_is_refused(text, column):
     write(text)
-    assert problems() == [("a.yaml:1:1", (), "not valid YAML: an escape stands for no character", None)]
+    assert problems() == [
+        (f"a.yaml:1:{column}", (), "not valid YAML: an escape stands for no character", None)
+    ]
 
 
 @pytest.mark.parametrize("text", ["", "# only a comment\n", "---\n"])
 def test_an_empty_file_is_refused(text):
     write(text)
-    message = "expected keys at the top of the file; the file is empty"
+    message = "expected keys at the top of the file, found null"
     assert problems() == [("a.yaml:1:1", (), message, None)]
 
 
 @pytest.mark.parametrize(("text", "found"), [("- 1\n- 2\n", "a list of 2"), ("abc\n", "the string 'abc'")])
 def test_a_file_without_keys_is_refused(text, found):
     write(text)
-    assert problems() == [("a.yaml:1:1", (), f"expected keys at the top of the file; found {found}", None)]
+    assert problems() == [("a.yaml:1:1", (), f"expected keys at the top of the file, found {found}", None)]
 
 
 @pytest.mark.parametrize("text", [b"a: 1\nb: \xff\n", b"a: 1\n\xc3\xa4: \xff\n"])
 def test_a_byte_order_mark_does_not_shift_the_place_of_what_is_not_utf_8(text):
     Path("a.yaml").write_bytes(b"\xef\xbb\xbf" + text)
-    assert problems() == [("a.yaml:2:4", (), "not UTF-8: the byte 0xff", None)]
+    assert problems() == [("a.yaml:2:4", (), "not UTF-8", None)]
 
 
 def test_a_file_that_is_not_utf_8_is_refused():
     Path("a.yaml").write_bytes(b"a: 1\n\xc3\xa9: \xff\n")
-    assert problems() == [("a.yaml:2:4", (), "not UTF-8: the byte 0xff", None)]
+    assert problems() == [("a.yaml:2:4", (), "not UTF-8", None)]
 
 
 @pytest.mark.parametrize("name", ["mini_kickr.yaml", "mini_kicker", "mini-kicker.yaml", "mini_kicker.yml"])
@@ -216,15 +197,9 @@ def test_a_missing_file_hints_at_the_nearest_name(name):
     assert problems(name) == [(name, (), f"no such file: '{name}'", "did you mean 'mini_kicker.yaml'?")]
 
 
-def test_a_missing_directory_is_named():
-    assert problems("x/a.yaml") == [
-        ("x/a.yaml", (), "no such file: 'x/a.yaml'", "the directory 'x' does not exist")
-    ]
-
-
 def test_a_directory_is_no_file():
     Path("folder").mkdir()
-    assert problems("folder") == [("folder", (), "'folder' is a directory, not a file", None)]
+    assert problems("folder") == [("folder", (), "'folder' cannot be read: Is a directory", None)]
 
 
 def test_a_file_that_may_not_be_read_says_why(monkeypatch):
@@ -302,25 +277,9 @@ def test_a_missing_base_points_to_extends():
     assert problems() == [("a.yaml:2:1", ("extends",), "no such file: 'bas.yaml'", hint)]
 
 
-@pytest.mark.parametrize("name", ["mini_goal", "mini_goal.yaml", "./mini_goal.yaml"])
-def test_a_shipped_name_in_yaml_is_no_path_and_its_path_is_given(name):
-    write(f"extends: {name}\n", "my_mini_goal.yaml")
-    ((_, _, message, hint),) = problems("my_mini_goal.yaml")
-    path = ROOT / "tasks/mini_goal.yaml"
-    assert message == f"no such file: '{Path(name)}'"
-    assert hint == f"paths in YAML are relative to the file; the shipped one is {path}"
-
-
-def test_a_shipped_file_that_gives_a_name_gets_the_relative_path():
-    experiment = ROOT / "results/reported/x.yaml"
-    _, hint = unreadable(experiment.parent / "mini/baseline", FileNotFoundError(), experiment)
-    assert hint is not None
-    assert hint.endswith("the shipped one is ../../methods/mini/baseline.yaml")
-
-
-def test_the_file_itself_is_never_the_nearest():
-    write("extends: my_gaol.yaml\n", "my_goal.yaml")
-    assert problems("my_goal.yaml")[0][3] is None
+def test_a_name_that_is_no_path_gets_the_rule_for_paths():
+    write("extends: mini_goal\n")
+    assert problems()[0][2:] == ("no such file: 'mini_goal'", "paths in a file are relative to it")
 
 
 @pytest.mark.parametrize(
@@ -330,18 +289,11 @@ def test_the_file_itself_is_never_the_nearest():
         ("", "null"),
         ("3", "the number 3"),
         ("''", "the string ''"),
-        ('"\\0"', "the string '\\x00'"),
     ],
 )
 def test_extends_must_be_a_path(text, found):
     write(f"extends: {text}\n")
     assert problems() == [("a.yaml:1:1", ("extends",), f"expected the path of a file, found {found}", None)]
-
-
-def test_problems_of_all_files_are_told_at_once():
-    write("b: .nan\n", "base.yaml")
-    write("extends: base.yaml\na: 1\na: 2\n")
-    assert [found[0] for found in problems("a.yaml", "x")] == ["a.yaml:3:1", "base.yaml:1:4", "--set x"]
 
 
 # Overrides
@@ -367,7 +319,7 @@ def test_an_override_replaces_or_creates(override, expected):
 def test_the_last_override_wins_and_has_the_mark():
     document = load_document(write("a: {b: 0, c: 1}\n"), ["a.b=1", "a.b=2"])
     assert document.data == {"a": {"b": 2, "c": 1}}
-    assert str(document.mark(("a", "b"))) == str(document.value_mark(("a", "b"))) == "--set a.b=2"
+    assert str(document.mark(("a", "b"))) == str(document.node(("a", "b")).mark) == "--set a.b=2"
     assert str(document.mark(("a", "c"))) == "a.yaml:1:11"
     assert str(document.mark(("a",))) == "a.yaml:1:1"
 
@@ -388,11 +340,14 @@ def test_a_malformed_override_says_its_form(text):
     ("override", "path", "message"),
     [
         ("a.b.c=1", ("a", "b", "c"), "'a.b' is the number 1 and has no key 'c'"),
-        ("l.2=1", ("l", "2"), "'l' is a list of 2; expected an index below 2, found '2'"),
-        ("l.x=1", ("l", "x"), "'l' is a list of 2; expected an index below 2, found 'x'"),
+        ("l.2=1", ("l", "2"), "'l' is a list of 2 and has no key '2'"),
+        ("l.x=1", ("l", "x"), "'l' is a list of 2 and has no key 'x'"),
         ("extends=b.yaml", ("extends",), "`extends` cannot be set: it is read from files only"),
-        ("a.b=.nan", ("a", "b"), "expected a finite number, found .nan"),
-        ("a={b: 1, b: 2}", ("a", "b"), "duplicate key 'b'; it is first given"),
+        (
+            "a={b: 1, b: 2}",
+            ("a", "b"),
+            "duplicate key 'b'; it is first given at --set a={b: 1, b: 2}",
+        ),
     ],
 )
 def test_an_impossible_override_says_why(override, path, message):
@@ -405,7 +360,7 @@ def test_an_index_beyond_all_measure_is_refused():
     key = "l." + "9" * 5000
     [(mark, _, message, _)] = problems("a.yaml", f"{key}=1")
     assert mark == f"--set {key}=1"
-    assert message.startswith("'l' is a list of 2;")
+    assert message.startswith("'l' is a list of 2 and")
 
 
 def test_an_override_with_a_syntax_error_names_itself():

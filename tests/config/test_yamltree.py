@@ -4,13 +4,12 @@ from pathlib import Path
 
 import pytest
 
-from kickbench.config.yamltree import describe, parse
+from kickbench.config.yamltree import Located, describe, parse
 
 
 def value(text: str):
-    parsed = parse(f"x: {text}\n", "a.yaml", Path("a.yaml"))
-    assert not parsed.problems
-    return parsed.data["x"]
+    data = parse(f"x: {text}\n", Path("a.yaml")).data()["x"]
+    return str(data) if isinstance(data, Located) else data
 
 
 @pytest.mark.parametrize(
@@ -25,8 +24,6 @@ def value(text: str):
         ("-0", 0),
         ("12", 12),
         ("010", 10),
-        ("0o17", 15),
-        ("0x1F", 31),
     ],
 )
 def test_numbers_are_numbers(text, number):
@@ -35,7 +32,24 @@ def test_numbers_are_numbers(text, number):
 
 
 @pytest.mark.parametrize(
-    "text", ["on", "off", "yes", "no", "On", "NO", "y", "1:30", "2026-01-01", "1_000", "1e", "=", "0b1"]
+    "text",
+    [
+        "on",
+        "off",
+        "yes",
+        "no",
+        "On",
+        "NO",
+        "y",
+        "1:30",
+        "2026-01-01",
+        "1_000",
+        "1e",
+        "=",
+        "0b1",
+        "0x1F",
+        ".inf",
+    ],
 )
 def test_what_yaml_1_1_would_convert_is_a_string(text):
     assert value(text) == text

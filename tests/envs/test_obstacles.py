@@ -146,7 +146,11 @@ def test_the_audit_proves_observations_and_termination_of_obstacles():
             "obstacles",
             "the obstacles would overlap the robot in",
         ),
-        ("obstacles.speed=[-1, 1]", "obstacles.speed", "expected numbers of at least 0, found -1"),
+        (
+            "obstacles.speed=[-1, 1]",
+            "obstacles.speed.0",
+            "expected a number greater than or equal to 0, found the number -1",
+        ),
         ("obstacles.count=0", "obstacles.count", "expected a number greater than 0"),
         ("obstacles.radius=-0.1", "obstacles.radius", "expected a number greater than 0"),
         ("obstacles.raduis=0.1", "obstacles.raduis", "did you mean 'radius'?"),

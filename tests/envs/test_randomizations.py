@@ -226,8 +226,8 @@ def test_a_bias_of_sensors_that_the_actor_does_not_observe_is_an_error():
 @pytest.mark.parametrize(
     ("override", "message"),
     [
-        ("link_mass.left=[0.0, 1.0]", "expected numbers above 0, found 0"),
-        ("servo_damping.right=-1", "expected numbers above 0, found -1"),
+        ("link_mass.left=[0.0, 1.0]", "expected a number greater than 0, found the number 0.0"),
+        ("servo_damping.right=-1", "expected a number greater than 0, found the number -1"),
         ("sensor_bias.middle=0.1", "unknown key 'middle'"),
     ],
 )

@@ -12,7 +12,7 @@ from kickbench.cli import main
 from kickbench.errors import KickbenchError
 from kickbench.launch.cluster import Files, _content, _packed, _perform_there, _sent, _unpack
 from kickbench.launch.local import perform
-from kickbench.launch.plan import PlannedRun, Selection, make_plan
+from kickbench.launch.plan import PlannedRun, make_plan
 from kickbench.results.metrics import load_metrics
 from kickbench.results.provenance import package_versions
 
@@ -31,7 +31,7 @@ def experiment(tmp_path_factory):
 
 
 def runs_in(folder: Path, experiment) -> list[PlannedRun]:
-    return list(make_plan(experiment, Selection(out=folder, overrides=TINY)).runs)
+    return list(make_plan(experiment, out=folder, overrides=TINY).runs)
 
 
 @pytest.fixture(scope="module")

@@ -151,27 +151,6 @@ def test_a_run_whose_first_policy_is_not_made_fails(runs):
     assert jobs.jobs[1].reason == "a/seed0, which it begins with, has failed"
 
 
-def test_a_run_that_another_process_is_at_is_waited_for(runs):
-    jobs, naps = Jobs(runs[:2]), []
-    with runs[0].directory.occupied() as _:
-
-        def sleep(_: float) -> None:
-            naps.append(jobs.jobs[0].reason)
-            if len(naps) == 10:  # the other process ends without finishing
-                raise Interrupted
-
-        with pytest.raises(Interrupted):
-            jobs.carry_out(Played(), sleep)
-    assert set(naps) == {"another process runs in it"}
-    assert outcomes(jobs) == ["waiting", "done"]
-    jobs.carry_out(Played(), no_sleep)
-    assert outcomes(jobs) == ["done", "done"]
-
-
-class Interrupted(Exception):
-    pass
-
-
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize("times", [1, 2])
 def test_one_signal_stops_every_run_and_starts_no_other_and_a_second_kills(

@@ -9,7 +9,7 @@ import pytest
 from kickbench.cli import main
 from kickbench.errors import SpecError
 from kickbench.launch.overview import read_record, write_record
-from kickbench.launch.plan import Plan, Selection, make_plan
+from kickbench.launch.plan import Plan, make_plan
 from kickbench.results.identity import identity_of
 from kickbench.results.metrics import load_metrics
 from kickbench.results.specs import write_specs
@@ -31,7 +31,7 @@ def experiment():
 
 
 def plan(experiment, out: Path, *only: str, **selection) -> Plan:
-    return make_plan(experiment, Selection(out=out, only=only or ("baseline",), **selection))
+    return make_plan(experiment, out=out, only=only or ("baseline",), **selection)
 
 
 def begin(planned, *, finished: bool, **changes) -> None:
@@ -47,7 +47,7 @@ def begin(planned, *, finished: bool, **changes) -> None:
 
 
 def test_the_plan_is_every_seed_of_every_arm_seed_by_seed(experiment, tmp_path):
-    made = make_plan(experiment, Selection(out=tmp_path))
+    made = make_plan(experiment, out=tmp_path)
     assert [run.name for run in made.runs] == [f"{arm}/seed{seed}" for seed in range(5) for arm in ARMS]
     record = made.runs[7].record
     assert (record.arm, record.seed, record.task, record.method) == (
@@ -76,10 +76,11 @@ def test_the_runs_are_the_experiment_s_not_the_method_s(tmp_path):
 
 
 def test_a_scaled_plan_has_a_folder_of_its_own(experiment, tmp_path):
-    selection = Selection(scale=0.1, overrides=TINY)
-    assert Selection().default_folder("x") == Path("runs/x")
-    assert Selection(scale=0.001).default_folder("x") == Path("runs/x-scale0.001")
-    assert selection.default_folder("x") == Path("runs/x-scale0.1-changed")
+    for options, folder in (({}, "x"), ({"scale": 0.001}, "x-scale0.001"), ({"scale": 0.1}, "x-scale0.1")):
+        made = make_plan(experiment, only=("baseline",), seeds=(0,), **options)
+        assert made.folder == Path("runs", folder.replace("x", experiment.name))
+    changed = make_plan(experiment, only=("baseline",), seeds=(0,), overrides=TINY)
+    assert changed.folder == Path("runs", f"{experiment.name}-changed")
     (run,) = plan(experiment, tmp_path, seeds=(0,), scale=0.1, overrides=TINY).runs
     assert (run.record.iterations, run.record.episodes) == (39, 200)
     assert (run.request.scale, run.request.overrides) == (0.1, TINY)
@@ -125,7 +126,7 @@ def test_missing_evaluations_on_further_tasks_are_found(tmp_path):
     text = REPORTED.read_text().replace("../../", f"{ROOT}/")
     text = text.replace("[home_field.yaml]", f"[{REPORTED.with_name('home_field.yaml')}]")
     own = tmp_path / "own.yaml"
-    own.write_text(text + f"\nevaluation: {{also: [{ROOT}/tasks/mini_general.yaml]}}\n")
+    own.write_text(text + f"\nevaluation: {{transfer: [{ROOT}/tasks/mini_general.yaml]}}\n")
     (run,) = plan(load_experiment(own), tmp_path, seeds=(0,)).runs
     assert run.missing_evaluations == ("mini_general",)
     write_metrics(run.directory.also("mini_general"), make_metrics(450, task="mini_general"))
@@ -143,7 +144,6 @@ def test_missing_evaluations_on_further_tasks_are_found(tmp_path):
         (["--only", "equivarant"], "did you mean 'equivariant'?"),
         (["--set", "algorithm.num_env=3"], "did you mean 'num_envs'?"),
         (["--set", "algorthm.num_envs=3"], "did you mean 'algorithm'?"),
-        (["--seeds", "1", "1"], "--seeds: a seed is there twice"),
     ],
 )
 def test_a_slip_of_the_pen_is_an_error_and_nothing_is_written(

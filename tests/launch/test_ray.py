@@ -16,7 +16,7 @@ from kickbench.cli import main
 from kickbench.launch.cluster import RayExecutor
 from kickbench.launch.jobs import Jobs, Outcome, carry_out
 from kickbench.launch.local import LocalExecutor
-from kickbench.launch.plan import Plan, Selection, make_plan
+from kickbench.launch.plan import Plan, make_plan
 from kickbench.results.store import RunDirectory
 from kickbench.trials.experiment import LoadedExperiment
 
@@ -112,7 +112,7 @@ def experiment(tmp_path_factory) -> LoadedExperiment:
 
 
 def plan(experiment: LoadedExperiment, out: Path) -> Plan:
-    return make_plan(experiment, Selection(out=out, overrides=TINY))
+    return make_plan(experiment, out=out, overrides=TINY)
 
 
 @pytest.fixture(scope="module")

@@ -11,6 +11,8 @@ import pytest
 from kickbench.cli import main
 from kickbench.launch.overview import PlanRecord, RunRecord, write_record
 from kickbench.results.atomic import atomic_write_text
+from kickbench.results.integrity import write_also
+from kickbench.results.metrics import Metrics
 
 from ..made_up import write_result
 from .conftest import make_metrics
@@ -45,6 +47,21 @@ def test_a_plan_tells_what_is_missing(make_run, tmp_path, capsys):
     ]
     assert " ".join(counts) == "1 finished, 1 running, 1 interrupted, 1 not begun, 1 damaged"
     assert left[:3] == ["time", "left:", "about"]
+
+
+def test_what_is_wrong_with_a_result_is_said_beside_the_plan(make_run, tmp_path, capsys):
+    make_plan(tmp_path)
+    values = make_metrics(450).model_dump(mode="json")
+    values["evaluation"]["in_distribution"]["terminations"] |= {"time_out": 0.575, "non_finite": 0.025}
+    run = make_run("baseline/seed0")
+    write_result(run.path, Metrics.model_validate(values))
+    write_also(run.path, "also/far.json", b"{}")
+    write_result(make_run("copy/seed0").path, make_metrics(450))
+    assert main(["status", str(tmp_path)]) == 0
+    _, _, _, first, *_, last, _, _ = lines(capsys)
+    assert "far.json" in " ".join(first)
+    assert " ".join(first).endswith("; 2.5 % non-finite")
+    assert "not in the plan; counted once: " in " ".join(last)
 
 
 def test_a_folder_without_a_plan_shows_what_is_there(make_run, tmp_path, capsys):

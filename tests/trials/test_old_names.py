@@ -61,7 +61,7 @@ def test_a_problem_names_the_new_key(tmp_path, capsys):
 def test_an_old_and_a_new_key_together_are_an_error(tmp_path):
     file = tmp_path / "a.yaml"
     file.write_text("seeds: [0]\narms: {}\nconditions: {}\n")
-    with pytest.raises(SpecError, match="unknown key 'arms'"):
+    with pytest.raises(SpecError, match="duplicate key 'conditions'"):
         load_experiment(file)
 
 

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from kickbench.errors import SpecError
-from kickbench.launch.plan import Selection, make_plan
+from kickbench.launch.plan import make_plan
 from kickbench.trials.experiment import LoadedExperiment, load_experiment
 from kickbench.trials.validate import check_files
 
@@ -60,7 +60,7 @@ def test_every_point_is_compiled_by_validate(tmp_path):
 
 def test_the_points_of_a_condition_are_planned_by_its_name(tmp_path):
     experiment = load(tmp_path, "sweep: {algorithm.gamma: [0.9, 0.95]}")
-    plan = make_plan(experiment, Selection(only=("one",), seeds=(0,), out=tmp_path / "out"))
+    plan = make_plan(experiment, only=("one",), seeds=(0,), out=tmp_path / "out")
     assert [run.name for run in plan.runs] == ["one,gamma=0.9/seed0", "one,gamma=0.95/seed0"]
     assert plan.runs[1].request.overrides == ("algorithm.gamma=0.95",)
 
@@ -85,7 +85,7 @@ def test_a_wrong_sweep_is_an_error_with_its_place(tmp_path, text, complaint):
 
 def test_what_begins_with_a_condition_is_planned_after_it_at_the_same_point_and_seed(tmp_path):
     experiment = load(tmp_path, "sweep: {algorithm.gamma: [0.9]}", two=", init_from: one, init_std: 0.4")
-    plan = make_plan(experiment, Selection(only=("two",), seeds=(1,), out=tmp_path / "out"))
+    plan = make_plan(experiment, only=("two",), seeds=(1,), out=tmp_path / "out")
     first, second = plan.runs
     assert (first.name, first.request.init_from) == ("one,gamma=0.9/seed1", None)
     assert (second.name, second.request.init_from) == ("two,gamma=0.9/seed1", first.directory.path)

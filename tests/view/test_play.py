@@ -380,7 +380,7 @@ def test_a_missing_viewer_is_named(monkeypatch, capsys):
 def test_a_port_that_is_none_is_refused(port, capsys):
     with pytest.raises(SystemExit, match="2"):
         main(["play", str(TASK), f"--port={port}"])
-    assert "--port: Input should be " in capsys.readouterr().err
+    assert "Invalid value for '--port': Input should be " in capsys.readouterr().err
 
 
 class Tab:
