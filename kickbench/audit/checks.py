@@ -74,7 +74,7 @@ def _table_rows(
 
 
 def _compared(
-    check: str, name: str, values: Sequence[np.ndarray], unit: str, *limits: tuple[float, float]
+    check: str, name: str, values: Sequence[np.ndarray] | np.ndarray, unit: str, *limits: tuple[float, float]
 ) -> Row:
     """Judges values that must be equal, those of a state [N, d] already reflected and those of its image.
 

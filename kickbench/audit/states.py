@@ -81,9 +81,9 @@ def _throw(task: CompiledTask, qpos: Tensor, qvel: Tensor, draws: torch.Generato
     qvel += _drawn(draws, -_SPEEDS, _SPEEDS, *qvel.shape)
     for joint, coordinate in enumerate(layout.coordinates):
         if not coordinate.free:
-            bounds = model.jnt_range[joint] if model.jnt_limited[joint] else (-0.5, 0.5)
+            low, high = model.jnt_range[joint] if model.jnt_limited[joint] else (-0.5, 0.5)
             pose = qpos[:, coordinate.qpos]
-            pose += _drawn(draws, 0.0, 1.0, envs) * (_drawn(draws, *bounds, envs) - pose)
+            pose += _drawn(draws, 0.0, 1.0, envs) * (_drawn(draws, low, high, envs) - pose)
     if (base := layout.base) is not None:
         qpos[:, base.qpos + 2] += _drawn(draws, 0.05, _LIFT, envs)
         axis = torch.nn.functional.normalize(_drawn(draws, -1.0, 1.0, envs, 3), dim=1)

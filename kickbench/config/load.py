@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Generic, TypeVar, cast
+from typing import Any, Generic, Self, TypeVar, cast
 
 from kickbench.config.base import Spec
 from kickbench.config.method import MethodSpec, RepresentationSpec
@@ -30,6 +30,17 @@ class Loaded(Generic[S]):
     def name(self) -> str:
         """The file's stem."""
         return self.document.file.stem
+
+    def changed(self, values: Mapping[str, Any]) -> Self:
+        """The spec with other numbers, by `key.path`, validated anew.
+
+        Raises:
+            SpecError: A value does not fit.
+        """
+        document = self.document
+        for key, value in values.items():
+            document = document.overridden(f"{key}={value}")
+        return replace(self, spec=validate(type(self.spec), document), document=document)
 
 
 @dataclass(frozen=True)

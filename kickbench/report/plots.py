@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 Looks = Mapping[Any, Look]
 """The look of each condition."""
 
-_LEAST_WINDOW, _POINTS = 9, 150
+_LEAST_WINDOW, _POINTS = 9, 300
 _OUTSIDE = 0.002
 """Share of the balls, at each edge of the pitch, that may be left out so that the others are seen."""
 QUANTITIES = {
@@ -51,7 +51,7 @@ def dots(found: Mapping[Quantity, pd.DataFrame], runs: pd.DataFrame, looks: Look
             _draw_mean(axes, y, row, quantity, looks[row.condition])
         axes.set_xlabel(f"{quantity.title.lower()}, {quantity.unit.name}")
         axes.set_xlim((-2, 102) if quantity.unit.name == "%" else (0, None))
-        axes.set_yticks(range(count), list(estimates.label))
+        axes.set_yticks(range(len(estimates)), list(estimates.label))
         axes.tick_params(axis="y", length=0)
         axes.spines["left"].set_visible(False)
         axes.grid(visible=False, axis="y")

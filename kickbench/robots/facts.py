@@ -148,7 +148,7 @@ def check_robot(file: Path, task: Path | str = "mini_general") -> RobotReport:
 def _task(file: Path, task: Path | str, timestep: float | None = None, integrator: str = "") -> CompiledTask:
     """A task with this robot, its ball out of the way, and another way to step the physics."""
     # Behind the robot: a goal stands before the ball. A field would not reach as far.
-    overrides = [f"robot={json.dumps(str(file))}", "sampling.ball.x=[-6.0, -5.0]", "field=null"]
+    overrides = [f"robot={json.dumps(str(file))}", "sampling.ball.x=[-6.0, -5.0]"]
     overrides += [f"{term}=null" for term in _FEET_TERMS] if str(task) == "mini_general" else []
     if timestep is not None:
         overrides += [f"simulation.timestep={timestep}", f"simulation.integrator={integrator}"]

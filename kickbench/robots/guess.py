@@ -198,7 +198,8 @@ class Candidate:
             stands = bool((np.minimum(kp / stiffness, kd / damping)[legs] >= _ENOUGH).all())
             if stands:
                 break
-        return Gains(*(self._equal_sides(names, gains) for gains in (kp, kd)), dt, integrator, stands)
+        kp, kd = (self._equal_sides(names, gains) for gains in (kp, kd))
+        return Gains(kp, kd, dt, integrator, stands)
 
     def _equal_sides(self, names: list[str], gains: np.ndarray) -> dict[str, float]:
         """The lesser of left and right, with two digits."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -67,7 +67,7 @@ class Derivation:
     actuators: tuple[Match, ...]
 
     @property
-    def groups(self) -> dict[str, tuple[Sequence[Element], Sequence[Match]]]:
+    def groups(self) -> dict[str, tuple[Sequence[Any], Sequence[Match]]]:
         """All parts with their matches, by what MuJoCo calls them."""
         return {
             "body": (self.parts.bodies, self.bodies),

@@ -177,8 +177,8 @@ def begin_from(trial: Trial, run: Run, std: float | None) -> tuple[Trial, Initia
             f"{shown(run.directory.path)}: its policy cannot begin this run: {', '.join(misfits)}"
         )
     actor = run.policy.network.state_dict()
-    for name, value in actor.items() if std is not None else ():
-        if name.endswith("std_param"):
+    for name, value in actor.items():
+        if std is not None and name.endswith("std_param"):
             new = torch.full_like(value, std)
             actor[name] = new.log() if name.endswith("log_std_param") else new
     fits = _of_network(trial, "critic") == _of_network(run.trial, "critic")

@@ -119,7 +119,7 @@ def test_a_growth_goes_on_from_its_state(experiment):
         ("{competence: {success: 0.5}}", "no value follows the competence"),
         ("{rewards.upright.weight: {from: 0.0, over: 0.5}}", "the term 'upright' is off"),
         ("{rewards.action_rate.weight: {from: [0.0, 1.0], over: 0.5}}", "expected a valid number"),
-        ("{sampling.target.distance: {from: [-1.0, 1.0], over: 0.5}}", "at least 0"),
+        ("{sampling.target.distance: {from: [-1.0, 1.0], over: 0.5}}", "greater than or equal to 0"),
         (
             "{sampling.ball.x: {from: 0.0, over: 0.5}, sampling.ball.y: {from: 0.1, over: 0.5}}",
             "at first, the ball would overlap the robot",

@@ -104,7 +104,7 @@ def test_the_code_is_part_of_the_identity_and_comments_are_not(task, tmp_path, c
     file.write_text(CODE.replace("max=limit", "max=2.0 * limit"))
     assert identity_of(load_trial(task, METHOD)).parts["terms"] != before.parts["terms"]
     assert run(task, tmp_path / "run", "--resume") == 2
-    assert "high.yaml:3:1: terms: the run's terms have other code" in capsys.readouterr().err
+    assert "the source of the terms: not that of the run" in capsys.readouterr().err
 
 
 WRONG = {

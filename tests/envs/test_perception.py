@@ -145,7 +145,7 @@ def test_the_critic_sees_the_ball_exactly(experiment):
         (f"{BALL}.rate=0", "greater than 0"),
         (f"{BALL}.delay=100", "a delay of 100 s outlasts the episode"),
         (f"{BALL}.delay=[0.1, 100]", "a delay of 100 s outlasts the episode"),
-        (f"{BALL}.delay=-0.1", "at least 0"),
+        (f"{BALL}.delay=-0.1", "greater than or equal to 0"),
         (f"{BALL}.dropout=1", "less than 1"),
         ("observations.critic.ball_position.rate=16", "the critic sees its fields exactly: no `rate`"),
     ],

@@ -45,6 +45,12 @@ def test_reported_figures_stand_beside_those_of_the_reported_task(results):
     }
     assert table.loc["baseline"].drop("Task").tolist() == [
         "66.4 ± 5.8 %, 0.899 ± 0.092 m",
+        "39.5 %, 2.218 m",
+        "61 of 1,475",
+        "3.4",
+    ]
+    assert table.loc["augmentation"].drop("Task").tolist() == [
+        "65.1 ± 11.6 %, 0.885 ± 0.112 m",
         "-",
         "- of 1,475",
         "-",
@@ -70,7 +76,8 @@ def test_samples_of_a_stage_that_is_not_known_are_not_passed_over(general):
 
 def test_learning_curves_go_on_from_stage_to_stage(results, general):
     curves = whole_trainings(general, results)
-    assert set(curves.condition) == {"equivariant"}, "stages are no conditions of their own"
+    assert set(curves.condition) == {"baseline", "equivariant"}, "stages are no conditions of their own"
+    curves = curves[curves.condition == "equivariant"]
     assert curves.env_steps.is_monotonic_increasing
     assert curves.iteration.is_monotonic_increasing
     assert curves.env_steps.iloc[[0, -1]].between(LITE, LITE + AT_10_MS + WHOLE).all()
