@@ -299,7 +299,6 @@ def _states(root: Path, record: PlanRecord | None) -> Iterator[tuple[str, RunSta
             remarks = [f"not evaluated on {', '.join(missing)}"] if missing else []
         else:
             remarks = ["not in the plan"] if record else []
-            remarks += [f"scaled down to {scale:g}" for scale in rows.scale[:1] if scale > 0]
         yield path.relative_to(root).as_posix(), state, "; ".join([*remarks, *_remarks(rows)])
 
 

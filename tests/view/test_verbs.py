@@ -59,22 +59,26 @@ def test_render_films_a_short_episode(opengl):
     assert Image.open("a.webp").n_frames >= 3
 
 
+SHEET = "a .png shows initial states: no --policy, --episodes or --mirrored"
 ERRORS = {
     "unknown kind of picture": (
         ["render", TASK, "--out", "a.jpg"],
         "a.jpg: pictures are .png or .webp",
     ),
-    "policy for a sheet": (["render", TASK, "--policy", "runs/x"], "--policy: a .png shows initial states"),
-    "episodes for a sheet": (["render", TASK, "--episodes", "2"], "--episodes: a .png shows initial states"),
+    "policy for a sheet": (["render", TASK, "--policy", "runs/x"], SHEET),
+    "episodes for a sheet": (["render", TASK, "--episodes", "2"], SHEET),
     "starts for a film": (
         ["render", TASK, "--out", "a.webp", "--initial-states", "2"],
-        "--initial-states: a .webp shows episodes",
+        "a .webp shows episodes: no --initial-states",
     ),
     "no such run": (
         ["render", TASK, "--out", "a.webp", "--policy", "runs/x"],
         "runs/x: no such directory",
     ),
-    "no such task": (["render", "x.yaml"], "x.yaml: no such file: 'x.yaml'"),
+    "no such task": (
+        ["render", "x.yaml"],
+        "x.yaml: no such file, and no task of this name (`kickbench list` prints the names)",
+    ),
 }
 
 
@@ -91,7 +95,7 @@ def test_a_wrong_size_is_a_usage_error(capsys, size):
     with pytest.raises(SystemExit) as stop:
         main(["render", TASK, "--size", size])
     assert stop.value.code == 2
-    assert f"--size: expected WIDTHxHEIGHT, each from 64 to 4096, found '{size}'" in capsys.readouterr().err
+    assert f"'--size': expected WIDTHxHEIGHT, each from 64 to 4096, found '{size}'" in capsys.readouterr().err
 
 
 def test_a_wrong_opengl_platform_is_an_error_without_a_traceback():
