@@ -56,14 +56,36 @@ class Fit:
         return (partner, 1 - 2 * negative) if misfit[partner, negative] <= self.tolerance else None
 
     def contradictions(self, names: Sequence[str]) -> str:
-        """What was declared of the wrong components and what was measured; `names` are the components'."""
+        """What was declared and what was measured, of the wrong components; where they are many, as a whole.
+
+        Args:
+            names: Of the components.
+        """
         found, declared = list[str](), self.declared
+        measured = [self.measured(i) for i in range(declared.dim)]
+        said, seen = _whole([*zip(declared.permutation, declared.signs, strict=True)]), _whole(measured)
+        if said and seen and self.wrong.sum() > 2:
+            return f"declared {said}; measured: {seen}"
         for i in np.flatnonzero(self.wrong).tolist():
-            said, seen = (declared.permutation[i], declared.signs[i]), self.measured(i)
-            words = [image_words(names[i], names[j], s) for j, s in ([said, seen] if seen else [said])]
-            measured = words[1] if seen else f"nothing fits (error {self.error[i]:.2g})"
-            found.append(f"{names[i]} declared {words[0]}; measured: {measured}")
+            own, other = (declared.permutation[i], declared.signs[i]), measured[i]
+            words = [image_words(names[i], names[j], s) for j, s in ([own, other] if other else [own])]
+            words.append(f"nothing fits (error {self.error[i]:.2g})")
+            found.append(f"{names[i]} declared {words[0]}; measured: {words[1]}")
         return ", ".join(found[:2]) + (f" (and {len(found) - 2} more)" if len(found) > 2 else "")
+
+
+def _whole(entries: Sequence[tuple[int, int] | None]) -> str | None:
+    """The name of entries that follow a rule: `sign`, `regular x (trivial, sign, trivial)`; else None."""
+    known = [entry for entry in entries if entry is not None]
+    places, half = [place for place, _ in known], len(entries) // 2
+    kinds = ["trivial" if sign > 0 else "sign" for _, sign in known]
+    if places == [*range(half, 2 * half), *range(half)] and kinds[:half] == kinds[half:] and half:
+        return f"regular x {_together(kinds[:half])}"
+    return _together(kinds) if places == [*range(len(entries))] else None
+
+
+def _together(kinds: Sequence[str]) -> str:
+    return kinds[0] if len({*kinds}) == 1 else f"({', '.join(kinds)})"
 
 
 def misfits(original: np.ndarray, image: np.ndarray) -> np.ndarray:
