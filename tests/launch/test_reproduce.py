@@ -83,7 +83,7 @@ def test_an_experiment_that_is_killed_twice_and_stopped_ends_like_one_left_alone
     assert main(arguments(alone, "--jobs", "2")) == 0
     printed = capfd.readouterr().out
     assert "2 not begun; 2 at a time, 1 thread each" in printed
-    assert "baseline seed 0: 24 of 390 iterations, 20 of 2,000 episodes, task: " in printed
+    assert "baseline seed 0: 24 of 390 iterations, task: " in printed
 
     # Only reproduce is killed: the kernel stops the run, which keeps what it has done.
     killed = start(disturbed)
