@@ -24,7 +24,16 @@ ONE_SEED = ("seeds=[0]", "claims.baseline_loses.bound=0.1")
 def start_training(arm: Condition, out: Path) -> subprocess.Popen[bytes]:
     """The arm's training as its user would start it, with seed 0."""
     specs = (str(arm.task.document.file), str(arm.method.document.file))
-    options = ("--seed", "0", "--iterations", str(arm.method.spec.algorithm.iterations), "--threads", "1", "--out", str(out))
+    options = (
+        "--seed",
+        "0",
+        "--iterations",
+        str(arm.method.spec.algorithm.iterations),
+        "--threads",
+        "1",
+        "--out",
+        str(out),
+    )
     command = [sys.executable, "-m", "kickbench", "run", *specs, *options]
     return subprocess.Popen(command, env={**os.environ, "OMP_NUM_THREADS": "1"})
 

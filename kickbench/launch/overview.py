@@ -92,6 +92,7 @@ class RunState:
         success: Success in distribution if it is finished, else the last iteration's; NaN: not known.
         steps_per_second: Control steps of the last iterations over their time, 1/s; NaN: not known.
         seconds_per_iteration: Measured pace of training, s; NaN: nothing has been measured.
+        evaluation_seconds: Measured time of its evaluation, s; NaN: it is not finished.
         note: What a person should know beside that.
     """
 
@@ -101,6 +102,7 @@ class RunState:
     success: float = math.nan
     steps_per_second: float = math.nan
     seconds_per_iteration: float = math.nan
+    evaluation_seconds: float = math.nan
     note: str = ""
 
     @property
@@ -139,10 +141,10 @@ def state_of(run: pd.Series, total: int | None = None) -> RunState:
     is_short = total is not None and run.iterations < total
     # What has a result, but no checkpoint to go on from, stays as long as it is.
     if run.state == "finished" and not (is_short and Checkpoints(directory.checkpoints).files()):
-        done = int(run.iterations)
+        done, evaluation = int(run.iterations), max(0.0, run.provenance.seconds - run.training_seconds)
         pace = run.training_seconds / done if done else math.nan
         note = f"stopped at {done:,} of {total:,} iterations" if is_short else ""
-        return RunState("finished", done, total, run.success_rate, seconds_per_iteration=pace, note=note)
+        return RunState("finished", done, total, run.success_rate, math.nan, pace, evaluation, note)
     tail = read_tail(directory.progress)
     if run.state == "running":
         is_trained = total is not None and tail.get("done", 0) >= total
@@ -201,7 +203,7 @@ def counts(states: Sequence[RunState]) -> str:
 
 
 def time_left(runs: Sequence[tuple[str, RunState]], at_a_time: int = 1) -> str:
-    """How long the rest of the training takes, in words: from the mean pace of each condition's own runs.
+    """How long the rest takes, in words: from the mean pace of each condition's own runs, and nothing else.
 
     A condition that has not been measured is given the mean of the others. How much runs slow each other down
     is not foreseen.
@@ -210,12 +212,13 @@ def time_left(runs: Sequence[tuple[str, RunState]], at_a_time: int = 1) -> str:
         runs: Condition and state of all runs, those that are finished among them.
         at_a_time: How many run at a time.
     """
-    table = pd.DataFrame(
-        [(condition, state.seconds_per_iteration, state.iterations_left) for condition, state in runs],
-        columns=["condition", "pace", "left"],
-    )
-    if table.left.any() and table.pace.isna().all():
+    table = pd.DataFrame([{"condition": condition, **vars(state)} for condition, state in runs])
+    left = pd.Series([state.iterations_left for _, state in runs], table.index)
+    known = table.groupby("condition")[["seconds_per_iteration", "evaluation_seconds"]].transform("mean")
+    each = known.fillna(known.mean())
+    if left.any() and each.seconds_per_iteration.isna().all():
         return "unknown until the first iterations have been timed"
-    means = table.groupby("condition").pace.transform("mean").fillna(table.pace.mean())
-    seconds = (means * table.left).fillna(0.0)
-    return f"about {duration(max(sum(seconds) / at_a_time, max(seconds, default=0.0)))} of training"
+    evaluation = each.evaluation_seconds.where(table.state != "finished", 0.0)
+    seconds = (each.seconds_per_iteration * left).fillna(0.0) + evaluation.fillna(0.0)
+    also = " and evaluation" if evaluation.isna().any() else ""
+    return f"about {duration(max(sum(seconds) / at_a_time, max(seconds, default=0.0)))}{also}"

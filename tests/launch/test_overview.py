@@ -116,21 +116,21 @@ def test_the_time_that_is_left_is_not_known_before_anything_was_measured(make_ru
 
 
 def test_the_pace_of_a_condition_is_that_of_its_runs(make_run):
-    # 100 s of training for 450 iterations.
+    # 100 s of training and 20 s of evaluation for 450 iterations.
     finished = ("a", read_state(make_run("0", rows=450, finished=450), 450))
     new = ("a", read_state(make_run("1"), 450))
-    assert time_left([finished, new]) == "about 1:40 of training"
-    assert time_left([finished]) == "about 0:00 of training"
+    assert time_left([finished, new]) == "about 2:00"
+    assert time_left([finished]) == "about 0:00"
 
 
 def test_a_condition_that_has_not_been_measured_takes_what_the_others_take(make_run):
     begun = ("a", read_state(make_run("0", rows=400, checkpoints=(400,)), 450))
     other = ("b", read_state(make_run("1"), 450))
-    assert time_left([begun, other]) == "about 16:40 of training"  # 50 + 450 iterations of 2 s
+    assert time_left([begun, other]) == "about 16:40 and evaluation"  # 50 + 450 iterations of 2 s
 
 
 def test_runs_at_a_time_share_the_time_but_none_ends_before_its_own(make_run):
     long = ("a", read_state(make_run("0", rows=50, checkpoints=(50,)), 450))
     short = ("a", read_state(make_run("1", rows=400, checkpoints=(400,)), 450))
-    assert time_left([long, short], at_a_time=1) == "about 15:00 of training"
-    assert time_left([long, short], at_a_time=2) == "about 13:20 of training"
+    assert time_left([long, short], at_a_time=1) == "about 15:00 and evaluation"
+    assert time_left([long, short], at_a_time=2) == "about 13:20 and evaluation"
