@@ -52,6 +52,8 @@ def new(
     from kickbench.config.yamltree import dump_yaml
     from kickbench.results.atomic import atomic_write_text
 
+    if Path(name).name in ("", ".."):
+        raise KickbenchError(f"'{name}' is no name of a file")
     file, out = find(base, kind).absolute(), Path(name).with_suffix(".yaml")
     if out.exists():
         raise KickbenchError(f"{shown(out)}: is there already")

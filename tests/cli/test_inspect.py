@@ -432,3 +432,11 @@ def test_a_shell_completes_names(tmp_path):
         "mini_moving_ball",
         "mini_obstacles",
     ]
+
+
+@pytest.mark.parametrize("name", ["", ".", "/", ".."])
+def test_what_is_no_name_of_a_file_defines_nothing(tmp_path, monkeypatch, capsys, name):
+    monkeypatch.chdir(tmp_path)
+    assert main(["new", "task", name, "--from", "mini_general"]) == 2
+    assert capsys.readouterr().err == f"'{name}' is no name of a file\n"
+    assert not list(tmp_path.iterdir())
