@@ -71,7 +71,7 @@ def check_files(files: Sequence[Path], overrides: Sequence[str] = ()) -> Iterato
         files: Tasks, methods, robots, representation tables and experiments.
         overrides: `key.path=value` texts, applied to the files whose kind has the first key.
     """
-    known: set[str] = set()
+    known, is_complete = set[str](), True  # a file that cannot be read may have any key
     loaded: list[CompiledTask | LoadedMethod | None] = []
     for path in {os.path.abspath(path): path for path in files}.values():
         report = Report(str(path), "?")
@@ -80,8 +80,9 @@ def check_files(files: Sequence[Path], overrides: Sequence[str] = ()) -> Iterato
             keys = model_of(report.kind).model_fields
             known |= {*keys}
             loaded.append(_load(path, report, [text for text in overrides if _head(text) in keys]))
+        is_complete = is_complete and report.kind != "?"
         yield report
-    for text in overrides:
+    for text in overrides if is_complete else ():
         if _head(text) not in known:
             what = f"none of the files has a key '{_head(text)}'"
             problem = Problem(mark_of(text), (), what, did_you_mean(_head(text), known))
